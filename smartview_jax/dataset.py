@@ -1,0 +1,245 @@
+"""Observations of a target from several robot poses, checked once, at the door."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from .calibration import Mount, mount_frames
+from .geometry import PoseLike, as_se3, check_rigid
+
+
+class Observations(eqx.Module):
+    """The numbers of a data set alone: what compiled functions take.
+
+    Attributes:
+        points: target points in the target frame, m.
+        pixels: where they were seen, px; NaN where not visible.
+        visible: which of them were seen.
+        base_from_tool: what the robot reported, one transform a view.
+    """
+
+    points: Float[Array, "views points 3"]
+    pixels: Float[Array, "views points 2"]
+    visible: Bool[Array, "views points"]
+    base_from_tool: SE3
+
+    def residuals(
+        self, predicted: Float[Array, "views points 2"], valid: Bool[Array, "views points"]
+    ) -> Float[Array, "views points 2"]:
+        """Measured minus predicted, px; zero where a point was not seen or not predicted."""
+        used = (self.visible & valid)[..., None]
+        return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
+
+
+class Dataset(eqx.Module):
+    """What was seen from where: padded arrays, masks and names; never changed in place.
+
+    Attributes:
+        points, pixels, visible, base_from_tool: as in `Observations`.
+        view_ids: one name a view.
+        image_size: width and height, px.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        masked_views: view id and reason of every view that is kept but not used.
+        pictures: one file a view, where known.
+        target: the description of the target, where known (a member of `targets`).
+    """
+
+    points: Float[Array, "views points 3"]
+    pixels: Float[Array, "views points 2"]
+    visible: Bool[Array, "views points"]
+    base_from_tool: SE3
+    view_ids: tuple[str, ...] = eqx.field(static=True)
+    image_size: tuple[int, int] = eqx.field(static=True)
+    mount: Mount = eqx.field(static=True, default="eye_in_hand")
+    masked_views: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
+    pictures: tuple[Path, ...] | None = eqx.field(static=True, default=None)
+    target: Any = eqx.field(static=True, default=None)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        points: np.ndarray | Array,
+        pixels: np.ndarray | Array,
+        base_from_tool: PoseLike,
+        image_size: tuple[int, int],
+        visible: np.ndarray | Array | None = None,
+        view_ids: Sequence[str | int] | None = None,
+        mount: Mount = "eye_in_hand",
+        bad_views: Literal["raise", "mask"] = "raise",
+        masked_views: Sequence[tuple[str, str]] = (),
+        pictures: Sequence[Path] | None = None,
+        target: Any = None,
+    ) -> "Dataset":
+        """A data set from one's own arrays.
+
+        Args:
+            points: `(N, 3)` or `(M, N, 3)` target points in the target (= world) frame, m.
+            pixels: `(M, N, 2)` px; NaN where not seen.
+            base_from_tool: `(M,)` robot poses: an `SE3` or `(M, 4, 4)`, m.
+            image_size: width and height, px.
+            visible: `(M, N)`; by default wherever `pixels` has numbers.
+            view_ids: one name a view; by default 0, 1, ...
+            mount: where the camera is: on the tool or beside the arm.
+            bad_views: what to do about a view whose values are wrong (a pose that is not rigid,
+                a pixel far outside the picture): raise, or mask it and keep the reason.
+            masked_views: views already known to be unusable, with the reason.
+            pictures: one picture file a view.
+            target: the description of the target.
+
+        Raises:
+            ValueError: a wrong shape, a duplicate id, or, unless masked, a wrong value; the
+                message names the view.
+        """
+        mount_frames(mount)
+        pixels = np.array(pixels, dtype=float)
+        if pixels.ndim != 3 or pixels.shape[-1] != 2:
+            raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
+        view_count, point_count = pixels.shape[:2]
+        points = _points_per_view(np.asarray(points, dtype=float), view_count, point_count)
+        matrices = _pose_matrices(base_from_tool, view_count)
+        ids = _view_ids(view_ids, view_count)
+        seen = _visible(visible, pixels, ids)
+
+        problems = dict(masked_views)
+        unknown = set(problems) - set(ids)
+        if unknown:
+            raise ValueError(f"masked_views: no view is called {sorted(unknown)}")
+        wrong = check_rigid(matrices, ids)
+        for view, problem in _pixel_problems(pixels, seen, image_size, ids).items():
+            wrong.setdefault(view, problem)
+        if wrong and bad_views == "raise":
+            raise ValueError("; ".join(f"view {view}: {text}" for view, text in wrong.items()))
+        problems = {**wrong, **problems}
+
+        usable = np.array([view not in problems for view in ids], dtype=bool)
+        matrices = np.where(usable[:, None, None] | _finite_views(matrices), matrices, np.eye(4))
+        seen = seen & usable[:, None]
+        if not np.all(np.isfinite(points[seen])):
+            raise ValueError("points: a target point that was seen has NaN coordinates")
+        return cls(
+            points=jnp.asarray(np.where(np.isfinite(points), points, 0.0)),
+            pixels=jnp.asarray(np.where(seen[..., None], pixels, np.nan)),
+            visible=jnp.asarray(seen),
+            base_from_tool=SE3.from_matrix(jnp.asarray(matrices)),
+            view_ids=ids,
+            image_size=(int(image_size[0]), int(image_size[1])),
+            mount=mount,
+            masked_views=tuple((view, problems[view]) for view in ids if view in problems),
+            pictures=None if pictures is None else tuple(Path(p) for p in pictures),
+            target=target,
+        )
+
+    @property
+    def observations(self) -> Observations:
+        """The arrays alone."""
+        return Observations(self.points, self.pixels, self.visible, self.base_from_tool)
+
+    @property
+    def view_count(self) -> int:
+        return len(self.view_ids)
+
+    @property
+    def observation_count(self) -> int:
+        """How many points were seen, over all views."""
+        return int(np.count_nonzero(np.asarray(self.visible)))
+
+    def usable_views(self, minimum_points: int = 4) -> np.ndarray:
+        """Indices of the views that show at least so many points."""
+        return np.flatnonzero(np.asarray(self.visible).sum(axis=1) >= minimum_points)
+
+    def select(self, views: Sequence[int] | np.ndarray) -> "Dataset":
+        """The data set of these views alone, by index, in the given order."""
+        index = np.asarray(views, dtype=int)
+        ids = tuple(self.view_ids[i] for i in index)
+        return Dataset(
+            points=self.points[index],
+            pixels=self.pixels[index],
+            visible=self.visible[index],
+            base_from_tool=SE3(self.base_from_tool.wxyz_xyz[index]),
+            view_ids=ids,
+            image_size=self.image_size,
+            mount=self.mount,
+            masked_views=tuple(entry for entry in self.masked_views if entry[0] in ids),
+            pictures=None if self.pictures is None else tuple(self.pictures[i] for i in index),
+            target=self.target,
+        )
+
+
+def _points_per_view(points: np.ndarray, views: int, count: int) -> np.ndarray:
+    if points.shape == (count, 3):
+        return np.broadcast_to(points, (views, count, 3))
+    if points.shape != (views, count, 3):
+        raise ValueError(
+            f"points: expected shape ({count}, 3) or ({views}, {count}, 3) to match pixels, "
+            f"found {points.shape}"
+        )
+    return points
+
+
+def _pose_matrices(base_from_tool: PoseLike, views: int) -> np.ndarray:
+    if not isinstance(base_from_tool, SE3):
+        matrices = np.asarray(base_from_tool, dtype=float)
+    else:
+        matrices = np.asarray(as_se3(base_from_tool).as_matrix())
+    if matrices.shape != (views, 4, 4):
+        raise ValueError(
+            f"base_from_tool: expected shape ({views}, 4, 4), one pose a view, "
+            f"found {matrices.shape}"
+        )
+    return matrices
+
+
+def _view_ids(view_ids: Sequence[str | int] | None, views: int) -> tuple[str, ...]:
+    ids = tuple(str(view) for view in (range(views) if view_ids is None else view_ids))
+    if len(ids) != views:
+        raise ValueError(f"view_ids: expected {views}, found {len(ids)}")
+    duplicates = sorted({view for view in ids if ids.count(view) > 1})
+    if duplicates:
+        raise ValueError(f"view_ids: {', '.join(duplicates)} given more than once")
+    return ids
+
+
+def _visible(
+    visible: np.ndarray | Array | None, pixels: np.ndarray, ids: tuple[str, ...]
+) -> np.ndarray:
+    has_numbers = np.isfinite(pixels).all(axis=-1)
+    if visible is None:
+        return has_numbers
+    seen = np.array(visible, dtype=bool)
+    if seen.shape != has_numbers.shape:
+        raise ValueError(f"visible: expected shape {has_numbers.shape}, found {seen.shape}")
+    missing = seen & ~has_numbers
+    if missing.any():
+        view, point = np.argwhere(missing)[0]
+        raise ValueError(f"view {ids[view]}: point {point} is marked visible but has no pixel")
+    return seen
+
+
+def _pixel_problems(
+    pixels: np.ndarray, seen: np.ndarray, image_size: tuple[int, int], ids: tuple[str, ...]
+) -> dict[str, str]:
+    """Views with a pixel outside the picture; a corner may lie up to a pixel beyond its edge."""
+    width, height = image_size
+    if width <= 0 or height <= 0:
+        raise ValueError(f"image_size: expected a positive width and height, found {image_size}")
+    limits = np.array([width, height], dtype=float)
+    with np.errstate(invalid="ignore"):
+        outside = seen & ((pixels < -1.0) | (pixels > limits)).any(axis=-1)
+    problems = {}
+    for view in np.flatnonzero(outside.any(axis=1)):
+        point = int(np.flatnonzero(outside[view])[0])
+        u, v = pixels[view, point]
+        problems[ids[view]] = (
+            f"point {point} at ({u:.1f}, {v:.1f}) px lies outside the {width} x {height} picture"
+        )
+    return problems
+
+
+def _finite_views(matrices: np.ndarray) -> np.ndarray:
+    return np.isfinite(matrices).all(axis=(1, 2), keepdims=True)

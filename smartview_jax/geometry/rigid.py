@@ -1,0 +1,64 @@
+"""Rigid transforms: a thin layer over `jaxlie`, which holds the group and its derivatives.
+
+A transform named `target_from_source` maps points of `source` into `target`. Tangents are
+jaxlie's: translation (m) first, then rotation (rad).
+"""
+
+from typing import TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3, SO3
+from jaxtyping import Array, Float
+
+PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
+"""A rigid transform as this library takes it: an `SE3`, or 4x4 matrices."""
+
+
+def as_se3(pose: PoseLike) -> SE3:
+    """An `SE3` from either form of a rigid transform.
+
+    Matrices are trusted to be rigid here: `check_rigid` is the test at the library's edge.
+    """
+    if isinstance(pose, SE3):
+        return pose
+    matrix = jnp.asarray(pose, dtype=float)
+    if matrix.shape[-2:] != (4, 4):
+        raise ValueError(f"a pose is an SE3 or an array (..., 4, 4); found shape {matrix.shape}")
+    return SE3.from_matrix(matrix)
+
+
+def check_rigid(
+    matrices: np.ndarray, labels: tuple[str, ...], tolerance: float = 1e-4
+) -> dict[str, str]:
+    """What is wrong with each 4x4 matrix, by label; empty where all are rigid transforms.
+
+    Args:
+        matrices: `(views, 4, 4)`.
+        labels: one name per matrix, used as key of the answer.
+        tolerance: largest entry of `R^T R - I` accepted. Robot controllers write few digits.
+    """
+    problems: dict[str, str] = {}
+    for label, matrix in zip(labels, np.asarray(matrices, dtype=float), strict=True):
+        if not np.all(np.isfinite(matrix)):
+            problems[label] = "the pose contains NaN or infinity"
+            continue
+        rotation = matrix[:3, :3]
+        error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+        if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > tolerance:
+            problems[label] = f"the last row of the pose is {matrix[3].tolist()}, not 0 0 0 1"
+        elif error > tolerance:
+            problems[label] = f"not a rotation: R^T R differs from identity by {error:.3g}"
+        elif np.linalg.det(rotation) < 0.0:
+            problems[label] = "not a rotation: the determinant is -1 (a mirrored frame)"
+    return problems
+
+
+def rotation_angle(rotation: SO3) -> Float[Array, "*batch"]:
+    """Angle of a rotation in radians, in [0, pi]; differentiable away from the identity."""
+    return jnp.linalg.norm(rotation.log(), axis=-1)
+
+
+def concatenate(first: SE3, second: SE3) -> SE3:
+    """Two batches of transforms as one, along their first axis."""
+    return SE3(jnp.concatenate([first.wxyz_xyz, second.wxyz_xyz], axis=0))
