@@ -9,7 +9,7 @@ its *holder* (the base, or the tool).
 """
 
 import os
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,17 +21,15 @@ from .cameras import AbstractLens, Camera, lens_by_name, lens_name
 from .files import dump_yaml, read_yaml, write_atomically
 from .geometry import PoseLike, as_se3
 
-Mount = Literal["eye_in_hand", "eye_to_hand"]
-
 FORMAT_VERSION = 1
 
-_FRAMES: dict[Mount, tuple[str, str]] = {
+_FRAMES: dict[str, tuple[str, str]] = {
     "eye_in_hand": ("tool", "base"),
     "eye_to_hand": ("base", "tool"),
 }
 
 
-def mount_frames(mount: Mount) -> tuple[str, str]:
+def mount_frames(mount: str) -> tuple[str, str]:
     """The frame the camera is bolted to and the frame the target stands in."""
     if mount not in _FRAMES:
         raise ValueError(f"mount is one of {', '.join(_FRAMES)}; found {mount!r}")
@@ -56,14 +54,14 @@ class Calibration(eqx.Module):
     camera_from_mount: SE3
     holder_from_world: SE3
     target_scale: Float[Array, ""]
-    mount: Mount = eqx.field(static=True)
+    mount: str = eqx.field(static=True)
 
     def __init__(
         self,
         camera: Camera,
         camera_from_mount: SE3,
         holder_from_world: SE3,
-        mount: Mount,
+        mount: str,
         target_scale: ScalarLike = 1.0,
     ):
         mount_frames(mount)
@@ -227,9 +225,7 @@ class Calibration(eqx.Module):
         write_atomically(path, dump_yaml(self.to_dict()))
 
     @classmethod
-    def load(
-        cls, path: str | os.PathLike[str], lens: AbstractLens | None = None
-    ) -> "Calibration":
+    def load(cls, path: str | os.PathLike[str], lens: AbstractLens | None = None) -> "Calibration":
         """Read what `save` wrote; a lens of your own is passed as `lens`, its numbers are read.
 
         Raises:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from .calibration import Mount, mount_frames
+from .calibration import mount_frames
 from .geometry import PoseLike, as_se3, check_rigid
 
 
@@ -56,7 +56,7 @@ class Dataset(eqx.Module):
     base_from_tool: SE3
     view_ids: tuple[str, ...] = eqx.field(static=True)
     image_size: tuple[int, int] = eqx.field(static=True)
-    mount: Mount = eqx.field(static=True, default="eye_in_hand")
+    mount: str = eqx.field(static=True, default="eye_in_hand")
     masked_views: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
     pictures: tuple[Path, ...] | None = eqx.field(static=True, default=None)
     target: Any = eqx.field(static=True, default=None)
@@ -70,8 +70,8 @@ class Dataset(eqx.Module):
         image_size: tuple[int, int],
         visible: np.ndarray | Array | None = None,
         view_ids: Sequence[str | int] | None = None,
-        mount: Mount = "eye_in_hand",
-        bad_views: Literal["raise", "mask"] = "raise",
+        mount: str = "eye_in_hand",
+        bad_views: str = "raise",
         masked_views: Sequence[tuple[str, str]] = (),
         pictures: Sequence[Path] | None = None,
         target: Any = None,
@@ -97,6 +97,8 @@ class Dataset(eqx.Module):
                 message names the view.
         """
         mount_frames(mount)
+        if bad_views not in ("raise", "mask"):
+            raise ValueError(f"bad_views is 'raise' or 'mask'; found {bad_views!r}")
         pixels = np.array(pixels, dtype=float)
         if pixels.ndim != 3 or pixels.shape[-1] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")

@@ -1,6 +1,33 @@
+import functools
+
 import jax
+import jaxlie
 
 # The strictest JAX: silent promotion of types or ranks is an error here.
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+def _allow_promotion_inside(group):
+    """jaxlie promotes ranks and types on purpose; the strictness is for our code."""
+    for name, method in list(vars(group).items()):
+        if name.startswith("__") and name != "__matmul__":
+            continue
+        if isinstance(method, staticmethod | classmethod):
+            setattr(group, name, type(method)(_tolerant(method.__func__)))
+        elif callable(method):
+            setattr(group, name, _tolerant(method))
+
+
+def _tolerant(function):
+    @functools.wraps(function)
+    def call(*args, **kwargs):
+        with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
+            return function(*args, **kwargs)
+
+    return call
+
+
+for _group in (jaxlie.SE3, jaxlie.SO3):
+    _allow_promotion_inside(_group)

@@ -1,0 +1,47 @@
+"""Run one benchmark by name, or all of them on small sizes.
+
+python -m benchmarks                 # what there is
+python -m benchmarks table1          # one, at full size
+python -m benchmarks --smoke         # all, small: do they still run, do their claims hold
+"""
+
+import argparse
+import importlib
+import sys
+
+BENCHMARKS = {
+    "table1": "the paper's Table 1 on its simulated set-up, with the joint fit beside it",
+    "real_sets": "the joint fit on the real data sets, against their reference figures",
+    "speed": "each stage timed beside OpenCV and scipy, in one run",
+}
+
+
+def main() -> int:
+    listing = "\n".join(f"  {name:10} {text}" for name, text in BENCHMARKS.items())
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=listing,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="which to run")
+    parser.add_argument("--smoke", action="store_true", help="small sizes; all, unless named")
+    arguments = parser.parse_args()
+    unknown = set(arguments.names) - set(BENCHMARKS)
+    if unknown:
+        parser.error(f"no benchmark is called {', '.join(sorted(unknown))}; there is\n{listing}")
+    names = arguments.names or (list(BENCHMARKS) if arguments.smoke else [])
+    if not names:
+        parser.print_help()
+    failed = []
+    for name in names:
+        print(f"\n== {name}: {BENCHMARKS[name]}")
+        module = importlib.import_module(f"benchmarks.{name}")
+        if not module.run(smoke=arguments.smoke):
+            failed.append(name)
+    if failed:
+        print(f"\nclaims that did not hold: {', '.join(failed)}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

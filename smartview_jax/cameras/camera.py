@@ -1,0 +1,70 @@
+"""A camera: four pinhole numbers and a lens (Eqs. 2 to 4 of the paper)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, ScalarLike
+
+from .lens import AbstractLens
+
+
+class Camera(eqx.Module):
+    """`u = alpha_u x + u0`, `v = alpha_v y + v0`, with `(x, y)` from the lens.
+
+    Pixels follow OpenCV: the centre of the top-left pixel is (0, 0), u to the right, v down; the
+    camera frame has x to the right, y down, z forward.
+
+    Attributes:
+        alpha_u, alpha_v: focal length over pixel pitch (px).
+        u0, v0: principal point (px).
+        lens: any `AbstractLens`.
+        image_size: width and height (px).
+    """
+
+    alpha_u: Float[Array, ""]
+    alpha_v: Float[Array, ""]
+    u0: Float[Array, ""]
+    v0: Float[Array, ""]
+    lens: AbstractLens
+    image_size: tuple[int, int] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        alpha_u: ScalarLike,
+        alpha_v: ScalarLike,
+        u0: ScalarLike,
+        v0: ScalarLike,
+        lens: AbstractLens,
+        image_size: tuple[int, int],
+    ):
+        self.alpha_u = jnp.asarray(alpha_u, dtype=float)
+        self.alpha_v = jnp.asarray(alpha_v, dtype=float)
+        self.u0 = jnp.asarray(u0, dtype=float)
+        self.v0 = jnp.asarray(v0, dtype=float)
+        self.lens = lens
+        self.image_size = image_size
+
+    def project(
+        self, points: Float[Array, "*batch 3"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Pixels of camera-frame points, and where they are valid; NaN where not.
+
+        Valid means in front of the camera and inside the lens's domain; a valid pixel may still
+        lie outside the picture.
+        """
+        plane, valid = self.lens.distort(points)
+        # NaN is put in last: as a factor it would make the derivatives of masked points NaN too.
+        plane = jnp.where(valid[..., None], plane, 0.0)
+        pixels = plane * self._focal(plane.ndim) + self._centre(plane.ndim)
+        return jnp.where(valid[..., None], pixels, jnp.nan), valid
+
+    def unproject(
+        self, pixels: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
+        """Unit rays in the camera frame that are seen at these pixels, and where they are valid."""
+        return self.lens.undistort((pixels - self._centre(pixels.ndim)) / self._focal(pixels.ndim))
+
+    def _focal(self, rank: int) -> Float[Array, "*ones 2"]:
+        return jnp.stack([self.alpha_u, self.alpha_v]).reshape((1,) * (rank - 1) + (2,))
+
+    def _centre(self, rank: int) -> Float[Array, "*ones 2"]:
+        return jnp.stack([self.u0, self.v0]).reshape((1,) * (rank - 1) + (2,))

@@ -1,0 +1,11 @@
+"""Scenes with known truth: geometry, noise and rendered pictures."""
+
+from .scenes import Scene as Scene
+from .scenes import look_at as look_at
+from .scenes import paper_calibration as paper_calibration
+from .scenes import paper_points as paper_points
+from .scenes import paper_scene as paper_scene
+from .scenes import paper_viewpoints as paper_viewpoints
+from .scenes import random_scene as random_scene
+from .scenes import simulate as simulate
+from .scenes import views_around as views_around

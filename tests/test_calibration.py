@@ -1,0 +1,183 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Calibration
+from smartview_jax.cameras import AbstractPerspectiveLens, Camera, Pinhole, lens_by_name
+
+LENSES = ("pinhole", "radial", "weng", "opencv4", "opencv5", "opencv8", "fisheye")
+
+
+def pose(*tangent):
+    return SE3.exp(jnp.asarray(tangent, dtype=float))
+
+
+def camera(lens=None):
+    return Camera(800.0, 790.0, 321.0, 239.0, Pinhole() if lens is None else lens, (640, 480))
+
+
+@pytest.fixture
+def eye_in_hand():
+    return Calibration.eye_in_hand(
+        camera(), pose(0.01, 0.02, -0.05, 0.1, 0.2, -0.3), pose(0.5, 0.1, 0.0, 3.0, 0.1, 0.2), 1.01
+    )
+
+
+@pytest.fixture
+def eye_to_hand():
+    return Calibration.eye_to_hand(
+        camera(), pose(0.1, 0.0, 1.5, 0.1, 3.0, 0.0), pose(0.0, 0.05, 0.1, 0.0, 0.2, 0.1)
+    )
+
+
+@pytest.fixture
+def views_and_points(eye_in_hand):
+    """Four views of the target, and one that has its back to it."""
+    rng = np.random.default_rng(3)
+    tangents = np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]) + 0.1 * rng.normal(size=(5, 6))
+    tangents[4, 2] = -0.5
+    commands = eye_in_hand.command_for(SE3.exp(jnp.asarray(tangents)))
+    return commands, rng.uniform(-0.1, 0.1, (7, 3))
+
+
+def test_the_chain_is_equation_10(eye_in_hand, views_and_points):
+    commands, points = views_and_points
+    pixels, valid = eye_in_hand.project(commands, points)
+    assert pixels.shape == (5, 7, 2)
+    for view, base_from_tool in enumerate(np.asarray(commands.as_matrix())):
+        chain = (
+            np.asarray(eye_in_hand.camera_from_tool.as_matrix())
+            @ np.linalg.inv(base_from_tool)
+            @ np.asarray(eye_in_hand.base_from_world.as_matrix())
+        )
+        x, y, z = chain[:3, :3] @ (1.01 * points.T) + chain[:3, 3:]
+        expected = np.stack([800.0 * x / z + 321.0, 790.0 * y / z + 239.0], axis=-1)
+        in_front = z > 0.0
+        np.testing.assert_array_equal(valid[view], in_front)
+        np.testing.assert_allclose(pixels[view][in_front], expected[in_front], rtol=1e-10)
+    assert valid[:4].all()
+    assert not valid[4].any()
+
+
+def test_the_chain_of_a_standing_camera(eye_to_hand, views_and_points):
+    commands, _ = views_and_points
+    expected = (
+        eye_to_hand.camera_from_base.as_matrix()
+        @ commands.as_matrix()
+        @ eye_to_hand.tool_from_world.as_matrix()
+    )
+    np.testing.assert_allclose(
+        eye_to_hand.camera_from_world(commands).as_matrix(), expected, atol=1e-12
+    )
+
+
+def test_points_may_differ_from_view_to_view(eye_in_hand, views_and_points):
+    commands, points = views_and_points
+    per_view = np.broadcast_to(points, (5, 7, 3))
+    np.testing.assert_array_equal(
+        eye_in_hand.project(commands, points)[0], eye_in_hand.project(commands, per_view)[0]
+    )
+    one = SE3(commands.wxyz_xyz[2])
+    np.testing.assert_allclose(
+        eye_in_hand.project(one, points)[0], eye_in_hand.project(commands, points)[0][2]
+    )
+
+
+def test_poses_may_be_matrices(eye_in_hand, views_and_points):
+    commands, points = views_and_points
+    np.testing.assert_allclose(
+        eye_in_hand.project(np.asarray(commands.as_matrix()), points)[0],
+        eye_in_hand.project(commands, points)[0],
+        rtol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_the_command_for_a_view_gives_that_view(mount, views_and_points, request):
+    calibration = request.getfixturevalue(mount)
+    wanted, _ = views_and_points
+    reached = calibration.camera_from_world(calibration.command_for(wanted))
+    np.testing.assert_allclose(reached.as_matrix(), wanted.as_matrix(), atol=1e-12)
+
+
+def test_a_transform_that_the_mount_does_not_have(eye_in_hand, eye_to_hand):
+    with pytest.raises(AttributeError, match="eye_to_hand calibration has camera_from_base"):
+        _ = eye_to_hand.camera_from_tool
+    with pytest.raises(AttributeError, match="not tool_from_world"):
+        _ = eye_in_hand.tool_from_world
+
+
+def test_it_is_differentiable_and_batchable(eye_in_hand, views_and_points):
+    commands, points = views_and_points
+
+    def total(calibration, commands):
+        pixels, valid = calibration.project(commands, points)
+        return jnp.sum(jnp.where(valid[..., None], pixels, 0.0))
+
+    gradient = eqx.filter_grad(total)(eye_in_hand, commands)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    step = 1e-6
+
+    def shifted(s):
+        return total(eqx.tree_at(lambda c: c.camera.u0, eye_in_hand, jnp.asarray(s)), commands)
+
+    numeric = (shifted(321.0 + step) - shifted(321.0 - step)) / (2.0 * step)
+    np.testing.assert_allclose(gradient.camera.u0, numeric, rtol=1e-6)
+    batched, _ = jax.vmap(lambda c: eye_in_hand.project(c, points))(commands)
+    np.testing.assert_allclose(batched, eye_in_hand.project(commands, points)[0])
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_what_is_saved_is_loaded_to_the_last_digit(name, tmp_path, eye_in_hand, eye_to_hand):
+    lens = lens_by_name(name)
+    lens = type(lens)(**{key: 0.01 * (i + 1) / 3.0 for i, key in enumerate(vars(lens))})
+    for calibration in (eye_in_hand, eye_to_hand):
+        written = eqx.tree_at(lambda c: c.camera, calibration, camera(lens))
+        written.save(tmp_path / "calibration.yaml")
+        assert eqx.tree_equal(Calibration.load(tmp_path / "calibration.yaml"), written)
+
+
+class Squeezed(AbstractPerspectiveLens):
+    """A lens of a user's own."""
+
+    squeeze: jax.Array
+
+    def __init__(self, squeeze):
+        self.squeeze = jnp.asarray(squeeze, dtype=float)
+
+    def distort_normalised(self, ideal):
+        return ideal * (1.0 - self.squeeze), jnp.ones(ideal.shape[:-1], dtype=bool)
+
+    def undistort_normalised(self, distorted):
+        return distorted / (1.0 - self.squeeze), jnp.ones(distorted.shape[:-1], dtype=bool)
+
+
+def test_a_lens_of_ones_own_is_saved_and_loaded(tmp_path, eye_in_hand):
+    written = eqx.tree_at(lambda c: c.camera, eye_in_hand, camera(Squeezed(0.2)))
+    written.save(tmp_path / "own.yaml")
+    with pytest.raises(ValueError, match=r"own\.yaml.*Squeezed"):
+        Calibration.load(tmp_path / "own.yaml")
+    assert eqx.tree_equal(Calibration.load(tmp_path / "own.yaml", lens=Squeezed(0.0)), written)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("smartview_calibration: 1", "smartview_calibration: 9", "expected 1, found 9"),
+        ("mount: eye_in_hand", "mount: ceiling", "found 'ceiling'"),
+        ("target_scale", "targetscale", "entry 'target_scale' is missing"),
+        ("quaternion_wxyz: [", "quaternion_wxyz: [1.0, ", "expected 3 and 4 numbers"),
+        ("alpha_u: 800.0", "alpha_w: 800.0", "entry 'alpha_u' is missing"),
+    ],
+)
+def test_a_wrong_file_names_itself_and_the_entry(tmp_path, eye_in_hand, old, new, message):
+    path = tmp_path / "calibration.yaml"
+    eye_in_hand.save(path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=rf"calibration\.yaml: .*{message}"):
+        Calibration.load(path)

@@ -1,0 +1,151 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Dataset
+
+VIEWS, POINTS = 4, 6
+
+
+@pytest.fixture
+def arrays():
+    rng = np.random.default_rng(0)
+    return {
+        "points": rng.uniform(-0.1, 0.1, (POINTS, 3)),
+        "pixels": rng.uniform(0.0, 480.0, (VIEWS, POINTS, 2)),
+        "base_from_tool": np.array(SE3.exp(jnp.asarray(rng.normal(size=(VIEWS, 6)))).as_matrix()),
+        "image_size": (640, 480),
+    }
+
+
+def test_shared_points_are_repeated_for_every_view(arrays):
+    data = Dataset.from_arrays(**arrays)
+    assert data.points.shape == (VIEWS, POINTS, 3)
+    np.testing.assert_array_equal(data.points[2], arrays["points"])
+    assert data.view_ids == ("0", "1", "2", "3")
+    assert data.observation_count == VIEWS * POINTS
+
+
+def test_poses_may_be_transforms_or_matrices(arrays):
+    matrices = Dataset.from_arrays(**arrays)
+    arrays["base_from_tool"] = SE3.from_matrix(jnp.asarray(arrays["base_from_tool"]))
+    transforms = Dataset.from_arrays(**arrays)
+    np.testing.assert_allclose(
+        matrices.base_from_tool.as_matrix(), transforms.base_from_tool.as_matrix(), atol=1e-14
+    )
+
+
+def test_pixels_that_are_nan_are_not_visible(arrays):
+    arrays["pixels"][1, 2] = np.nan
+    data = Dataset.from_arrays(**arrays)
+    assert not data.visible[1, 2]
+    assert data.observation_count == VIEWS * POINTS - 1
+
+
+def test_a_hidden_pixel_is_poisoned_and_never_read(arrays):
+    visible = np.ones((VIEWS, POINTS), dtype=bool)
+    visible[0, 0] = False
+    data = Dataset.from_arrays(**arrays, visible=visible)
+    assert np.isnan(data.pixels[0, 0]).all()
+    predicted = jnp.zeros((VIEWS, POINTS, 2))
+    residuals = data.observations.residuals(predicted, jnp.ones((VIEWS, POINTS), dtype=bool))
+    assert np.isfinite(residuals).all()
+    np.testing.assert_array_equal(residuals[0, 0], [0.0, 0.0])
+    np.testing.assert_array_equal(residuals[1, 1], arrays["pixels"][1, 1])
+
+
+def test_select_takes_views_by_index_and_keeps_their_names(arrays):
+    arrays["pixels"][3] = np.nan
+    data = Dataset.from_arrays(
+        **arrays, view_ids="abcd", masked_views=[("d", "no target found")]
+    ).select([3, 1])
+    assert data.view_ids == ("d", "b")
+    assert data.masked_views == (("d", "no target found"),)
+    np.testing.assert_array_equal(data.pixels[1], arrays["pixels"][1])
+    assert data.select([1]).masked_views == ()
+    np.testing.assert_array_equal(data.usable_views(), [1])
+
+
+@pytest.mark.parametrize(
+    ("argument", "shape", "message"),
+    [
+        ("points", (5, 3), r"points: expected shape \(6, 3\) or \(4, 6, 3\)"),
+        ("pixels", (4, 6), r"pixels: expected shape \(views, points, 2\)"),
+        ("base_from_tool", (3, 4, 4), r"base_from_tool: expected shape \(4, 4, 4\)"),
+    ],
+)
+def test_wrong_shapes_name_the_argument(arrays, argument, shape, message):
+    arrays[argument] = np.ones(shape)
+    with pytest.raises(ValueError, match=message):
+        Dataset.from_arrays(**arrays)
+
+
+def _mirror(poses):
+    poses[2, :3, 0] *= -1.0
+
+
+def _nan(poses):
+    poses[2, 0, 3] = np.nan
+
+
+def _shear(poses):
+    poses[2, 0, :3] *= 1.1
+
+
+def _row(poses):
+    poses[2, 3, 3] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_mirror, "mirrored"),
+        (_nan, "NaN"),
+        (_shear, r"not a rotation: R\^T R differs"),
+        (_row, "last row"),
+    ],
+)
+def test_a_pose_that_is_not_rigid_names_its_view(arrays, spoil, message):
+    spoil(arrays["base_from_tool"])
+    with pytest.raises(ValueError, match=rf"view two: .*{message}"):
+        Dataset.from_arrays(**arrays, view_ids=["zero", "one", "two", "three"])
+
+
+def test_wrong_values_can_mask_their_view_instead(arrays):
+    _nan(arrays["base_from_tool"])
+    arrays["pixels"][0, 4] = [900.0, 20.0]
+    data = Dataset.from_arrays(**arrays, bad_views="mask")
+    assert [view for view, _ in data.masked_views] == ["0", "2"]
+    assert "point 4 at (900.0, 20.0) px lies outside the 640 x 480" in data.masked_views[0][1]
+    assert not data.visible[jnp.array([0, 2])].any()
+    assert np.isfinite(data.base_from_tool.wxyz_xyz).all()
+    np.testing.assert_array_equal(data.usable_views(), [1, 3])
+
+
+def test_a_pixel_outside_the_picture_is_an_error(arrays):
+    arrays["pixels"][1, 3] = [12.0, 500.0]
+    with pytest.raises(ValueError, match=r"view 1: point 3 at \(12\.0, 500\.0\) px"):
+        Dataset.from_arrays(**arrays)
+
+
+def test_duplicate_and_missing_ids(arrays):
+    with pytest.raises(ValueError, match="view_ids: b given more than once"):
+        Dataset.from_arrays(**arrays, view_ids=["a", "b", "b", "c"])
+    with pytest.raises(ValueError, match="view_ids: expected 4, found 2"):
+        Dataset.from_arrays(**arrays, view_ids=["a", "b"])
+
+
+def test_visible_without_a_pixel_is_an_error(arrays):
+    arrays["pixels"][2, 5] = np.nan
+    with pytest.raises(ValueError, match="view 2: point 5 is marked visible but has no pixel"):
+        Dataset.from_arrays(**arrays, visible=np.ones((VIEWS, POINTS), dtype=bool))
+
+
+def test_wrong_mount_and_picture_size(arrays):
+    with pytest.raises(ValueError, match="eye_in_hand, eye_to_hand; found 'ceiling'"):
+        Dataset.from_arrays(**{**arrays, "mount": "ceiling"})
+    with pytest.raises(ValueError, match="bad_views is 'raise' or 'mask'; found 'drop'"):
+        Dataset.from_arrays(**arrays, bad_views="drop")
+    with pytest.raises(ValueError, match="image_size"):
+        Dataset.from_arrays(**{**arrays, "image_size": (0, 480)})
