@@ -1,5 +1,6 @@
 """The rooms of the package import only from rooms below them."""
 
+import ast
 from pathlib import Path
 
 import pytest
