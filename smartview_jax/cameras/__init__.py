@@ -1,9 +1,17 @@
 """Cameras: four pinhole numbers and a lens, one lens model a file."""
 
 from .camera import Camera as Camera
+from .fisheye import Fisheye as Fisheye
+from .implicit import implicit_inverse as implicit_inverse
 from .lens import AbstractLens as AbstractLens
 from .lens import AbstractPerspectiveLens as AbstractPerspectiveLens
+from .names import LENSES as LENSES
 from .names import lens_by_name as lens_by_name
 from .names import lens_name as lens_name
+from .opencv import AbstractOpenCVLens as AbstractOpenCVLens
+from .opencv import OpenCV4 as OpenCV4
+from .opencv import OpenCV5 as OpenCV5
+from .opencv import OpenCV8 as OpenCV8
 from .pinhole import Pinhole as Pinhole
 from .radial import Radial as Radial
+from .weng import Weng as Weng

@@ -1,14 +1,29 @@
 """Lenses by name."""
 
+from .fisheye import Fisheye
 from .lens import AbstractLens
+from .opencv import OpenCV4, OpenCV5, OpenCV8
 from .pinhole import Pinhole
 from .radial import Radial
+from .weng import Weng
 
-LENSES = {"pinhole": Pinhole, "radial": Radial}
+LENSES: dict[str, type[AbstractLens]] = {
+    "pinhole": Pinhole,
+    "radial": Radial,
+    "weng": Weng,
+    "opencv4": OpenCV4,
+    "opencv5": OpenCV5,
+    "opencv8": OpenCV8,
+    "fisheye": Fisheye,
+}
 
 
 def lens_by_name(name: str | AbstractLens) -> AbstractLens:
-    """The named lens without distortion; a lens is returned as it is."""
+    """The named lens without distortion; a lens is returned as it is.
+
+    Raises:
+        ValueError: an unknown name; the message lists those there are.
+    """
     if isinstance(name, AbstractLens):
         return name
     if name not in LENSES:

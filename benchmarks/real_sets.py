@@ -1,0 +1,103 @@
+"""The joint fit on the real data sets that lie beside the checkout, against reference figures.
+
+Each set's measured.json holds what OpenCV and scipy reached on the same corners: `joint_px` with
+the intrinsics free, `he_only_refined_px` with its own intrinsics held. The fits here start from the
+staged pipeline, never from the reference.
+"""
+
+import json
+import time
+from pathlib import Path
+
+import jaxlie
+import numpy as np
+from jaxlie import SE3
+
+import smartview_jax as sv
+from smartview_jax.cameras import Camera, lens_by_name
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+SETS = (
+    ("rct_circle10x10", ""),
+    ("tampere_kuka_2", ""),
+    ("lwr4_joint", ""),
+    ("koide_charuco", "20231006_"),
+    ("koide_charuco", "20230920_"),
+    ("visp_franka_eih", ""),
+    ("tampere_synthetic", "cs1_"),
+    ("tampere_synthetic", "cs2_"),
+    ("tampere_synthetic", "cs3_"),
+)
+SMOKE_SETS = SETS[:1]
+
+
+def run(smoke: bool = False) -> bool:
+    """Print the table; True where every figure is within its bound."""
+    sets = [entry for entry in (SMOKE_SETS if smoke else SETS) if (SHARED / entry[0]).is_dir()]
+    if not sets:
+        print("skipped: the data sets are not beside this checkout (shared/data)")
+        return True
+    print(f"{'set':28}{'joint px':>10}{'ref':>8}{'K held':>10}{'ref':>8}{'seconds':>9}  hand-eye")
+    rows = [_row(folder, prefix) for folder, prefix in sets]
+    return all(rows)
+
+
+def _row(folder: str, prefix: str) -> bool:
+    path = SHARED / folder
+    reference = json.loads((path / f"{prefix}measured.json").read_text())
+    data = sv.io.import_pairs(
+        path / f"{prefix}poses.csv",
+        path / f"{prefix}corners.csv",
+        image_size=tuple(reference["image_size"]),
+    )
+    began = time.perf_counter()
+    staged = sv.fit_staged(data)
+    joint = sv.fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")
+    seconds = time.perf_counter() - began
+    held = sv.fit_joint(
+        data,
+        _with_camera(joint.calibration, reference),
+        noise="trusted",
+        fixed=("camera",),
+    )
+    synthetic = folder == "tampere_synthetic"
+    joint_px, held_px = _rms(data, joint), _rms(data, held)
+    good = _near(joint_px, reference["joint_px"], 0.01) and _near(
+        held_px, reference["he_only_refined_px"], 0.10 if synthetic else 0.01
+    )
+    note = _truth_note(joint.calibration) if synthetic else ""
+    print(
+        f"{folder + ' ' + prefix.rstrip('_'):28}{joint_px:10.4f}{reference['joint_px']:8.3f}"
+        f"{held_px:10.4f}{reference['he_only_refined_px']:8.3f}{seconds:9.1f}  {note}"
+        f"{'' if good else '  OUT OF BOUND'}"
+    )
+    return good
+
+
+def _near(value: float, reference: float, tolerance: float) -> bool:
+    """Within a relative tolerance and the half digit that the reference was rounded to."""
+    return abs(value - reference) <= tolerance * reference + 5e-4
+
+
+def _rms(data: sv.Dataset, fit) -> float:
+    seen = np.asarray(data.visible)
+    return float(np.sqrt(np.mean(np.sum(np.asarray(fit.residuals)[seen] ** 2, axis=-1))))
+
+
+def _with_camera(calibration: sv.Calibration, reference: dict) -> sv.Calibration:
+    fx, fy, cx, cy, *distortion = reference["K"]
+    lens = type(lens_by_name("opencv4"))(*distortion)
+    camera = Camera(fx, fy, cx, cy, lens, tuple(reference["image_size"]))
+    return sv.Calibration(
+        camera, calibration.camera_from_mount, calibration.holder_from_world, calibration.mount
+    )
+
+
+def _truth_note(calibration: sv.Calibration) -> str:
+    """Distance to the exact hand-eye transform of the rendered sets: diag(1, -1, -1), no offset."""
+    truth = SE3.from_rotation(jaxlie.SO3.from_x_radians(np.pi))
+    error = np.asarray((calibration.camera_from_tool @ truth).log())
+    millimetres = 1e3 * np.linalg.norm(error[:3])
+    degrees = np.rad2deg(np.linalg.norm(error[3:]))
+    return f"truth: {millimetres:.3f} mm, {degrees:.4f} deg"

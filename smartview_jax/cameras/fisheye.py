@@ -1,0 +1,111 @@
+"""OpenCV's fisheye: Kannala and Brandt's polynomial in the angle to the optical axis."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, ScalarLike
+
+from .lens import AbstractLens
+
+
+class Fisheye(AbstractLens):
+    """`theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`.
+
+    The angle is taken from the ray itself, so points beside and behind the camera (`z <= 0`) are
+    valid as far as the polynomial grows. Reference: Kannala, Brandt, PAMI 28(8), 2006.
+    """
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    k3: Float[Array, ""]
+    k4: Float[Array, ""]
+
+    def __init__(
+        self, k1: ScalarLike = 0.0, k2: ScalarLike = 0.0, k3: ScalarLike = 0.0, k4: ScalarLike = 0.0
+    ):
+        self.k1, self.k2, self.k3, self.k4 = (jnp.asarray(k, dtype=float) for k in (k1, k2, k3, k4))
+
+    def distort(
+        self, points: Float[Array, "*batch 3"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        xy, z = points[..., :2], points[..., 2]
+        square = jnp.sum(xy**2, axis=-1)
+        on_axis = square <= _TINY * z**2
+        radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
+        angle = jnp.arctan2(radius, z)
+        # On the axis the limit of theta_d / radius is 1 / z.
+        depth = jnp.where(on_axis & (z > 0.0), z, 1.0)
+        ratio = jnp.where(on_axis, 1.0 / depth, self._distorted_angle(angle) / radius)
+        valid = jnp.where(on_axis, z > 0.0, angle < self._fold_angle())
+        return jnp.where(valid[..., None], xy * ratio[..., None], jnp.nan), valid
+
+    def undistort(
+        self, plane: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
+        square = jnp.sum(plane**2, axis=-1)
+        on_axis = square <= _TINY
+        radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
+        fold = self._fold_angle()
+        valid = on_axis | (radius < self._distorted_angle(fold))
+        angle = self._undistorted_angle(jnp.where(valid, radius, 0.5 * fold), fold)
+        ratio = jnp.where(on_axis, 1.0, jnp.sin(angle) / radius)
+        cosine = jnp.where(on_axis, 1.0, jnp.cos(angle))
+        ray = jnp.concatenate([plane * ratio[..., None], cosine[..., None]], axis=-1)
+        return jnp.where(valid[..., None], ray, jnp.nan), valid
+
+    def _distorted_angle(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        s = angle * angle
+        return angle * (1.0 + s * (self.k1 + s * (self.k2 + s * (self.k3 + s * self.k4))))
+
+    def _slope(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        s = angle * angle
+        k1, k2, k3, k4 = 3.0 * self.k1, 5.0 * self.k2, 7.0 * self.k3, 9.0 * self.k4
+        return 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+
+    def _fold_angle(self) -> Float[Array, ""]:
+        """The first angle at which the polynomial stops growing, pi where it never does."""
+        rising = self._slope(jnp.asarray(_ANGLES)) > 0.0
+        first = jnp.argmin(rising)
+        low, high = jnp.asarray(_ANGLES)[jnp.maximum(first - 1, 0)], jnp.asarray(_ANGLES)[first]
+
+        def halve(_, bracket):
+            low, high = bracket
+            middle = 0.5 * (low + high)
+            rises = self._slope(middle) > 0.0
+            return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
+
+        low, _ = jax.lax.fori_loop(0, 50, halve, (low, high))
+        return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.pi, low))
+
+    def _undistorted_angle(
+        self, distorted: Float[Array, "*batch"], fold: Float[Array, ""]
+    ) -> Float[Array, "*batch"]:
+        """The inverse of `_distorted_angle` below the fold, by bisection and Newton's method."""
+
+        def solve(residual, guess):
+            def halve(_, bracket):
+                low, high = bracket
+                middle = 0.5 * (low + high)
+                below = residual(middle) < 0.0
+                return jnp.where(below, middle, low), jnp.where(below, high, middle)
+
+            low, high = jnp.zeros_like(guess), jnp.ones_like(guess) * fold
+            low, high = jax.lax.fori_loop(0, 25, halve, (low, high))
+            angle = 0.5 * (low + high)
+            for _ in range(3):
+                angle = angle - residual(angle) / jnp.maximum(self._slope(angle), 1e-9)
+            return angle
+
+        return jax.lax.custom_root(
+            lambda angle: self._distorted_angle(angle) - distorted,
+            distorted,
+            solve,
+            lambda linear, value: value / linear(jnp.ones_like(value)),
+        )
+
+
+_ANGLES = np.linspace(0.0, np.pi, 400)
+"""Where the search for the fold looks."""
+
+_TINY = 1e-24
+"""Squared radius over squared depth under which a point counts as on the axis."""

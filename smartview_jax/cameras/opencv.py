@@ -1,0 +1,186 @@
+"""OpenCV's lenses: radial and tangential polynomials, from ideal to distorted."""
+
+import abc
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, ScalarLike
+
+from .implicit import implicit_inverse, unfolded
+from .lens import AbstractPerspectiveLens
+
+
+class AbstractOpenCVLens(AbstractPerspectiveLens):
+    """`r' = r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)`, `s = r^2`, plus p1, p2.
+
+    See the documentation of OpenCV's calib3d module. The model is valid up to the first radius at
+    which the radial part stops growing; OpenCV itself gives wrong pixels beyond without a word.
+    """
+
+    @property
+    @abc.abstractmethod
+    def coefficients(self) -> Float[Array, "8"]:
+        """k1, k2, p1, p2, k3, k4, k5, k6: OpenCV's order."""
+
+    def distort_normalised(
+        self, ideal: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        valid = jnp.sum(ideal**2, axis=-1) < self._fold_radius() ** 2
+        inside = jnp.where(valid[..., None], ideal, 0.0)
+        distorted = self._polynomial(inside)
+        return distorted, valid & unfolded(self._polynomial, inside)
+
+    def undistort_normalised(
+        self, distorted: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        fold = self._fold_radius()
+        start = self._undo_radial(distorted, jnp.minimum(fold, _FAR))
+        ideal, valid = implicit_inverse(self._polynomial, distorted, start)
+        return ideal, valid & (jnp.sum(ideal**2, axis=-1) < fold**2)
+
+    def _polynomial(self, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        k1, k2, p1, p2, k3, k4, k5, k6 = self.coefficients
+        x, y = ideal[..., 0], ideal[..., 1]
+        s = x * x + y * y
+        ratio = (1.0 + s * (k1 + s * (k2 + s * k3))) / (1.0 + s * (k4 + s * (k5 + s * k6)))
+        return jnp.stack(
+            [
+                x * ratio + 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x),
+                y * ratio + p1 * (s + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+
+    def _fold_radius(self) -> Float[Array, ""]:
+        """The first radius at which the radial part stops growing; infinite where it never does."""
+        rising = self._radial_slope(jnp.asarray(_RADII)) > 0.0
+        first = jnp.argmin(rising)
+        low, high = jnp.asarray(_RADII)[jnp.maximum(first - 1, 0)], jnp.asarray(_RADII)[first]
+
+        def halve(_, bracket):
+            low, high = bracket
+            middle = 0.5 * (low + high)
+            rises = self._radial_slope(middle) > 0.0
+            return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
+
+        low, _ = jax.lax.fori_loop(0, 50, halve, (low, high))
+        return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.inf, low))
+
+    def _radial_slope(self, radius: Float[Array, "*grid"]) -> Float[Array, "*grid"]:
+        """A positive multiple of the derivative of the distorted by the ideal radius.
+
+        Not positive either where the denominator vanishes: the model ends there too.
+        """
+        k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
+        s = radius * radius
+        above = 1.0 + s * (k1 + s * (k2 + s * k3))
+        below = 1.0 + s * (k4 + s * (k5 + s * k6))
+        above_slope = k1 + s * (2.0 * k2 + 3.0 * s * k3)
+        below_slope = k4 + s * (2.0 * k5 + 3.0 * s * k6)
+        slope = (above + 2.0 * s * above_slope) * below - 2.0 * s * above * below_slope
+        return jnp.where(below > 0.0, slope, -1.0)
+
+    def _undo_radial(
+        self, distorted: Float[Array, "*batch 2"], limit: Float[Array, ""]
+    ) -> Float[Array, "*batch 2"]:
+        """The radial part undone by bisection: a start from which Newton's method converges."""
+        k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
+        wanted = jnp.linalg.norm(jax.lax.stop_gradient(distorted), axis=-1)
+
+        def halve(_, bracket):
+            low, high = bracket
+            middle = 0.5 * (low + high)
+            s = middle * middle
+            below = 1.0 + s * (k4 + s * (k5 + s * k6))
+            reached = middle * (1.0 + s * (k1 + s * (k2 + s * k3))) / below
+            return jnp.where(reached < wanted, middle, low), jnp.where(
+                reached < wanted, high, middle
+            )
+
+        low, high = jnp.zeros_like(wanted), jnp.full_like(wanted, 1.0) * limit
+        low, high = jax.lax.fori_loop(0, 40, halve, (low, high))
+        ratio = 0.5 * (low + high) / jnp.where(wanted > 0.0, wanted, 1.0)
+        return jax.lax.stop_gradient(distorted) * jnp.where(wanted > 0.0, ratio, 1.0)[..., None]
+
+
+class OpenCV4(AbstractOpenCVLens):
+    """k1, k2, p1, p2."""
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+
+    def __init__(
+        self, k1: ScalarLike = 0.0, k2: ScalarLike = 0.0, p1: ScalarLike = 0.0, p2: ScalarLike = 0.0
+    ):
+        self.k1, self.k2, self.p1, self.p2 = (jnp.asarray(k, dtype=float) for k in (k1, k2, p1, p2))
+
+    @property
+    def coefficients(self) -> Float[Array, "8"]:
+        zero = jnp.zeros(())
+        return jnp.stack([self.k1, self.k2, self.p1, self.p2, zero, zero, zero, zero])
+
+
+class OpenCV5(AbstractOpenCVLens):
+    """k1, k2, p1, p2, k3."""
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+    k3: Float[Array, ""]
+
+    def __init__(
+        self,
+        k1: ScalarLike = 0.0,
+        k2: ScalarLike = 0.0,
+        p1: ScalarLike = 0.0,
+        p2: ScalarLike = 0.0,
+        k3: ScalarLike = 0.0,
+    ):
+        values = (jnp.asarray(k, dtype=float) for k in (k1, k2, p1, p2, k3))
+        self.k1, self.k2, self.p1, self.p2, self.k3 = values
+
+    @property
+    def coefficients(self) -> Float[Array, "8"]:
+        zero = jnp.zeros(())
+        return jnp.stack([self.k1, self.k2, self.p1, self.p2, self.k3, zero, zero, zero])
+
+
+class OpenCV8(AbstractOpenCVLens):
+    """The rational model: k1, k2, p1, p2, k3, k4, k5, k6."""
+
+    k1: Float[Array, ""]
+    k2: Float[Array, ""]
+    p1: Float[Array, ""]
+    p2: Float[Array, ""]
+    k3: Float[Array, ""]
+    k4: Float[Array, ""]
+    k5: Float[Array, ""]
+    k6: Float[Array, ""]
+
+    def __init__(
+        self,
+        k1: ScalarLike = 0.0,
+        k2: ScalarLike = 0.0,
+        p1: ScalarLike = 0.0,
+        p2: ScalarLike = 0.0,
+        k3: ScalarLike = 0.0,
+        k4: ScalarLike = 0.0,
+        k5: ScalarLike = 0.0,
+        k6: ScalarLike = 0.0,
+    ):
+        values = (jnp.asarray(k, dtype=float) for k in (k1, k2, p1, p2, k3, k4, k5, k6))
+        self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
+
+    @property
+    def coefficients(self) -> Float[Array, "8"]:
+        return jnp.stack([self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6])
+
+
+_RADII = np.tan(np.deg2rad(np.linspace(0.0, 89.5, 400)))
+"""Where the search for the fold looks, `x/z` of rays up to 89.5 degrees off the axis."""
+
+_FAR = float(_RADII[-1])

@@ -1,0 +1,62 @@
+"""Weng's lens: radial, decentring and thin-prism distortion, from distorted to ideal."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, ScalarLike
+
+from .implicit import implicit_inverse, unfolded
+from .lens import AbstractPerspectiveLens
+
+
+class Weng(AbstractPerspectiveLens):
+    """With `(x, y)` distorted and `s = x^2 + y^2`, the ideal coordinates are
+
+        x' = x + (g1 + g3) x^2 + g4 x y + g1 y^2 + k1 x s
+        y' = y + g2 x^2 + g3 x y + (g2 + g4) y^2 + k1 y s
+
+    with `g1 = s1 + p1`, `g2 = s2 + p2`, `g3 = 2 p1`, `g4 = 2 p2` (thin prism s, decentring p). The
+    model is linear in its coefficients, which Weng's second step uses; `k1` alone is `Radial`.
+
+    Reference: Weng, Cohen, Herniou, PAMI 14(10), 1992, Eq. 11.
+    """
+
+    k1: Float[Array, ""]
+    g1: Float[Array, ""]
+    g2: Float[Array, ""]
+    g3: Float[Array, ""]
+    g4: Float[Array, ""]
+
+    def __init__(
+        self,
+        k1: ScalarLike = 0.0,
+        g1: ScalarLike = 0.0,
+        g2: ScalarLike = 0.0,
+        g3: ScalarLike = 0.0,
+        g4: ScalarLike = 0.0,
+    ):
+        values = (jnp.asarray(k, dtype=float) for k in (k1, g1, g2, g3, g4))
+        self.k1, self.g1, self.g2, self.g3, self.g4 = values
+
+    def distort_normalised(
+        self, ideal: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        return implicit_inverse(self._polynomial, ideal, ideal)
+
+    def undistort_normalised(
+        self, distorted: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        # The first fold on the way out, not only here: the map must rise all along the radius.
+        valid = jnp.ones(distorted.shape[:-1], dtype=bool)
+        for part in (0.25, 0.5, 0.75, 1.0):
+            valid &= unfolded(self._polynomial, part * distorted)
+        return self._polynomial(distorted), valid
+
+    def _polynomial(self, distorted: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        x, y = distorted[..., 0], distorted[..., 1]
+        radial = self.k1 * (x * x + y * y)
+        return jnp.stack(
+            [
+                x + (self.g1 + self.g3) * x * x + self.g4 * x * y + self.g1 * y * y + radial * x,
+                y + self.g2 * x * x + self.g3 * x * y + (self.g2 + self.g4) * y * y + radial * y,
+            ],
+            axis=-1,
+        )
