@@ -1,0 +1,288 @@
+"""Step 2: one camera for all views, by an iterated extended Kalman filter (Eq. 9).
+
+The state holds the camera and every view's pose, `n_camera + 6 M` numbers; it takes in one
+two-dimensional measurement at a time. A measurement touches the camera's columns and six of one
+view, but corrects the whole state, since the camera correlates all views.
+
+Step 1 gives the mean only: it used these same pixels, so the start covariance is wide on purpose,
+and every further pass begins with that wide covariance again and keeps only the linearisation
+point. Otherwise the data would count twice. A pass is linear, so where the passes settle is the
+least-squares optimum; a pass that raised the cost is taken back and repeated with less freedom.
+
+Reference: Kosaka and Kak's model-based stereo, and the textbook iterated filter (Bell, Cathey 1993:
+it is Gauss-Newton).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..cameras import Camera
+from ..dataset import Observations
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+
+_SIGMA_FLOOR = 1e-3
+"""Smallest pixel sigma that is believed, px; noise-free data would make it zero."""
+
+
+class KalmanResult(eqx.Module):
+    """The camera that all views share, their poses, and how well both are known.
+
+    Attributes:
+        camera: intrinsics and lens.
+        camera_from_world: one pose a view; the start's where a view shows nothing.
+        covariance: of the camera's numbers, then a tangent a view (translation, rotation) that
+            acts from the left on its pose.
+        inliers: the observations used.
+        pixel_sigma: standard deviation of u and of v, px: as given, or estimated.
+        rms: root mean square deviation of the inliers with these poses, px.
+        passes: passes made.
+        converged: whether the last pass moved the state by less than a thousandth of its sigma.
+        message: in words.
+    """
+
+    camera: Camera
+    camera_from_world: SE3
+    covariance: Float[Array, "state state"]
+    inliers: Bool[Array, "views points"]
+    pixel_sigma: Float[Array, ""]
+    rms: Float[Array, ""]
+    passes: int = eqx.field(static=True)
+    converged: bool = eqx.field(static=True)
+    message: str = eqx.field(static=True)
+
+
+def kalman_filter(
+    observations: Observations,
+    start_camera: Camera,
+    start_camera_from_world: SE3,
+    pixel_sigma: float | None = None,
+    gate_probability: float = 0.9999,
+    maximum_passes: int = 25,
+    hold_camera: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> KalmanResult:
+    """Filter all observations into one camera and one pose a view.
+
+    Args:
+        observations: points, pixels, visibility; the robot's poses are not used.
+        start_camera, start_camera_from_world: the first linearisation point, from Step 1.
+        pixel_sigma: of u and of v, px; by default estimated, robustly, before each pass.
+        gate_probability: a measurement is set aside where its innovation is larger than this
+            share of good ones (chi-square with two degrees of freedom).
+        maximum_passes: over the data.
+        hold_camera: the camera is known: refine the poses alone.
+        progress: told what is being done.
+    """
+    gate = -2.0 * np.log1p(-gate_probability)
+    point = (start_camera, start_camera_from_world)
+    inliers = observations.visible
+    freedom, previous, message = 1.0, None, "the passes did not settle"
+    converged, passes = False, 0
+    for passes in range(1, maximum_passes + 1):
+        sigma = _pixel_sigma(observations, point, pixel_sigma)
+        trial = _one_pass(
+            observations,
+            point,
+            inliers,
+            sigma,
+            jnp.asarray(gate),
+            jnp.asarray(freedom),
+            jnp.asarray(hold_camera),
+        )
+        if previous is not None and float(trial.cost_before) > 1.5 * previous[0] + 1e-12:
+            # The last step went too far: go back, and trust the linearisation less.
+            _, point, inliers, freedom = previous[0], *previous[1:]
+            freedom = freedom * 0.03
+            previous = None
+            if freedom < 1e-6:
+                message = "the passes kept raising the cost"
+                break
+            continue
+        moved, same = float(trial.movement), bool(jnp.all(trial.inliers == inliers))
+        previous = (float(trial.cost_before), point, inliers, freedom)
+        point, inliers = trial.point, trial.inliers
+        freedom = min(1.0, freedom * 10.0)
+        if progress is not None:
+            progress(f"pass {passes}: sigma {float(sigma):.3f} px, moved {moved:.2g} sigma")
+        if moved < 1e-3 and same:
+            converged, message = True, f"settled after {passes} passes"
+            break
+    sigma = _pixel_sigma(observations, point, pixel_sigma)
+    residuals = _residuals(observations, *point)
+    count = jnp.maximum(jnp.sum(inliers), 1)
+    rms = jnp.sqrt(jnp.sum(jnp.where(inliers[..., None], residuals, 0.0) ** 2) / count)
+    if not bool(jnp.isfinite(rms)):
+        converged, message = False, "the filter diverged: its state is not finite"
+    return KalmanResult(
+        *point, trial.covariance, inliers, sigma, rms, passes, converged, message
+    )
+
+
+class _Pass(NamedTuple):
+    point: tuple[Camera, SE3]
+    covariance: Array
+    inliers: Array
+    movement: Array  # largest change of the state, in its own standard deviations
+    cost_before: Array  # mean robust cost at the linearisation point, px
+
+
+def _residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
+    """Measured minus projected, px; a point that cannot be projected counts as far off."""
+    per_point = SE3(camera_from_world.wxyz_xyz[:, None])
+    predicted, valid = camera.project(per_point.apply(observations.points))
+    residuals = observations.residuals(predicted, valid)
+    return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)
+
+
+@eqx.filter_jit
+def _pixel_sigma(
+    observations: Observations, point: tuple[Camera, SE3], given: float | None
+) -> Float[Array, ""]:
+    if given is not None:
+        return jnp.asarray(given, dtype=float)
+    size = jnp.where(observations.visible[..., None], _residuals(observations, *point), jnp.nan)
+    return jnp.maximum(MAD_TO_SIGMA * jnp.nanmedian(jnp.abs(size)), _SIGMA_FLOOR)
+
+
+def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, Array]:
+    """Standard deviations that Step 1's answer is given: wide, for it saw the same pixels.
+
+    Returns:
+        `(n_camera,)` for the camera's numbers (a quarter of alpha, a quarter of the picture, 1 for
+        the lens) and `(views, 6)` for the poses (half the distance, half a radian).
+    """
+    numbers, _ = ravel_pytree(camera)
+    width, height = camera.image_size
+    pinhole = jnp.stack(
+        [
+            0.25 * camera.alpha_u,
+            0.25 * camera.alpha_v,
+            jnp.asarray(0.25 * width),
+            jnp.asarray(0.25 * height),
+        ]
+    )
+    lens = jnp.ones(len(numbers) - 4)
+    distance = jnp.linalg.norm(camera_from_world.translation(), axis=-1, keepdims=True)
+    half = jnp.full((len(distance), 3), 0.5)
+    return jnp.concatenate([pinhole, lens]), jnp.concatenate([half * distance, half], axis=1)
+
+
+@eqx.filter_jit
+def _one_pass(
+    observations: Observations,
+    point: tuple[Camera, SE3],
+    inliers: Bool[Array, "views points"],
+    sigma: Float[Array, ""],
+    gate: Float[Array, ""],
+    freedom: Float[Array, ""],
+    hold_camera: Bool[Array, ""],
+) -> _Pass:
+    camera, poses = point
+    numbers, rebuild = ravel_pytree(camera)
+    camera_sigma, pose_sigma = initial_deviations(camera, poses)
+    camera_sigma = jnp.where(hold_camera, 1e-12 * camera_sigma, camera_sigma)
+    # Unit variances to begin with: lengths, angles and focal lengths become comparable.
+    scale = jnp.sqrt(freedom) * jnp.concatenate([camera_sigma, pose_sigma.ravel()])
+    residuals = _residuals(observations, camera, poses)
+    J_camera, J_pose = _jacobians(observations, numbers, rebuild, poses)
+    J_camera = J_camera * camera_sigma[None, None, None] * jnp.sqrt(freedom)
+    J_pose = J_pose * pose_sigma[:, None, None] * jnp.sqrt(freedom)
+
+    measurements = _interleave(observations, residuals, J_camera, J_pose, inliers)
+    (change, covariance, _), accepted = jax.lax.scan(
+        _absorb(sigma, gate, len(numbers)),
+        (jnp.zeros(len(scale)), jnp.eye(len(scale)), jnp.zeros(len(poses.wxyz_xyz))),
+        measurements,
+    )
+    views, points = inliers.shape
+    accepted = accepted.reshape(points, views).T
+    movement = jnp.max(jnp.abs(change) / jnp.sqrt(jnp.maximum(jnp.diag(covariance), 1e-30)))
+    change = change * scale
+    moved = SE3.exp(change[len(numbers) :].reshape(-1, 6)) @ poses
+    new_point = (rebuild(numbers + change[: len(numbers)]), moved)
+    covariance = covariance * scale[:, None] * scale[None]
+
+    # What stands out after the pass is set aside before the next, and what fits is let in again.
+    after = jnp.sum(_residuals(observations, *new_point) ** 2, axis=-1)
+    fits = observations.visible & (after <= gate * jnp.maximum(sigma, _SIGMA_FLOOR) ** 2)
+    settled = movement < 10.0
+    kept = jnp.where(settled, fits, observations.visible & (accepted | fits))
+    size = jnp.minimum(jnp.sum(residuals**2, axis=-1), 100.0 * gate)
+    cost = jnp.sum(jnp.where(observations.visible, size, 0.0)) / jnp.sum(observations.visible)
+    return _Pass(new_point, covariance, kept, movement, cost)
+
+
+def _jacobians(
+    observations: Observations, numbers: Array, rebuild: Callable, poses: SE3
+) -> tuple[Array, Array]:
+    """Derivatives of the predicted pixels: `(M, N, 2, n_camera)` and `(M, N, 2, 6)`."""
+
+    def predict(numbers, tangent, pose, point):
+        pixel, valid = rebuild(numbers).project((SE3.exp(tangent) @ SE3(pose)).apply(point))
+        return jnp.where(valid, pixel, 0.0)
+
+    both = jax.jacfwd(predict, argnums=(0, 1))
+    per_view = jax.vmap(both, in_axes=(None, None, None, 0))
+    return jax.vmap(per_view, in_axes=(None, None, 0, 0))(
+        numbers, jnp.zeros(6), poses.wxyz_xyz, observations.points
+    )
+
+
+class _Measurement(NamedTuple):
+    residual: Array
+    J_camera: Array
+    J_pose: Array
+    view: Array
+    use: Array
+
+
+def _interleave(
+    observations: Observations, residuals: Array, J_camera: Array, J_pose: Array, inliers: Array
+) -> _Measurement:
+    """All views take turns, so that the camera is soon determined and gating can begin."""
+    views, points = inliers.shape
+
+    def flat(x):
+        return jnp.swapaxes(x, 0, 1).reshape(views * points, *x.shape[2:])
+
+    view = jnp.tile(jnp.arange(views), points)
+    use = flat(inliers & observations.visible)
+    return _Measurement(flat(residuals), flat(J_camera), flat(J_pose), view, use)
+
+
+def _absorb(sigma: Array, gate: Array, camera_size: int) -> Callable:
+    """One measurement into the state: a rank-two correction of the mean and the covariance."""
+
+    def absorb(carry, measurement):
+        mean, P, seen = carry
+        residual, J_camera, J_pose, view, use = measurement
+        first = camera_size + 6 * view
+        # H P with H in 11 columns or so: never the whole of H.
+        HP = J_camera @ P[:camera_size] + J_pose @ jax.lax.dynamic_slice_in_dim(P, first, 6)
+        pose_columns = jax.lax.dynamic_slice_in_dim(HP, first, 6, axis=1)
+        predicted = HP[:, :camera_size] @ J_camera.T + pose_columns @ J_pose.T
+        S = predicted + sigma**2 * jnp.eye(2)
+        pose_mean = jax.lax.dynamic_slice_in_dim(mean, first, 6)
+        innovation = residual - J_camera @ mean[:camera_size] - J_pose @ pose_mean
+        L = jnp.linalg.cholesky(S)
+        whitened = jax.scipy.linalg.solve_triangular(L, innovation, lower=True)
+        # A view whose pose is still open predicts badly: nothing can be told to be wrong in it.
+        determined = (jnp.trace(predicted) < 25.0 * sigma**2) & (seen[view] >= 4.0)
+        accept = use & ((jnp.sum(whitened**2) <= gate) | ~determined)
+        half = jax.scipy.linalg.solve_triangular(L, HP, lower=True)
+        weight = accept.astype(float)
+        mean = mean + weight * (half.T @ whitened)
+        P = P - weight * (half.T @ half)
+        return (mean, P, seen.at[view].add(weight)), accept
+
+    return absorb
