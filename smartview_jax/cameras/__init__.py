@@ -8,6 +8,7 @@ from .lens import AbstractPerspectiveLens as AbstractPerspectiveLens
 from .names import LENSES as LENSES
 from .names import lens_by_name as lens_by_name
 from .names import lens_name as lens_name
+from .names import start_lens as start_lens
 from .opencv import AbstractOpenCVLens as AbstractOpenCVLens
 from .opencv import OpenCV4 as OpenCV4
 from .opencv import OpenCV5 as OpenCV5

@@ -1,5 +1,7 @@
 """Lenses by name."""
 
+import jax.numpy as jnp
+
 from .fisheye import Fisheye
 from .lens import AbstractLens
 from .opencv import OpenCV4, OpenCV5, OpenCV8
@@ -37,3 +39,21 @@ def lens_name(lens: AbstractLens) -> str:
         if type(lens) is kind:
             return name
     return type(lens).__name__
+
+
+def start_lens(name: str | AbstractLens, known: AbstractLens) -> AbstractLens:
+    """The lens called `name`, as a start for a fit, from what another model is known to do.
+
+    The models disagree on direction: the paper's and Weng's map distorted to ideal coordinates, so
+    a small k1 there is about -k1 of OpenCV's. A lens of one's own starts as it is given.
+    """
+    lens = lens_by_name(name)
+    if type(lens) is type(known):
+        return known
+    inverse = (Radial, Weng)
+    own = not isinstance(name, str)
+    if own or isinstance(lens, Pinhole | Fisheye) or isinstance(known, Fisheye):
+        return lens
+    k1 = getattr(known, "k1", jnp.zeros(()))
+    same = isinstance(lens, inverse) == isinstance(known, inverse)
+    return type(lens)(k1=k1 if same else -k1)

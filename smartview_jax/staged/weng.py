@@ -90,8 +90,7 @@ def calibrate_views(
     start = _starts(observations, jnp.asarray(centre), size, jnp.asarray(coplanar))
     free = np.tile([True, True, True, True], (len(coplanar), 1))
     free[coplanar, 1:] = False
-    solve = _calibrate_all
-    found = solve(observations, start, jnp.asarray(free), jnp.asarray(distortion))
+    found = _calibrate_all(observations, start, jnp.asarray(free), jnp.asarray(distortion))
 
     alpha_std = np.array(found.alpha_std)
     frontal = ~(alpha_std < _DETERMINED)
@@ -104,7 +103,7 @@ def calibrate_views(
         median = jax.tree.map(lambda x: np.median(np.asarray(x)[trusted]), found.intrinsics)
         held = _hold_alpha(start, median, frontal, centre)
         free[frontal] = False
-        found = solve(observations, held, jnp.asarray(free), jnp.asarray(distortion))
+        found = _calibrate_all(observations, held, jnp.asarray(free), jnp.asarray(distortion))
     return ViewCalibrations(
         found.intrinsics,
         found.camera_from_world,
@@ -113,6 +112,35 @@ def calibrate_views(
         found.used,
         tuple(starts),
     )
+
+
+def locate_views(
+    observations: Observations, camera: Camera
+) -> tuple[SE3, Float[Array, "views"], Bool[Array, "views points"]]:
+    """The pose of every view under a camera that is known: `camera_from_world`, rms, points used.
+
+    The pictures are straightened first, so any lens will do.
+    """
+    pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
+    rays, valid = camera.unproject(pixels)
+    valid = valid & (rays[..., 2] > 1e-3)
+    rays = jnp.where(valid[..., None], rays, 1.0)
+    centre = jnp.zeros(2)
+    straight = Observations(
+        observations.points,
+        camera.alpha_u * rays[..., :2] / rays[..., 2:],
+        observations.visible & valid,
+        observations.base_from_tool,
+    )
+    coplanar = _coplanar(straight.points, straight.visible)
+    size = jnp.asarray(float(max(camera.image_size)))
+    every = np.ones(len(coplanar), dtype=bool)
+    known = Intrinsics(*(np.asarray(camera.alpha_u),) * 2, 0.0, 0.0, 0.0)
+    start = _starts(straight, centre, size, coplanar)
+    held = _hold_alpha(start, known, every, np.zeros(2))
+    nothing = jnp.zeros((len(coplanar), 4), dtype=bool)
+    found = _calibrate_all(straight, held, nothing, jnp.asarray(False))
+    return found.camera_from_world, found.rms, found.used
 
 
 class _Start(NamedTuple):

@@ -1,0 +1,23 @@
+"""The paper's staged pipeline: the baseline, and the start of the joint fit."""
+
+from .closed_form import CLOSED_FORMS as CLOSED_FORMS
+from .closed_form import daniilidis as daniilidis
+from .closed_form import mean_pose as mean_pose
+from .closed_form import park_martin as park_martin
+from .closed_form import shah as shah
+from .closed_form import tsai_lenz as tsai_lenz
+from .conventions import ConventionReport as ConventionReport
+from .conventions import check_conventions as check_conventions
+from .fit import FitResult as FitResult
+from .fit import StagedFit as StagedFit
+from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
+from .fit import fit_staged as fit_staged
+from .hand_eye import HandEyeResult as HandEyeResult
+from .hand_eye import frobenius_cost as frobenius_cost
+from .hand_eye import solve_hand_eye as solve_hand_eye
+from .interpolation import Interpolation as Interpolation
+from .kalman import KalmanResult as KalmanResult
+from .kalman import kalman_filter as kalman_filter
+from .weng import ViewCalibrations as ViewCalibrations
+from .weng import calibrate_views as calibrate_views
+from .weng import locate_views as locate_views

@@ -1,0 +1,149 @@
+"""Do the robot's poses and the camera's poses belong together? The usual mistakes, by name.
+
+Robot and camera are bolted together, so whatever the unknown transforms are, both turn by the same
+angle between two views, and some hand-eye transform explains both motions. Where that fails, the
+mistakes that people make are tried in turn: poses given inverted, millimetres for metres, angles in
+the wrong unit or convention, pictures paired with the wrong poses.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Float
+
+from ..calibration import mount_frames
+from ..geometry import rotation_angle
+from .closed_form import motion_pairs, park_martin
+
+
+class ConventionReport(NamedTuple):
+    """What the comparison of robot and camera motion says.
+
+    Attributes:
+        problems: sentences; each makes the data unusable as given.
+        suspicious_views: view index and sentence, for views that fit the others badly.
+        angle_mismatch: median difference of the rotation angles, rad.
+        length_ratio: camera motion over robot motion; 1 where units agree.
+        misfit: median rotation left over by the best hand-eye transform, rad.
+        misfit_inverted: the same with every pose inverted.
+    """
+
+    problems: tuple[str, ...]
+    suspicious_views: tuple[tuple[int, str], ...]
+    angle_mismatch: float
+    length_ratio: float
+    misfit: float
+    misfit_inverted: float
+
+
+ANGLE_TOLERANCE = np.deg2rad(4.0)
+"""Rotation angles of robot and camera may differ by this much between two views (median)."""
+
+
+def check_conventions(
+    base_from_tool: SE3, camera_from_world: SE3, mount: str
+) -> ConventionReport:
+    """Compare the motion of the robot with that of the camera, view by view.
+
+    Args:
+        base_from_tool: as reported, `(views)`.
+        camera_from_world: from the pictures alone, `(views)`.
+        mount: where the camera is said to be.
+    """
+    in_hand = mount_frames(mount)[0] == "tool"
+    given = base_from_tool.inverse() if in_hand else base_from_tool
+    angles, as_given, inverted = (
+        np.asarray(x) for x in _compare(given, given.inverse(), camera_from_world)
+    )
+    ratio = float(as_given[1])
+    mismatch = float(np.nanmedian(angles))
+    misfit, misfit_inverted = float(as_given[0]), float(inverted[0])
+
+    problems = []
+    if mismatch > ANGLE_TOLERANCE:
+        problems.append(
+            f"between two views robot and camera turn by angles that differ by "
+            f"{np.rad2deg(mismatch):.1f} degrees (median): the poses' angles are in another unit "
+            f"(degrees?) or convention than stated, or the pictures are paired with wrong poses"
+        )
+    elif misfit > ANGLE_TOLERANCE and misfit_inverted < 0.3 * misfit:
+        problems.append(
+            f"the poses fit the pictures when every one is inverted (rotation left over "
+            f"{np.rad2deg(misfit_inverted):.2f} instead of {np.rad2deg(misfit):.2f} degrees): they "
+            f"were given as tool_from_base where base_from_tool is expected, or the camera is "
+            f"{'beside the arm (eye_to_hand)' if in_hand else 'on the hand (eye_in_hand)'}"
+        )
+    elif not 0.2 < ratio < 5.0 and np.isfinite(ratio):
+        problems.append(_length_problem(ratio))
+    return ConventionReport(
+        tuple(problems), _suspicious(angles), mismatch, ratio, misfit, misfit_inverted
+    )
+
+
+def _length_problem(ratio: float) -> str:
+    units = {
+        -3: "the robot's positions look like millimetres where metres are expected",
+        -2: "the robot's positions look like centimetres where metres are expected",
+        2: "the target's points look like centimetres where metres are expected",
+        3: "the target's points look like millimetres where metres are expected",
+    }
+    power = round(float(np.log10(abs(ratio)))) if ratio else 0
+    text = units.get(power, "robot positions and target points are not in the same unit")
+    return f"{text}: the camera moved {ratio:.3g} times as far as the robot"
+
+
+def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
+    """Views whose rotation disagrees with most others, where most agree among themselves."""
+    typical = np.nanmedian(angles, axis=1)
+    limit = max(6.0 * float(np.median(typical)), np.deg2rad(3.0))
+    return tuple(
+        (
+            int(view),
+            f"its rotation differs from the robot's by {np.rad2deg(typical[view]):.1f} degrees "
+            f"(median over the other views): is this picture paired with the right pose?",
+        )
+        for view in np.flatnonzero(typical > limit)
+    )
+
+
+@jax.jit
+def _compare(
+    given: SE3, inverted: SE3, camera_from_world: SE3
+) -> tuple[Float[Array, "views views"], Float[Array, "2"], Float[Array, "2"]]:
+    return (
+        _angle_differences(given, camera_from_world),
+        _closure(given, camera_from_world),
+        _closure(inverted, camera_from_world),
+    )
+
+
+def _angle_differences(mount_from_holder: SE3, camera_from_world: SE3) -> Array:
+    def angles(poses):
+        R = poses.rotation().as_matrix()
+        cosine = 0.5 * (jnp.einsum("iab,jab->ij", R, R) - 1.0)
+        return jnp.arccos(jnp.clip(cosine, -1.0, 1.0))
+
+    gap = jnp.abs(angles(mount_from_holder) - angles(camera_from_world))
+    return jnp.where(jnp.eye(len(gap), dtype=bool), jnp.nan, gap)
+
+
+def _closure(mount_from_holder: SE3, camera_from_world: SE3) -> Float[Array, "2"]:
+    """Median rotation left over by the best hand-eye rotation, and the ratio of lengths."""
+    A, B = motion_pairs(mount_from_holder, camera_from_world)
+    hand_eye, _ = park_martin(mount_from_holder, camera_from_world)
+    R = hand_eye.rotation()
+    expected = R @ B.rotation() @ R.inverse()
+    left_over = jnp.median(rotation_angle(A.rotation().inverse() @ expected))
+    # (R_A - I) t = s R t_B - t_A, for the translation t and the ratio of lengths s together.
+    columns = jnp.concatenate(
+        [
+            (A.rotation().as_matrix() - jnp.eye(3)[None]).reshape(-1, 3),
+            -(B.translation() @ R.as_matrix().T).reshape(-1, 1),
+        ],
+        axis=1,
+    )
+    solution = jnp.linalg.lstsq(columns, -A.translation().reshape(-1))[0]
+    return jnp.stack([left_over, solution[3]])

@@ -1,0 +1,222 @@
+"""The paper's pipeline, Steps 1, 2 and 3, as one call."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration
+from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
+from ..dataset import Dataset
+from .conventions import ConventionReport, check_conventions
+from .hand_eye import HandEyeResult, solve_hand_eye
+from .interpolation import Interpolation
+from .kalman import KalmanResult, kalman_filter
+from .weng import ViewCalibrations, calibrate_views, locate_views
+
+MINIMUM_POINTS = 6
+"""Points a view must show to be calibrated by itself."""
+
+
+class FitResult(NamedTuple):
+    """Whether a fit converged, and in words what happened."""
+
+    converged: bool
+    message: str
+
+
+class StagedFit(eqx.Module):
+    """What the staged pipeline found.
+
+    Attributes:
+        calibration: camera, hand-eye and world transforms.
+        step1: per-view calibrations; None where the camera was given.
+        step2: common camera and per-view poses, with their covariance.
+        step3: the hand-eye solution with every start tried.
+        residuals: measured minus predicted through the whole chain, px; 0 where not seen.
+        inliers: the observations that Step 2 kept.
+        rejected: view id, point index (None for a whole view) and reason.
+        views: indices of the views that were used.
+        conventions: how well robot and camera motion agree.
+        result: whether all steps converged.
+    """
+
+    calibration: Calibration
+    step1: ViewCalibrations | None
+    step2: KalmanResult
+    step3: HandEyeResult
+    residuals: Float[Array, "views points 2"]
+    inliers: Bool[Array, "views points"]
+    rejected: tuple[tuple[str, int | None, str], ...] = eqx.field(static=True)
+    views: tuple[int, ...] = eqx.field(static=True)
+    conventions: ConventionReport = eqx.field(static=True)
+    result: FitResult = eqx.field(static=True)
+
+    def interpolation(self, data: Dataset) -> Interpolation:
+        """The comparison method: interpolate between the calibrated viewpoints of `data`."""
+        poses = SE3(data.base_from_tool.wxyz_xyz[np.array(self.views)])
+        return Interpolation(self.step2.camera, poses, self.step2.camera_from_world)
+
+
+def fit_staged(
+    data: Dataset,
+    lens: str | AbstractLens = "radial",
+    *,
+    camera: Camera | None = None,
+    rough_translation: np.ndarray | None = None,
+    length_scale: float = 1.0,
+    pixel_sigma: float | None = None,
+    gate_probability: float = 0.9999,
+    conventions: str = "raise",
+    progress: Callable[[str], None] | None = None,
+) -> StagedFit:
+    """Calibrate in three steps: each view (Weng), all views (Kalman), hand-eye (BFGS).
+
+    Args:
+        data: at least three views with six visible points each.
+        lens: a name or a lens; Step 1 always uses the paper's, or none for `"pinhole"`.
+        camera: a camera that is known: Steps 1 and 2 then find the poses alone.
+        rough_translation: roughly where the target stands, m (the paper's start of Step 3).
+        length_scale: of Eq. 17, m.
+        pixel_sigma: standard deviation of u and v, px; estimated if not given.
+        gate_probability: share of good measurements that the outlier gate lets pass.
+        conventions: `"raise"` an error where robot and camera motion contradict each other, or
+            `"report"` it in the result.
+        progress: told what is being done.
+
+    Raises:
+        ValueError: too few usable views, or poses that cannot belong to these pictures.
+    """
+    say = progress or (lambda _: None)
+    if conventions not in ("raise", "report"):
+        raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
+    minimum = MINIMUM_POINTS if camera is None else 4
+    views = data.usable_views(minimum)
+    if len(views) < 3:
+        raise ValueError(_too_few(data, views, minimum))
+    used = data.select(views)
+    observations = used.observations
+
+    say(f"Step 1: each of {len(views)} views by itself")
+    step1, start_camera, start_poses = _step_one(used, lens, camera)
+    say("Step 2: one camera for all views")
+    step2 = kalman_filter(
+        observations,
+        start_camera,
+        start_poses,
+        pixel_sigma,
+        gate_probability,
+        hold_camera=camera is not None,
+        progress=progress,
+    )
+    report = check_conventions(used.base_from_tool, step2.camera_from_world, data.mount)
+    if report.problems and conventions == "raise":
+        raise ValueError("; ".join(report.problems))
+    say("Step 3: hand-eye and world transforms")
+    in_hand = data.mount == "eye_in_hand"
+    mount_from_holder = used.base_from_tool.inverse() if in_hand else used.base_from_tool
+    step3 = solve_hand_eye(
+        mount_from_holder, step2.camera_from_world, rough_translation, length_scale
+    )
+    calibration = Calibration(
+        step2.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
+    )
+    inliers = jnp.zeros(data.visible.shape, dtype=bool).at[views].set(step2.inliers)
+    ids = used.view_ids
+    return StagedFit(
+        calibration,
+        step1,
+        step2,
+        step3,
+        data.observations.residuals(*calibration.project(data.base_from_tool, data.points)),
+        inliers,
+        _rejected(data, views, np.asarray(inliers), minimum)
+        + tuple((ids[view], None, text) for view, text in report.suspicious_views),
+        tuple(int(view) for view in views),
+        report,
+        _result(step2, step3, calibration),
+    )
+
+
+def _step_one(
+    data: Dataset, lens: str | AbstractLens, camera: Camera | None
+) -> tuple[ViewCalibrations | None, Camera, SE3]:
+    """Per-view calibrations, and from them the point where Step 2 starts."""
+    if camera is not None:
+        poses, _, _ = locate_views(data.observations, camera)
+        return None, camera, poses
+    distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
+    step1 = calibrate_views(data.observations, data.image_size, distortion)
+    numbers = [float(np.median(np.asarray(values))) for values in step1.intrinsics]
+    common = Camera(
+        *numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=data.image_size
+    )
+    # A view that took a longer lens for itself stood farther off than the common lens says.
+    depth = step1.camera_from_world.wxyz_xyz[:, 6] * common.alpha_u / step1.intrinsics.alpha_u
+    poses = SE3(step1.camera_from_world.wxyz_xyz.at[:, 6].set(depth))
+    return step1, common, poses
+
+
+def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:
+    """What the paper criticises: the intrinsics of one view, by Step 1, taken for all.
+
+    Args:
+        data: as for `fit_staged`.
+        view: which; by default the one that determines its focal length best.
+        options: passed on to `fit_staged`.
+    """
+    used = data.select(data.usable_views(MINIMUM_POINTS))
+    step1 = calibrate_views(used.observations, data.image_size)
+    chosen = int(np.argmin(np.asarray(step1.alpha_std))) if view is None else view
+    return fit_staged(data, camera=step1.camera(chosen, data.image_size), **options)
+
+
+def _too_few(data: Dataset, views: np.ndarray, minimum: int) -> str:
+    reasons = dict(data.masked_views)
+    seen = np.asarray(data.visible).sum(axis=1)
+    missing = [
+        f"view {name}: {reasons.get(name, f'{seen[i]} points seen')}"
+        for i, name in enumerate(data.view_ids)
+        if i not in views
+    ]
+    tail = f" ({'; '.join(missing[:10])})" if missing else ""
+    return (
+        f"a calibration needs at least 3 views with {minimum} points each; "
+        f"{len(views)} of {data.view_count} views have them{tail}"
+    )
+
+
+def _rejected(
+    data: Dataset, views: np.ndarray, inliers: np.ndarray, minimum: int
+) -> tuple[tuple[str, int | None, str], ...]:
+    reasons = dict(data.masked_views)
+    visible = np.asarray(data.visible)
+    seen = visible.sum(axis=1)
+    whole = [
+        (name, None, reasons.get(name, f"{seen[i]} points seen, {minimum} needed"))
+        for i, name in enumerate(data.view_ids)
+        if i not in views
+    ]
+    points = [
+        (data.view_ids[view], int(point), "outside the gate of Step 2")
+        for view, point in np.argwhere(visible & ~inliers)
+        if view in views
+    ]
+    return tuple(whole + points)
+
+
+def _result(step2: KalmanResult, step3: HandEyeResult, calibration: Calibration) -> FitResult:
+    finite = all(
+        np.isfinite(np.asarray(pose.wxyz_xyz)).all()
+        for pose in (calibration.camera_from_mount, calibration.holder_from_world)
+    )
+    if not finite:
+        return FitResult(False, "Step 3: the answer is not finite")
+    return FitResult(
+        step2.converged and step3.converged,
+        f"Step 2: {step2.message}; Step 3: {step3.message}, started by {step3.chosen[0]}",
+    )
