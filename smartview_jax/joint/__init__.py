@@ -1,0 +1,17 @@
+"""The joint fit: one least-squares problem from the arm to the pixel."""
+
+from .calibrate import CalibrationFit as CalibrationFit
+from .calibrate import calibrate as calibrate
+from .fit import JointFit as JointFit
+from .fit import fit_joint as fit_joint
+from .losses import AbstractLoss as AbstractLoss
+from .losses import Cauchy as Cauchy
+from .losses import GemanMcClure as GemanMcClure
+from .losses import Huber as Huber
+from .losses import StudentT as StudentT
+from .noise import Noise as Noise
+from .observability import Observability as Observability
+from .parameters import parameter_names as parameter_names
+from .priors import Prior as Prior
+from .problem import JointProblem as JointProblem
+from .solver import optimum as optimum

@@ -1,0 +1,61 @@
+"""Staged, then joint, with the best defaults: what the command line runs."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..cameras import AbstractLens, Camera
+from ..dataset import Dataset
+from ..staged import StagedFit, fit_staged
+from .fit import JointFit, fit_joint
+
+
+class CalibrationFit(eqx.Module):
+    """A staged fit and the joint fit that it started; the joint one's answers are this one's.
+
+    Attributes:
+        staged: the paper's pipeline.
+        joint: the joint fit.
+    """
+
+    staged: StagedFit
+    joint: JointFit
+
+    def __getattr__(self, name: str):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.joint, name)
+
+
+def calibrate(
+    data: Dataset,
+    lens: str | AbstractLens = "radial",
+    *,
+    camera: Camera | None = None,
+    progress: Callable[[str], None] | None = None,
+    **joint_options,
+) -> CalibrationFit:
+    """Calibrate by the staged pipeline, then by the joint fit without its outliers.
+
+    Args:
+        data: at least three views with six visible points each.
+        lens: of both fits.
+        camera: a camera that is known and held in both.
+        progress: told what is being done.
+        joint_options: passed on to `fit_joint`.
+
+    Raises:
+        ValueError: as `fit_staged` and `fit_joint` do.
+    """
+    staged = fit_staged(data, lens, camera=camera, progress=progress)
+    trusted = eqx.tree_at(lambda d: d.visible, data, data.visible & jnp.asarray(staged.inliers))
+    if camera is not None:
+        joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
+    joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)
+    # The report is on everything that was seen, outliers too.
+    everything = data.observations.residuals(
+        *joint.calibration.project(data.base_from_tool, data.points)
+    )
+    joint = eqx.tree_at(lambda f: f.residuals, joint, everything)
+    return CalibrationFit(staged, joint)

@@ -1,0 +1,121 @@
+"""The parameters of a calibration by name: one name a number, addressed by path.
+
+    camera.alpha_u  camera.lens.k1  camera_from_tool.translation.x  camera_from_tool.rotation.z
+    base_from_world.translation.y  target_scale  pose_corrections.<view>.translation.x
+
+A path selects every name that it begins. A fit moves the numbers by an additive step, except for
+rotations, which turn by a rotation vector about the axes of the target frame
+(`R = exp(step) R_start`): translations keep their meaning whatever the rotation does.
+"""
+
+import difflib
+from collections.abc import Iterable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxlie import SE3, SO3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration
+
+_AXES = ("x", "y", "z")
+CORRECTIONS = "pose_corrections"
+
+
+def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> tuple[str, ...]:
+    """Every number's name, in the order of the flat vector.
+
+    Args:
+        calibration: whose camera, lens and mount name the parameters.
+        view_ids: one set of six pose corrections each.
+    """
+    camera = []
+    for path, leaf in jax.tree_util.tree_leaves_with_path(calibration.camera):
+        name = f"camera{jax.tree_util.keystr(path)}"
+        camera += [name] if np.ndim(leaf) == 0 else [f"{name}.{k}" for k in range(np.size(leaf))]
+    transforms = [
+        f"{name}.{part}.{axis}"
+        for name in calibration.transform_names
+        for part in ("translation", "rotation")
+        for axis in _AXES
+    ]
+    corrections = [
+        f"{CORRECTIONS}.{view}.{part}.{axis}"
+        for view in view_ids
+        for part in ("translation", "rotation")
+        for axis in _AXES
+    ]
+    return (*camera, *transforms, "target_scale", *corrections)
+
+
+def select(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
+    """Which parameters the paths name.
+
+    Raises:
+        ValueError: a path that names nothing; the message suggests what it may have meant.
+    """
+    chosen = np.zeros(len(names), dtype=bool)
+    for path in paths:
+        matches = np.array([name == path or name.startswith(f"{path}.") for name in names])
+        if not matches.any():
+            raise ValueError(_unknown(path, names))
+        chosen |= matches
+    return chosen
+
+
+def _unknown(path: str, names: Sequence[str]) -> str:
+    prefixes = {".".join(name.split(".")[:k]) for name in names for k in range(1, 5)}
+    prefixes = sorted(name for name in prefixes if not name.startswith(f"{CORRECTIONS}."))
+    close = difflib.get_close_matches(path, prefixes, n=3, cutoff=0.4)
+    hint = f"did you mean {', '.join(close)}?" if close else f"there is {', '.join(prefixes)}"
+    return f"no parameter is called {path!r}; {hint}"
+
+
+class Parameters(eqx.Module):
+    """The numbers of a calibration, and of its pose corrections, as one flat step from a start."""
+
+    start: Calibration
+
+    @property
+    def camera_size(self) -> int:
+        return len(ravel_pytree(self.start.camera)[0])
+
+    @property
+    def shared_size(self) -> int:
+        """Numbers that all views share: camera, two transforms, target scale."""
+        return self.camera_size + 13
+
+    def values(self) -> Float[Array, "shared"]:
+        """The start's own numbers; rotations, which are steps, are zero."""
+        start = self.start
+        return jnp.concatenate(
+            [
+                ravel_pytree(start.camera)[0],
+                start.camera_from_mount.translation(),
+                jnp.zeros(3),
+                start.holder_from_world.translation(),
+                jnp.zeros(3),
+                start.target_scale[None],
+            ]
+        )
+
+    def moved(self, step: Float[Array, "parameters"]) -> tuple[Calibration, Float[Array, "views 6"]]:
+        """The calibration a step away from the start, and the pose corrections."""
+        n, shared = self.camera_size, self.shared_size
+        numbers, rebuild = ravel_pytree(self.start.camera)
+        calibration = Calibration(
+            rebuild(numbers + step[:n]),
+            _moved_transform(self.start.camera_from_mount, step[n : n + 6]),
+            _moved_transform(self.start.holder_from_world, step[n + 6 : n + 12]),
+            self.start.mount,
+            self.start.target_scale + step[n + 12],
+        )
+        return calibration, step[shared:].reshape(-1, 6)
+
+
+def _moved_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
+    rotation = SO3.exp(step[3:]) @ start.rotation()
+    return SE3.from_rotation_and_translation(rotation, start.translation() + step[:3])
