@@ -1,0 +1,60 @@
+"""Pictures to pixels, for any target."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..targets import AbstractTarget, Charuco, Chessboard, CircleGrid, TagGrid
+from .chessboard import detect_chessboard
+from .circles import detect_circles
+from .detection import Detection
+from .markers import detect_charuco, detect_tags
+
+_DETECTORS = (
+    (CircleGrid, detect_circles),
+    (Chessboard, detect_chessboard),
+    (Charuco, detect_charuco),
+    (TagGrid, detect_tags),
+)
+
+
+def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
+    """Where a target's points are in a picture; nothing found is an answer with a reason.
+
+    Args:
+        image: uint8, grey `(h, w)` or BGR `(h, w, 3)`.
+        target: a flat target; of a `StackedTarget`, its board.
+
+    Raises:
+        ValueError: not a picture, or a target without a detector.
+    """
+    if image.dtype != np.uint8 or image.ndim not in (2, 3):
+        raise ValueError(f"image: expected uint8 (h, w) or (h, w, 3), found {image.dtype} {image.shape}")
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    for kind, detector in _DETECTORS:
+        if isinstance(target, kind):
+            return detector(grey, target)
+    raise ValueError(f"there is no detector for a {type(target).__name__}; detect its board")
+
+
+def read_picture(path: Path, image_size: tuple[int, int] | None = None) -> np.ndarray:
+    """A picture as grey uint8.
+
+    Raises:
+        FileNotFoundError: it is missing.
+        ValueError: it cannot be read, or has another size than stated.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such picture")
+    # Not imread: it prints to stderr and cannot read names outside ASCII everywhere.
+    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    if image is None:
+        raise ValueError(f"{path}: not a picture that can be read")
+    size = (image.shape[1], image.shape[0])
+    if image_size is not None and size != tuple(image_size):
+        raise ValueError(
+            f"{path}: expected {image_size[0]} x {image_size[1]} px, found {size[0]} x {size[1]}"
+        )
+    return image

@@ -1,0 +1,63 @@
+"""Boards that carry numbers: ChArUco, AprilTag and ArUco grids. A view may show a part."""
+
+import cv2
+import numpy as np
+
+from ..targets import Charuco, TagGrid
+from .detection import Detection, nothing_found, some_found
+
+
+def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
+    """One of OpenCV's marker dictionaries.
+
+    Raises:
+        ValueError: an unknown name; the message lists those there are.
+    """
+    names = sorted(key for key in vars(cv2.aruco) if key.startswith("DICT_"))
+    if name not in names:
+        raise ValueError(f"target.dictionary is one of {', '.join(names)}; found {name!r}")
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def charuco_board(target: Charuco) -> cv2.aruco.CharucoBoard:
+    """OpenCV's description of the board."""
+    board = cv2.aruco.CharucoBoard(
+        (target.squares_x, target.squares_y),
+        target.square,
+        target.marker,
+        dictionary_by_name(target.dictionary),
+    )
+    board.setLegacyPattern(target.legacy)
+    return board
+
+
+def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
+    """The inner corners that lie between recognised markers."""
+    count = (target.squares_x - 1) * (target.squares_y - 1)
+    detector = cv2.aruco.CharucoDetector(charuco_board(target))
+    corners, ids, _, marker_ids = detector.detectBoard(image)
+    if ids is None or len(ids) == 0:
+        seen = 0 if marker_ids is None else len(marker_ids)
+        hint = ": try the legacy pattern" if seen and not target.legacy else ""
+        return nothing_found(
+            count, f"no ChArUco corner found ({seen} markers of {target.dictionary} seen){hint}"
+        )
+    return some_found(count, ids.ravel(), corners)
+
+
+def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
+    """The corners of every tag of the grid that is seen, refined to sub-pixel."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    detector = cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
+    corners, ids, _ = detector.detectMarkers(image)
+    count = 4 * len(target.ids)
+    seen = [] if ids is None else [int(k) for k in ids.ravel()]
+    mine = [k for k, tag in enumerate(seen) if tag in target.ids]
+    if not mine:
+        others = f"; tags {sorted(seen)} seen" if seen else ""
+        return nothing_found(
+            count, f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found{others}"
+        )
+    index = np.concatenate([4 * (seen[k] - target.first_id) + np.arange(4) for k in mine])
+    return some_found(count, index, np.concatenate([corners[k].reshape(4, 2) for k in mine]))

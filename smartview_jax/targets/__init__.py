@@ -1,0 +1,10 @@
+"""Calibration targets: points in metres, nothing of OpenCV."""
+
+from .charuco import Charuco as Charuco
+from .chessboard import Chessboard as Chessboard
+from .circle_grid import CircleGrid as CircleGrid
+from .description import target_from_dict as target_from_dict
+from .description import target_to_dict as target_to_dict
+from .stacked import StackedTarget as StackedTarget
+from .tag_grid import TagGrid as TagGrid
+from .target import AbstractTarget as AbstractTarget

@@ -1,0 +1,54 @@
+"""Grids of circles."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .target import AbstractTarget, grid_points, grid_rotations, require_count, require_positive
+
+
+@dataclasses.dataclass(frozen=True)
+class CircleGrid(AbstractTarget):
+    """Circle centres, row by row.
+
+    Attributes:
+        rows, columns: number of circles down and across; for an asymmetric grid as OpenCV counts
+            them, every second row being shifted by half a step.
+        spacing: between neighbours in a row, m; for an asymmetric grid half of that, which is also
+            the distance between rows (OpenCV's convention).
+        asymmetric: every second row shifted.
+        light_on_dark: white circles on black.
+        origin_mark: one larger corner circle marks the origin (the "modified" grid).
+    """
+
+    rows: int
+    columns: int
+    spacing: float
+    asymmetric: bool = False
+    light_on_dark: bool = False
+    origin_mark: bool = False
+
+    def __post_init__(self):
+        require_count(2, rows=self.rows, columns=self.columns)
+        require_positive(spacing=self.spacing)
+        if self.asymmetric and self.origin_mark:
+            raise ValueError("origin_mark: only a symmetric grid has a larger corner circle")
+
+    @property
+    def points(self) -> Float[np.ndarray, "points 3"]:
+        if not self.asymmetric:
+            return grid_points(self.rows, self.columns, self.spacing)
+        i, j = np.mgrid[0 : self.rows, 0 : self.columns]
+        flat = np.stack([(2 * j + i % 2), i, np.zeros_like(i)], axis=-1)
+        return self.spacing * flat.reshape(-1, 3).astype(float)
+
+    @property
+    def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
+        if self.origin_mark:
+            return np.arange(self.rows * self.columns)[None]
+        if self.asymmetric:
+            # An odd number of rows ends as it began: half a turn maps the grid to itself.
+            index = np.arange(self.rows * self.columns)
+            return np.stack([index, index[::-1]]) if self.rows % 2 else index[None]
+        return grid_rotations(self.rows, self.columns)

@@ -1,0 +1,57 @@
+"""Targets as plain mappings, as `dataset.yaml` holds them."""
+
+import dataclasses
+from typing import Any
+
+from .charuco import Charuco
+from .chessboard import Chessboard
+from .circle_grid import CircleGrid
+from .stacked import StackedTarget
+from .tag_grid import TagGrid
+from .target import AbstractTarget
+
+KINDS: dict[str, type[AbstractTarget]] = {
+    "circle_grid": CircleGrid,
+    "chessboard": Chessboard,
+    "charuco": Charuco,
+    "tag_grid": TagGrid,
+}
+
+
+def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
+    """The target that a mapping describes: `kind`, its numbers (m), and `heights` if stacked.
+
+    Raises:
+        ValueError: naming the entry that is unknown, missing or wrong.
+    """
+    numbers = dict(content)
+    kind = numbers.pop("kind", None)
+    if kind not in KINDS:
+        raise ValueError(f"target.kind is one of {', '.join(KINDS)}; found {kind!r}")
+    heights = numbers.pop("heights", None)
+    fields = {field.name: field for field in dataclasses.fields(KINDS[kind])}
+    unknown = sorted(set(numbers) - set(fields))
+    if unknown:
+        raise ValueError(f"target: a {kind} has no {', '.join(unknown)}; it has {', '.join(fields)}")
+    missing = [
+        name
+        for name, field in fields.items()
+        if field.default is dataclasses.MISSING and name not in numbers
+    ]
+    if missing:
+        raise ValueError(f"target: a {kind} needs {', '.join(missing)}")
+    try:
+        board = KINDS[kind](**numbers)
+        return board if heights is None else StackedTarget(board, tuple(map(float, heights)))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"target: {error}") from error
+
+
+def target_to_dict(target: AbstractTarget) -> dict[str, Any]:
+    """The inverse of `target_from_dict`."""
+    if isinstance(target, StackedTarget):
+        return {**target_to_dict(target.board), "heights": list(target.heights)}
+    for kind, cls in KINDS.items():
+        if type(target) is cls:
+            return {"kind": kind, **dataclasses.asdict(target)}
+    raise ValueError(f"{type(target).__name__} has no name in a file")

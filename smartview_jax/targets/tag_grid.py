@@ -1,0 +1,55 @@
+"""Grids of square markers with numbers: AprilTag and ArUco."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from .target import AbstractTarget, require_count, require_positive
+
+
+@dataclasses.dataclass(frozen=True)
+class TagGrid(AbstractTarget):
+    """Four corners a tag, tags row by row; a view may show some of them.
+
+    Corners come in OpenCV's order: top left, top right, bottom right, bottom left, as the tag is
+    read. The frame is the middle of the grid, x to the right, y *up*, z out of the board, which for
+    a single tag is the usual tag frame.
+
+    Attributes:
+        rows, columns: number of tags down and across.
+        size: side of a tag's black square, m.
+        gap: between neighbouring tags, m.
+        dictionary: name of an OpenCV dictionary, such as `"DICT_APRILTAG_36h11"`.
+        first_id: of the top left tag; the others follow row by row.
+    """
+
+    rows: int
+    columns: int
+    size: float
+    gap: float = 0.0
+    dictionary: str = "DICT_APRILTAG_36h11"
+    first_id: int = 0
+
+    def __post_init__(self):
+        require_count(1, rows=self.rows, columns=self.columns)
+        require_count(0, first_id=self.first_id)
+        require_positive(size=self.size)
+        if self.rows * self.columns > 1:
+            require_positive(gap=self.gap)
+
+    @property
+    def ids(self) -> range:
+        """Numbers of the tags, row by row."""
+        return range(self.first_id, self.first_id + self.rows * self.columns)
+
+    @property
+    def points(self) -> Float[np.ndarray, "points 3"]:
+        pitch = self.size + self.gap
+        i, j = np.mgrid[0 : self.rows, 0 : self.columns]
+        x = (j - 0.5 * (self.columns - 1)).ravel() * pitch
+        y = (0.5 * (self.rows - 1) - i).ravel() * pitch
+        centres = np.stack([x, y, np.zeros_like(x)], axis=-1)
+        half = 0.5 * self.size
+        corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+        return (centres[:, None] + corners[None]).reshape(-1, 3)
