@@ -30,7 +30,9 @@ def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
         ValueError: not a picture, or a target without a detector.
     """
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
-        raise ValueError(f"image: expected uint8 (h, w) or (h, w, 3), found {image.dtype} {image.shape}")
+        raise ValueError(
+            f"image: expected uint8 (h, w) or (h, w, 3), found {image.dtype} {image.shape}"
+        )
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     for kind, detector in _DETECTORS:
         if isinstance(target, kind):

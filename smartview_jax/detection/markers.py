@@ -57,7 +57,8 @@ def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
     if not mine:
         others = f"; tags {sorted(seen)} seen" if seen else ""
         return nothing_found(
-            count, f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found{others}"
+            count,
+            f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found{others}",
         )
     index = np.concatenate([4 * (seen[k] - target.first_id) + np.arange(4) for k in mine])
     return some_found(count, index, np.concatenate([corners[k].reshape(4, 2) for k in mine]))

@@ -110,9 +110,7 @@ def _from_reference(
     return best, lowest
 
 
-def _hypotheses(
-    a: np.ndarray, b: np.ndarray, mismatch: np.ndarray, first: int
-) -> list[np.ndarray]:
+def _hypotheses(a: np.ndarray, b: np.ndarray, mismatch: np.ndarray, first: int) -> list[np.ndarray]:
     """Rotations that take two of the robot's turns to two of the camera's."""
     strength = np.linalg.norm(b, axis=-1)
     views = [v for v in np.argsort(-strength) if v != first and strength[v] > 0.03][:8]

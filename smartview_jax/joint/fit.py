@@ -17,7 +17,7 @@ from .covariance import covariance
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .observability import Observability, observability
-from .parameters import CORRECTIONS, Parameters, parameter_names, select
+from .parameters import Parameters, parameter_names, select
 from .priors import Prior
 from .problem import JointProblem, valid_at_start
 from .solver import Solution, solve
@@ -95,13 +95,13 @@ def fit_joint(
     """
     say = progress or (lambda _: None)
     if not (noise == "trusted" or isinstance(noise, Noise)):
-        raise ValueError(f'noise is "trusted" or a Noise(pixel, translation, rotation); found {noise!r}')
+        raise ValueError(
+            f'noise is "trusted" or a Noise(pixel, translation, rotation); found {noise!r}'
+        )
     if start.mount != data.mount:
         raise ValueError(f"the start is {start.mount}, the data {data.mount}")
     if lens is not None:
-        camera = eqx.tree_at(
-            lambda c: c.lens, start.camera, start_lens(lens, start.camera.lens)
-        )
+        camera = eqx.tree_at(lambda c: c.lens, start.camera, start_lens(lens, start.camera.lens))
         start = eqx.tree_at(lambda c: c.camera, start, camera)
     priors = dict(priors or {})
     views = data.usable_views()
@@ -181,9 +181,7 @@ def _priors(
 
 def _refuse_blind_views(data: Dataset, lost: np.ndarray) -> None:
     seen = np.asarray(data.visible).sum(axis=1)
-    blind = [
-        data.view_ids[k] for k in range(len(seen)) if seen[k] > 0 and lost[k].sum() == seen[k]
-    ]
+    blind = [data.view_ids[k] for k in range(len(seen)) if seen[k] > 0 and lost[k].sum() == seen[k]]
     if blind:
         raise ValueError(
             f"start: every point of view {', '.join(blind)} lies behind the camera or outside the "
@@ -209,7 +207,9 @@ def _assemble(
     full, std = covariance(J, scale, factor)
 
     size = np.sum(np.asarray(whitened) ** 2, axis=-1)
-    spread = _robust_variance(size[visible]) if not known else max(1.0, _robust_variance(size[visible]))
+    spread = (
+        _robust_variance(size[visible]) if not known else max(1.0, _robust_variance(size[visible]))
+    )
     inliers = visible & (size <= GATE * spread)
     return JointFit(
         calibration=calibration,
@@ -276,9 +276,7 @@ def _rejected(
 
 
 def _result(solution: Solution, calibration: Calibration) -> FitResult:
-    finite = all(
-        bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(calibration)
-    )
+    finite = all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(calibration))
     if not finite:
         return FitResult(False, "the fit diverged: its parameters are not finite")
     if solution.converged:

@@ -102,7 +102,9 @@ class Parameters(eqx.Module):
             ]
         )
 
-    def moved(self, step: Float[Array, "parameters"]) -> tuple[Calibration, Float[Array, "views 6"]]:
+    def moved(
+        self, step: Float[Array, "parameters"]
+    ) -> tuple[Calibration, Float[Array, "views 6"]]:
         """The calibration a step away from the start, and the pose corrections."""
         n, shared = self.camera_size, self.shared_size
         numbers, rebuild = ravel_pytree(self.start.camera)

@@ -39,9 +39,7 @@ class Solution(NamedTuple):
 
 def default_solver() -> optx.AbstractLeastSquaresSolver:
     """LM on the normal equations: the problem is scaled, and tall and narrow."""
-    return optx.LevenbergMarquardt(
-        rtol=1e-10, atol=1e-8, linear_solver=lx.Normal(lx.Cholesky())
-    )
+    return optx.LevenbergMarquardt(rtol=1e-10, atol=1e-8, linear_solver=lx.Normal(lx.Cholesky()))
 
 
 def solve(

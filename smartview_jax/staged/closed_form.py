@@ -63,9 +63,7 @@ def tsai_lenz(mount_from_holder: SE3, camera_from_world: SE3) -> tuple[SE3, SE3]
     rotation = (1.0 - 0.5 * square) * jnp.eye(3) + 0.5 * (
         jnp.outer(p, p) + jnp.sqrt(jnp.maximum(4.0 - square, 0.0)) * _skew(p[None])[0]
     )
-    return _with_translation(
-        nearest_rotation(rotation), A, B, mount_from_holder, camera_from_world
-    )
+    return _with_translation(nearest_rotation(rotation), A, B, mount_from_holder, camera_from_world)
 
 
 def daniilidis(mount_from_holder: SE3, camera_from_world: SE3) -> tuple[SE3, SE3]:

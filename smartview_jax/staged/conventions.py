@@ -43,9 +43,7 @@ ANGLE_TOLERANCE = np.deg2rad(4.0)
 """Rotation angles of robot and camera may differ by this much between two views (median)."""
 
 
-def check_conventions(
-    base_from_tool: SE3, camera_from_world: SE3, mount: str
-) -> ConventionReport:
+def check_conventions(base_from_tool: SE3, camera_from_world: SE3, mount: str) -> ConventionReport:
     """Compare the motion of the robot with that of the camera, view by view.
 
     Args:

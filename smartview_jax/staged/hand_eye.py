@@ -174,9 +174,7 @@ def _bfgs(T: SE3, C: SE3, starts: SE3, length_scale: Array) -> tuple[SE3, Array,
 
     def one(wxyz_xyz):
         start = SE3(wxyz_xyz)
-        solution = optx.minimise(
-            cost, solver, jnp.zeros(6), args=start, max_steps=300, throw=False
-        )
+        solution = optx.minimise(cost, solver, jnp.zeros(6), args=start, max_steps=300, throw=False)
         numbers = solution.value
         gradient = jax.grad(cost)(numbers, start)
         after = cost(numbers, start)

@@ -123,9 +123,7 @@ def kalman_filter(
     rms = jnp.sqrt(jnp.sum(jnp.where(inliers[..., None], residuals, 0.0) ** 2) / count)
     if not bool(jnp.isfinite(rms)):
         converged, message = False, "the filter diverged: its state is not finite"
-    return KalmanResult(
-        *point, trial.covariance, inliers, sigma, rms, passes, converged, message
-    )
+    return KalmanResult(*point, trial.covariance, inliers, sigma, rms, passes, converged, message)
 
 
 class _Pass(NamedTuple):

@@ -232,13 +232,9 @@ def _planar_start(
     normal = rotation[:, 2]
     mirrored = 2.0 * jnp.sum(sight * normal) * sight - normal
     turn = _rotation_between(normal, mirrored)
-    poses = [
-        _pose(R @ plane, columns[:, 2], origin) for R in (rotation, turn @ rotation)
-    ]
+    poses = [_pose(R @ plane, columns[:, 2], origin) for R in (rotation, turn @ rotation)]
     k1 = jnp.zeros(())
-    return _Start(
-        Intrinsics(alpha, alpha, centre[0], centre[1], k1), SE3(jnp.stack(poses))
-    )
+    return _Start(Intrinsics(alpha, alpha, centre[0], centre[1], k1), SE3(jnp.stack(poses)))
 
 
 def _pose(rotation: Array, translation: Array, origin: Array) -> Array:
@@ -316,11 +312,11 @@ def _linear_start(points: Array, pixels: Array, visible: Array) -> _Start:
     alpha_v = jnp.linalg.norm(W[1, :3] - v0 * W[2, :3])
     rows_R = [(W[0, :3] - u0 * W[2, :3]) / alpha_u, (W[1, :3] - v0 * W[2, :3]) / alpha_v, W[2, :3]]
     rotation = nearest_rotation(jnp.stack(rows_R))
-    translation = jnp.stack([(W[0, 3] - u0 * W[2, 3]) / alpha_u, (W[1, 3] - v0 * W[2, 3]) / alpha_v, W[2, 3]])
-    pose = _pose(rotation, s * translation, a)
-    return _Start(
-        Intrinsics(alpha_u, alpha_v, u0, v0, jnp.zeros(())), SE3(jnp.stack([pose, pose]))
+    translation = jnp.stack(
+        [(W[0, 3] - u0 * W[2, 3]) / alpha_u, (W[1, 3] - v0 * W[2, 3]) / alpha_v, W[2, 3]]
     )
+    pose = _pose(rotation, s * translation, a)
+    return _Start(Intrinsics(alpha_u, alpha_v, u0, v0, jnp.zeros(())), SE3(jnp.stack([pose, pose])))
 
 
 @jax.jit
@@ -328,9 +324,11 @@ def _calibrate_all(
     observations: Observations, start: _Start, free: Array, distortion: Array
 ) -> _Found:
     def one(points, pixels, visible, intrinsics, poses, free):
-        both = jax.vmap(lambda pose: _calibrate_view(
-            points, pixels, visible, intrinsics, SE3(pose), free, distortion
-        ))(poses.wxyz_xyz)
+        both = jax.vmap(
+            lambda pose: _calibrate_view(
+                points, pixels, visible, intrinsics, SE3(pose), free, distortion
+            )
+        )(poses.wxyz_xyz)
         best = jnp.nanargmin(jnp.where(jnp.isfinite(both.rms), both.rms, jnp.inf))
         return jax.tree.map(lambda x: x[best], both)
 
@@ -379,9 +377,7 @@ def _calibrate_view(
     covariance = jnp.linalg.inv(JtJ) * jnp.maximum(variance, 0.05**2)
     alpha_std = jnp.where(free[0], jnp.sqrt(jnp.maximum(covariance[0, 0], 0.0)), jnp.inf)
     log_alpha, log_ratio, u0, v0 = state.shape
-    found = Intrinsics(
-        jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, state.k1
-    )
+    found = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, state.k1)
     rms = jnp.sqrt(jnp.sum(residuals**2) / jnp.maximum(count, 1.0))
     return _Found(found, state.pose, rms, alpha_std, used)
 

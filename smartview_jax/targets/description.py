@@ -32,7 +32,9 @@ def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
     fields = {field.name: field for field in dataclasses.fields(KINDS[kind])}
     unknown = sorted(set(numbers) - set(fields))
     if unknown:
-        raise ValueError(f"target: a {kind} has no {', '.join(unknown)}; it has {', '.join(fields)}")
+        raise ValueError(
+            f"target: a {kind} has no {', '.join(unknown)}; it has {', '.join(fields)}"
+        )
     missing = [
         name
         for name, field in fields.items()

@@ -30,7 +30,7 @@ class StackedTarget(AbstractTarget):
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
         flat = self.board.points
-        return np.concatenate([flat + [0.0, 0.0, height] for height in self.heights])
+        return np.concatenate([flat + np.array([0.0, 0.0, z]) for z in self.heights])
 
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:

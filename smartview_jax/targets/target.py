@@ -39,7 +39,9 @@ def require_count(minimum: int, **counts: int) -> None:
     """Raise a ValueError that names the first count below a minimum."""
     for name, value in counts.items():
         if value != int(value) or value < minimum:
-            raise ValueError(f"{name}: expected a whole number of at least {minimum}, found {value}")
+            raise ValueError(
+                f"{name}: expected a whole number of at least {minimum}, found {value}"
+            )
 
 
 def grid_points(rows: int, columns: int, spacing: float) -> Float[np.ndarray, "points 3"]:

@@ -1,0 +1,176 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jaxlie import SE3, SO3
+from scipy.spatial.transform import Rotation
+
+from smartview_jax.geometry import (
+    POSE_CODECS,
+    oat_from_rotation,
+    pose_codec,
+    rotation_from_oat,
+    se3_from_xyzoat,
+    xyzoat,
+    ypr_from_rotation,
+)
+
+
+def _hard_rotations():
+    """Random, near identity, near half turns, and at every convention's singularities."""
+    rng = np.random.default_rng(0)
+    vectors = [*rng.normal(size=(30, 3)), *(1e-7 * rng.normal(size=(10, 3))), np.zeros(3)]
+    axes = rng.normal(size=(10, 3))
+    vectors += list((np.pi - 1e-6) * axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    vectors += [np.pi * axis for axis in np.eye(3)]
+    rotations = [Rotation.from_rotvec(v) for v in vectors]
+    for o, t in rng.uniform(-np.pi, np.pi, (6, 2)):
+        for a in (90.0, -90.0, 90.0 - 1e-9, 89.999, -89.999):
+            middle = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]])
+            R = Rotation.from_euler("z", o).as_matrix() @ middle
+            R = R @ Rotation.from_euler("y", a, degrees=True).as_matrix()
+            rotations.append(Rotation.from_matrix(R) * Rotation.from_euler("z", t))
+            rotations.append(Rotation.from_euler("ZYX", [o, np.deg2rad(a), t]))
+        rotations += [
+            Rotation.from_euler("ZYZ", [o, b, t]) for b in (0.0, np.pi, 1e-9, np.pi - 1e-5)
+        ]
+    return np.stack([rotation.as_matrix() for rotation in rotations])
+
+
+MATRICES = _hard_rotations()
+POSES = SE3.from_rotation_and_translation(
+    SO3.from_matrix(jnp.asarray(MATRICES)),
+    jnp.asarray(np.random.default_rng(1).normal(size=(len(MATRICES), 3))),
+)
+
+
+@pytest.mark.parametrize("name", POSE_CODECS)
+@pytest.mark.parametrize("units", [("m", "rad"), ("mm", "deg")])
+def test_round_trip(name, units):
+    codec = pose_codec(name)
+    rows = codec.encode(POSES, *units)
+    assert rows.shape == (len(MATRICES), len(codec.columns))
+    assert np.isfinite(rows).all()
+    back = codec.decode(rows, *units)
+    np.testing.assert_allclose(back.as_matrix(), POSES.as_matrix(), atol=2e-7)
+    # Away from the singularities to rounding.
+    np.testing.assert_allclose(back.as_matrix()[:30], POSES.as_matrix()[:30], atol=1e-12)
+
+
+@given(st.tuples(*(st.floats(-3.0, 3.0),) * 6), st.sampled_from(sorted(POSE_CODECS)))
+@settings(max_examples=60, deadline=None)
+def test_round_trip_of_anything(tangent, name):
+    pose = SE3.exp(jnp.array([tangent]))
+    codec = pose_codec(name)
+    back = codec.decode(codec.encode(pose, "mm", "deg"), "mm", "deg")
+    np.testing.assert_allclose(back.as_matrix(), pose.as_matrix(), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "sequence"),
+    [("yaw_pitch_roll", "ZYX"), ("kuka_abc", "ZYX"), ("kawasaki_oat", "ZYZ")],
+)
+def test_angles_agree_with_scipy(name, sequence):
+    angles = np.random.default_rng(2).uniform(-1.4, 1.4, (20, 3))
+    if sequence == "ZYZ":
+        angles[:, 1] += 1.5  # its second angle runs from 0 to 180 degrees
+    rows = np.concatenate([np.zeros((20, 3)), np.rad2deg(angles)], axis=1)
+    found = pose_codec(name).decode(rows, "mm", "deg").rotation().as_matrix()
+    np.testing.assert_allclose(found, Rotation.from_euler(sequence, angles).as_matrix(), atol=1e-12)
+
+
+def test_fanuc_is_x_first_about_fixed_axes():
+    row = [[1.0, 2.0, 3.0, 10.0, 20.0, 30.0]]
+    pose = pose_codec("fanuc_wpr").decode(np.array(row), "mm", "deg")
+    expected = Rotation.from_euler("xyz", [10.0, 20.0, 30.0], degrees=True).as_matrix()
+    np.testing.assert_allclose(pose.rotation().as_matrix()[0], expected, atol=1e-12)
+    np.testing.assert_allclose(pose.translation()[0], [1e-3, 2e-3, 3e-3], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["quaternion_xyzw", "quaternion_wxyz", "abb"])
+def test_quaternions_agree_with_scipy(name):
+    rotation = Rotation.from_rotvec([0.3, -0.2, 0.9])
+    numbers = rotation.as_quat(scalar_first=name != "quaternion_xyzw")
+    pose = pose_codec(name).decode(np.array([[0.0, 0.0, 0.0, *numbers]]))
+    np.testing.assert_allclose(pose.rotation().as_matrix()[0], rotation.as_matrix(), atol=1e-12)
+
+
+def test_eq_18_as_it_is_written_out():
+    """Against the product of elementary rotations, and VAL's own words at zero."""
+    O, A, T = 0.4, -0.7, 2.1
+
+    def about(axis, angle):
+        return Rotation.from_euler(axis, angle).as_matrix()
+
+    M0 = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]])
+    expected = about("z", O) @ about("x", A) @ M0 @ about("z", T)
+    found = rotation_from_oat(jnp.array([O, A, T])).as_matrix()
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+    zero = np.asarray(rotation_from_oat(jnp.zeros(3)).as_matrix())
+    np.testing.assert_allclose(zero[:, 2], [0.0, -1.0, 0.0], atol=1e-15)  # points along -y
+
+
+def test_both_branches_of_oat_are_the_same_rotation():
+    rotation = POSES.rotation()
+    for other in (False, True):
+        again = rotation_from_oat(oat_from_rotation(rotation, other_branch=other))
+        np.testing.assert_allclose(again.as_matrix(), MATRICES, atol=2e-7)
+    principal = oat_from_rotation(rotation)
+    assert np.abs(principal[:, 1]).max() <= np.pi / 2 + 1e-12
+
+
+@pytest.mark.parametrize("a", [90.0, -90.0])
+def test_straight_down_and_up_keep_the_given_o(a):
+    wanted = jnp.array([0.5, np.deg2rad(a), 1.2])
+    rotation = rotation_from_oat(wanted)
+    np.testing.assert_allclose(oat_from_rotation(rotation, gimbal_o=0.5), wanted, atol=1e-7)
+    plain = oat_from_rotation(rotation)
+    assert plain[0] == 0.0
+    np.testing.assert_allclose(
+        rotation_from_oat(plain).as_matrix(), rotation.as_matrix(), atol=1e-7
+    )
+
+
+def test_commands_rounded_together_near_the_gimbal_keep_the_orientation():
+    """At A = 89 degrees, O and T rounded to 0.01 degrees cost no more than that rounding."""
+    pose = se3_from_xyzoat(jnp.array([0.1, 0.2, 0.3, 0.70011, np.deg2rad(89.0), -1.2004]))
+    numbers = np.asarray(xyzoat(pose))
+    rounded = np.concatenate([numbers[:3], np.deg2rad(np.round(np.rad2deg(numbers[3:]), 2))])
+    turn = (pose.rotation().inverse() @ se3_from_xyzoat(jnp.asarray(rounded)).rotation()).log()
+    assert np.rad2deg(np.linalg.norm(turn)) < 0.011
+
+
+def test_angles_are_differentiable_away_from_the_gimbal():
+    for function in (oat_from_rotation, ypr_from_rotation):
+        J = jax.jacfwd(lambda w, f=function: f(SO3.exp(w)))(jnp.array([0.3, 0.2, -0.4]))
+        step = 1e-6 * np.eye(3)
+        for k in range(3):
+            up, down = (
+                function(SO3.exp(jnp.array([0.3, 0.2, -0.4]) + s * step[k])) for s in (1.0, -1.0)
+            )
+            np.testing.assert_allclose(J[:, k], (up - down) / 2e-6, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "message"),
+    [
+        ("quaternion_xyzw", [0, 0, 0, 0, 0, 0, 2.0], "row a has a quaternion of length 2, not 1"),
+        ("val_oat", [0, 0, np.nan, 0, 0, 0], "row a contains NaN"),
+        ("val_oat", [0, 0, 0], r"expected rows of 6 numbers \(x, y, z, O, A, T\)"),
+        ("matrix", [*np.diag([1.0, 1.0, -1.0, 1.0]).ravel()], "row a: .*mirrored"),
+    ],
+)
+def test_bad_rows_are_named(name, row, message):
+    with pytest.raises(ValueError, match=message):
+        pose_codec(name).decode(np.array([row]), labels=["a"])
+
+
+def test_unknown_names_are_answered_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"matrix, quaternion_xyzw.*found 'euler'"):
+        pose_codec("euler")
+    with pytest.raises(ValueError, match="length_unit is one of m, cm, mm; found 'inch'"):
+        pose_codec("ur").decode(np.zeros((1, 6)), length_unit="inch")
+    with pytest.raises(ValueError, match="angle_unit is one of rad, deg; found 'grad'"):
+        pose_codec("ur").encode(POSES, angle_unit="grad")
