@@ -1,0 +1,58 @@
+"""Pairs of tables: `poses.csv` (view, 4x4) and `corners.csv` (view, X, Y, Z, u, v)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..dataset import Dataset
+from ..geometry import pose_codec
+from .tables import duplicates, numbers, read_table
+
+
+def import_pairs(
+    poses_csv: str | Path,
+    corners_csv: str | Path,
+    image_size: tuple[int, int],
+    mount: str = "eye_in_hand",
+    bad_views: str = "raise",
+) -> Dataset:
+    """A data set from detections made elsewhere, in metres and pixels.
+
+    Args:
+        poses_csv: columns `view, m00 .. m33`: base_from_tool, row by row, m.
+        corners_csv: columns `view, X, Y, Z, u, v`: target point in m, pixel. Views may show
+            different points.
+        image_size: width and height, px.
+        mount: where the camera is.
+        bad_views: `"raise"` or `"mask"`, as in `Dataset.from_arrays`.
+    """
+    poses_csv, corners_csv = Path(poses_csv), Path(corners_csv)
+    codec = pose_codec("matrix")
+    table = read_table(poses_csv, ("view", *codec.columns))
+    views = [row["view"] for row in table]
+    if duplicates(views):
+        raise ValueError(f"{poses_csv}: view {', '.join(duplicates(views))} has more than one row")
+    poses = np.stack([numbers(poses_csv, row, codec.columns, row["view"]) for row in table])
+
+    seen: dict[str, list[np.ndarray]] = {view: [] for view in views}
+    for row in read_table(corners_csv, ("view", "X", "Y", "Z", "u", "v")):
+        if row["view"] not in seen:
+            raise ValueError(f"{corners_csv}: view {row['view']} has no row in {poses_csv.name}")
+        columns = ("X", "Y", "Z", "u", "v")
+        seen[row["view"]].append(numbers(corners_csv, row, columns, row["view"]))
+    count = max(len(rows) for rows in seen.values())
+    points = np.zeros((len(views), count, 3))
+    pixels = np.full((len(views), count, 2), np.nan)
+    for k, rows in enumerate(seen.values()):
+        for n, row in enumerate(rows):
+            points[k, n], pixels[k, n] = row[:3], row[3:]
+    return Dataset.from_arrays(
+        points,
+        pixels,
+        poses.reshape(-1, 4, 4),
+        image_size,
+        view_ids=views,
+        mount=mount,
+        bad_views=bad_views,
+        masked_views=[(view, "no detections") for view, rows in seen.items() if not rows],
+    )
