@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, ScalarLike
 
 from .cameras import AbstractLens, Camera, lens_by_name, lens_name
 from .files import dump_yaml, read_yaml, write_atomically
-from .geometry import PoseLike, as_se3
+from .geometry import PoseLike, as_se3, transform_points
 
 FORMAT_VERSION = 1
 
@@ -157,12 +157,8 @@ class Calibration(eqx.Module):
         self, base_from_tool: PoseLike, points: Float[Array, "*points 3"] | np.ndarray
     ) -> Float[Array, "*points 3"]:
         """Target points in the camera frame, m; shapes as in `project`."""
-        camera_from_world = self.camera_from_world(base_from_tool)
-        views = camera_from_world.get_batch_axes()
-        points = jnp.asarray(points, dtype=float)
-        points = points.reshape((1,) * (len(views) + 2 - points.ndim) + points.shape)
-        per_point = SE3(camera_from_world.wxyz_xyz[..., None, :])
-        return per_point.apply(self.target_scale * points)
+        points = self.target_scale * jnp.asarray(points, dtype=float)
+        return transform_points(self.camera_from_world(base_from_tool), points)
 
     def project(
         self, base_from_tool: PoseLike, points: Float[Array, "*points 3"] | np.ndarray

@@ -59,6 +59,24 @@ def rotation_angle(rotation: SO3) -> Float[Array, "*batch"]:
     return jnp.linalg.norm(rotation.log(), axis=-1)
 
 
-def concatenate(first: SE3, second: SE3) -> SE3:
-    """Two batches of transforms as one, along their first axis."""
-    return SE3(jnp.concatenate([first.wxyz_xyz, second.wxyz_xyz], axis=0))
+def transform_points(
+    target_from_source: SE3, points: Float[Array, "*points 3"]
+) -> Float[Array, "*points 3"]:
+    """Points under a batch of transforms `(*batch)`: `(N, 3)` for all, or `(*batch, N, 3)`."""
+    rank = len(target_from_source.get_batch_axes()) + 2
+    points = points.reshape((1,) * (rank - points.ndim) + points.shape)
+    return SE3(target_from_source.wxyz_xyz[..., None, :]).apply(points)
+
+
+def nearest_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The rotation closest to a matrix in the Frobenius norm."""
+    U, _, Vt = jnp.linalg.svd(matrix)
+    sign = jnp.linalg.det(U @ Vt)
+    return (U * jnp.stack([jnp.ones(()), jnp.ones(()), sign])[None]) @ Vt
+
+
+def mean_pose(poses: SE3, weights: Float[Array, "poses"]) -> SE3:
+    """Chordal mean: nearest rotation to the weighted mean matrix, weighted mean translation."""
+    share = weights / jnp.sum(weights)
+    rotation = nearest_rotation(jnp.einsum("i,ijk->jk", share, poses.rotation().as_matrix()))
+    return SE3.from_rotation_and_translation(SO3.from_matrix(rotation), share @ poses.translation())

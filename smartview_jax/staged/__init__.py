@@ -2,7 +2,6 @@
 
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
 from .closed_form import daniilidis as daniilidis
-from .closed_form import mean_pose as mean_pose
 from .closed_form import park_martin as park_martin
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz

@@ -43,18 +43,25 @@ ANGLE_TOLERANCE = np.deg2rad(4.0)
 """Rotation angles of robot and camera may differ by this much between two views (median)."""
 
 
-def check_conventions(base_from_tool: SE3, camera_from_world: SE3, mount: str) -> ConventionReport:
+def check_conventions(
+    base_from_tool: SE3,
+    camera_from_world: SE3,
+    mount: str,
+    weights: Float[Array, "views"] | None = None,
+) -> ConventionReport:
     """Compare the motion of the robot with that of the camera, view by view.
 
     Args:
         base_from_tool: as reported, `(views)`.
         camera_from_world: from the pictures alone, `(views)`.
         mount: where the camera is said to be.
+        weights: zero leaves a view out.
     """
+    weights = jnp.ones(len(base_from_tool.wxyz_xyz)) if weights is None else weights
     in_hand = mount_frames(mount)[0] == "tool"
     given = base_from_tool.inverse() if in_hand else base_from_tool
     angles, as_given, inverted = (
-        np.asarray(x) for x in _compare(given, given.inverse(), camera_from_world)
+        np.asarray(x) for x in _compare(given, given.inverse(), camera_from_world, weights)
     )
     ratio = float(as_given[1])
     mismatch = float(np.nanmedian(angles))
@@ -95,8 +102,10 @@ def _length_problem(ratio: float) -> str:
 
 def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
     """Views whose rotation disagrees with most others, where most agree among themselves."""
-    typical = np.nanmedian(angles, axis=1)
-    limit = max(6.0 * float(np.median(typical)), np.deg2rad(3.0))
+    used = np.isfinite(angles).any(axis=1)
+    typical = np.zeros(len(angles))
+    typical[used] = np.nanmedian(angles[used], axis=1)
+    limit = max(6.0 * float(np.median(typical[used])), np.deg2rad(3.0))
     return tuple(
         (
             int(view),
@@ -109,32 +118,34 @@ def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
 
 @jax.jit
 def _compare(
-    given: SE3, inverted: SE3, camera_from_world: SE3
+    given: SE3, inverted: SE3, camera_from_world: SE3, weights: Array
 ) -> tuple[Float[Array, "views views"], Float[Array, "2"], Float[Array, "2"]]:
     return (
-        _angle_differences(given, camera_from_world),
-        _closure(given, camera_from_world),
-        _closure(inverted, camera_from_world),
+        _angle_differences(given, camera_from_world, weights),
+        _closure(given, camera_from_world, weights),
+        _closure(inverted, camera_from_world, weights),
     )
 
 
-def _angle_differences(mount_from_holder: SE3, camera_from_world: SE3) -> Array:
+def _angle_differences(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> Array:
     def angles(poses):
         R = poses.rotation().as_matrix()
         cosine = 0.5 * (jnp.einsum("iab,jab->ij", R, R) - 1.0)
         return jnp.arccos(jnp.clip(cosine, -1.0, 1.0))
 
     gap = jnp.abs(angles(mount_from_holder) - angles(camera_from_world))
-    return jnp.where(jnp.eye(len(gap), dtype=bool), jnp.nan, gap)
+    unused = jnp.eye(len(gap), dtype=bool) | (jnp.outer(weights, weights) == 0.0)
+    return jnp.where(unused, jnp.nan, gap)
 
 
-def _closure(mount_from_holder: SE3, camera_from_world: SE3) -> Float[Array, "2"]:
+def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> Float[Array, "2"]:
     """Median rotation left over by the best hand-eye rotation, and the ratio of lengths."""
-    A, B = motion_pairs(mount_from_holder, camera_from_world)
-    hand_eye, _ = park_martin(mount_from_holder, camera_from_world)
+    A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
+    hand_eye, _ = park_martin(mount_from_holder, camera_from_world, weights)
     R = hand_eye.rotation()
     expected = R @ B.rotation() @ R.inverse()
-    left_over = jnp.median(rotation_angle(A.rotation().inverse() @ expected))
+    angle = rotation_angle(A.rotation().inverse() @ expected)
+    left_over = jnp.nanmedian(jnp.where(w > 0.0, angle, jnp.nan))
     # (R_A - I) t = s R t_B - t_A, for the translation t and the ratio of lengths s together.
     columns = jnp.concatenate(
         [
@@ -143,5 +154,6 @@ def _closure(mount_from_holder: SE3, camera_from_world: SE3) -> Float[Array, "2"
         ],
         axis=1,
     )
-    solution = jnp.linalg.lstsq(columns, -A.translation().reshape(-1))[0]
+    rows = jnp.repeat(w, 3)
+    solution = jnp.linalg.lstsq(rows[:, None] * columns, -rows * A.translation().reshape(-1))[0]
     return jnp.stack([left_over, solution[3]])

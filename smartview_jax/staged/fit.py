@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
-from ..dataset import Dataset
+from ..dataset import Dataset, Observations
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
@@ -58,8 +58,10 @@ class StagedFit(eqx.Module):
 
     def interpolation(self, data: Dataset) -> Interpolation:
         """The comparison method: interpolate between the calibrated viewpoints of `data`."""
-        poses = SE3(data.base_from_tool.wxyz_xyz[np.array(self.views)])
-        return Interpolation(self.step2.camera, poses, self.step2.camera_from_world)
+        views = np.array(self.views)
+        robot = SE3(data.base_from_tool.wxyz_xyz[views])
+        seen = SE3(self.step2.camera_from_world.wxyz_xyz[views])
+        return Interpolation(self.step2.camera, robot, seen)
 
 
 def fit_staged(
@@ -98,11 +100,16 @@ def fit_staged(
     views = data.usable_views(minimum)
     if len(views) < 3:
         raise ValueError(_too_few(data, views, minimum))
-    used = data.select(views)
-    observations = used.observations
+    # Unused views are hidden, not cut out: a fold then has the shape that is already compiled.
+    used = np.zeros(data.view_count, dtype=bool)
+    used[views] = True
+    weights = jnp.asarray(used.astype(float))
+    observations = eqx.tree_at(
+        lambda o: o.visible, data.observations, data.visible & jnp.asarray(used)[:, None]
+    )
 
     say(f"Step 1: each of {len(views)} views by itself")
-    step1, start_camera, start_poses = _step_one(used, lens, camera)
+    step1, start_camera, start_poses = _step_one(observations, data.image_size, used, lens, camera)
     say("Step 2: one camera for all views")
     step2 = kalman_filter(
         observations,
@@ -113,20 +120,20 @@ def fit_staged(
         hold_camera=camera is not None,
         progress=progress,
     )
-    report = check_conventions(used.base_from_tool, step2.camera_from_world, data.mount)
+    report = check_conventions(data.base_from_tool, step2.camera_from_world, data.mount, weights)
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
     in_hand = data.mount == "eye_in_hand"
-    mount_from_holder = used.base_from_tool.inverse() if in_hand else used.base_from_tool
+    mount_from_holder = data.base_from_tool.inverse() if in_hand else data.base_from_tool
     step3 = solve_hand_eye(
-        mount_from_holder, step2.camera_from_world, rough_translation, length_scale
+        mount_from_holder, step2.camera_from_world, weights, rough_translation, length_scale
     )
     calibration = Calibration(
         step2.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )
-    inliers = jnp.zeros(data.visible.shape, dtype=bool).at[views].set(step2.inliers)
-    ids = used.view_ids
+    inliers = step2.inliers
+    ids = data.view_ids
     return StagedFit(
         calibration,
         step1,
@@ -143,22 +150,30 @@ def fit_staged(
 
 
 def _step_one(
-    data: Dataset, lens: str | AbstractLens, camera: Camera | None
+    observations: Observations,
+    image_size: tuple[int, int],
+    used: np.ndarray,
+    lens: str | AbstractLens,
+    camera: Camera | None,
 ) -> tuple[ViewCalibrations | None, Camera, SE3]:
     """Per-view calibrations, and from them the point where Step 2 starts."""
     if camera is not None:
-        poses, _, _ = locate_views(data.observations, camera)
-        return None, camera, poses
+        poses, _, _ = locate_views(observations, camera)
+        return None, camera, _safe(poses, used)
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
-    step1 = calibrate_views(data.observations, data.image_size, distortion)
-    numbers = [float(np.median(np.asarray(values))) for values in step1.intrinsics]
-    common = Camera(
-        *numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=data.image_size
-    )
+    step1 = calibrate_views(observations, image_size, distortion)
+    numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
+    common = Camera(*numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=image_size)
     # A view that took a longer lens for itself stood farther off than the common lens says.
     depth = step1.camera_from_world.wxyz_xyz[:, 6] * common.alpha_u / step1.intrinsics.alpha_u
     poses = SE3(step1.camera_from_world.wxyz_xyz.at[:, 6].set(depth))
-    return step1, common, poses
+    return step1, common, _safe(poses, used)
+
+
+def _safe(poses: SE3, used: np.ndarray) -> SE3:
+    """Any finite pose for the views that are not used."""
+    anywhere = SE3.from_translation(jnp.array([0.0, 0.0, 1.0])).wxyz_xyz
+    return SE3(jnp.where(jnp.asarray(used)[:, None], poses.wxyz_xyz, anywhere[None]))
 
 
 def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:

@@ -18,7 +18,8 @@ import optimistix as optx
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from .closed_form import CLOSED_FORMS, mean_pose
+from ..geometry import mean_pose
+from .closed_form import CLOSED_FORMS
 
 PAPER_START = "paper: rotation identity"
 
@@ -63,6 +64,7 @@ class HandEyeResult(eqx.Module):
 def solve_hand_eye(
     mount_from_holder: SE3,
     camera_from_world: SE3,
+    weights: Float[Array, "views"] | None = None,
     rough_translation: Float[Array, "3"] | np.ndarray | None = None,
     length_scale: float = 1.0,
 ) -> HandEyeResult:
@@ -71,6 +73,7 @@ def solve_hand_eye(
     Args:
         mount_from_holder: `tool_from_base` for a camera on the hand.
         camera_from_world: the extrinsics of Step 2.
+        weights: of the views; zero leaves one out. All alike by default.
         rough_translation: the user's rough `holder_from_world` translation, m, for the paper's
             start; zero if not given.
         length_scale: metres per unit of length in Eq. 17; smaller gives translation more weight.
@@ -78,31 +81,31 @@ def solve_hand_eye(
     Raises:
         ValueError: fewer than three views.
     """
-    views = len(mount_from_holder.wxyz_xyz)
-    if views < 3:
-        raise ValueError(f"Step 3 needs at least 3 views, found {views}")
-    forms = _closed_forms(mount_from_holder, camera_from_world)
+    count = len(mount_from_holder.wxyz_xyz)
+    weights = jnp.ones(count) if weights is None else jnp.asarray(weights, dtype=float)
+    if np.count_nonzero(np.asarray(weights)) < 3:
+        found = np.count_nonzero(np.asarray(weights))
+        raise ValueError(f"Step 3 needs at least 3 views, found {found}")
+    forms = _closed_forms(mount_from_holder, camera_from_world, weights)
     rough = jnp.zeros(3) if rough_translation is None else jnp.asarray(rough_translation, float)
     paper = SE3.from_rotation_and_translation(SO3.identity(), rough)
 
     T, C = mount_from_holder, camera_from_world
     world_starts = {PAPER_START: paper, **{name: form[1] for name, form in forms.items()}}
-    world, world_tried, world_best = _search(T, C, world_starts, length_scale)
+    world, world_tried, world_best = _search(T, C, weights, world_starts, length_scale)
     # The other form has the inverses in the places of T and C: A = C_j C_i^-1, B = T_j T_i^-1.
     eye_starts = {
         PAPER_START: SE3.identity(),
         **{name: form[0] for name, form in forms.items()},
     }
-    eye, eye_tried, eye_best = _search(C.inverse(), T.inverse(), eye_starts, length_scale)
+    eye, eye_tried, eye_best = _search(C.inverse(), T.inverse(), weights, eye_starts, length_scale)
 
-    per_view = camera_from_world @ (mount_from_holder @ SE3(world.wxyz_xyz[None])).inverse()
-    averaged = mean_pose(per_view)
-    gap = np.asarray((averaged.inverse() @ eye).log())
+    averaged, gap = (np.asarray(x) for x in _averaged(T, C, world, eye, weights))
     converged = world_best.converged and eye_best.converged
     return HandEyeResult(
         eye,
         world,
-        averaged,
+        SE3(jnp.asarray(averaged)),
         (float(np.linalg.norm(gap[:3])), float(np.linalg.norm(gap[3:]))),
         world_tried,
         eye_tried,
@@ -112,32 +115,47 @@ def solve_hand_eye(
     )
 
 
+@eqx.filter_jit
+def _averaged(T: SE3, C: SE3, world: SE3, eye: SE3, weights: Array) -> tuple[Array, Array]:
+    """`camera_from_mount` from the world transform, averaged, and its distance to the other."""
+    averaged = mean_pose(C @ (T @ SE3(world.wxyz_xyz[None])).inverse(), weights)
+    return averaged.wxyz_xyz, (averaged.inverse() @ eye).log()
+
+
 def frobenius_cost(
-    X: SE3, T: SE3, C: SE3, length_scale: float | Float[Array, ""] = 1.0
+    X: SE3,
+    T: SE3,
+    C: SE3,
+    weights: Float[Array, "views"],
+    length_scale: float | Float[Array, ""] = 1.0,
 ) -> Float[Array, ""]:
-    """Eq. 17: `sum over i != j of || T_i^-1 T_j X - X C_i^-1 C_j ||_F^2`."""
+    """Eq. 17: `sum over i != j of || T_i^-1 T_j X - X C_i^-1 C_j ||_F^2`, pairs weighted."""
     unit = jnp.asarray(length_scale, dtype=float)
-    # (T_j X C_j^-1) is the same for all j where the data are exact; written out it needs all pairs.
     A = (SE3(T.wxyz_xyz[:, None]).inverse() @ SE3(T.wxyz_xyz[None])).as_matrix()
     B = (SE3(C.wxyz_xyz[:, None]).inverse() @ SE3(C.wxyz_xyz[None])).as_matrix()
     gap = A @ X.as_matrix()[None, None] - X.as_matrix()[None, None] @ B
     gap = gap.at[..., :3, 3].divide(unit)
-    return jnp.sum(gap**2)
+    return jnp.einsum("i,j,ijab->", weights, weights, gap**2)
 
 
 @eqx.filter_jit
-def _closed_forms(mount_from_holder: SE3, camera_from_world: SE3) -> dict[str, tuple[SE3, SE3]]:
-    return {name: form(mount_from_holder, camera_from_world) for name, form in CLOSED_FORMS.items()}
+def _closed_forms(
+    mount_from_holder: SE3, camera_from_world: SE3, weights: Array
+) -> dict[str, tuple[SE3, SE3]]:
+    return {
+        name: form(mount_from_holder, camera_from_world, weights)
+        for name, form in CLOSED_FORMS.items()
+    }
 
 
 def _search(
-    T: SE3, C: SE3, starts: dict[str, SE3], length_scale: float
+    T: SE3, C: SE3, weights: Array, starts: dict[str, SE3], length_scale: float
 ) -> tuple[SE3, tuple[StartTried, ...], StartTried]:
     """BFGS from every start; the lowest finite cost wins."""
     stacked = SE3(jnp.stack([start.wxyz_xyz for start in starts.values()]))
     finite = jnp.all(jnp.isfinite(stacked.wxyz_xyz), axis=-1)
     safe = jnp.where(finite[:, None], stacked.wxyz_xyz, SE3.identity().wxyz_xyz[None])
-    found, before, after, converged = _bfgs(T, C, SE3(safe), jnp.asarray(length_scale))
+    found, before, after, converged = _bfgs(T, C, weights, SE3(safe), jnp.asarray(length_scale))
     after = jnp.where(finite & jnp.isfinite(after), after, jnp.inf)
     tried = tuple(
         StartTried(
@@ -158,9 +176,11 @@ def _search(
 
 
 @eqx.filter_jit
-def _bfgs(T: SE3, C: SE3, starts: SE3, length_scale: Array) -> tuple[SE3, Array, Array, Array]:
+def _bfgs(
+    T: SE3, C: SE3, weights: Array, starts: SE3, length_scale: Array
+) -> tuple[SE3, Array, Array, Array]:
     solver = optx.BFGS(rtol=1e-12, atol=1e-12)
-    views = len(T.wxyz_xyz)
+    pairs = jnp.sum(weights) ** 2
 
     def transform(start: SE3, numbers: Array) -> SE3:
         """Yaw-pitch-roll (Eq. 16) about the start, so that no start sits at the gimbal."""
@@ -170,7 +190,7 @@ def _bfgs(T: SE3, C: SE3, starts: SE3, length_scale: Array) -> tuple[SE3, Array,
         )
 
     def cost(numbers, start):
-        return frobenius_cost(transform(start, numbers), T, C, length_scale) / views**2
+        return frobenius_cost(transform(start, numbers), T, C, weights, length_scale) / pairs
 
     def one(wxyz_xyz):
         start = SE3(wxyz_xyz)
@@ -183,7 +203,7 @@ def _bfgs(T: SE3, C: SE3, starts: SE3, length_scale: Array) -> tuple[SE3, Array,
             jnp.max(jnp.abs(gradient)) < 1e-7 * (1.0 + after)
         )
         found = transform(start, numbers).wxyz_xyz
-        return found, cost(jnp.zeros(6), start) * views**2, after * views**2, settled
+        return found, cost(jnp.zeros(6), start) * pairs, after * pairs, settled
 
     found, before, after, settled = jax.vmap(one)(starts.wxyz_xyz)
     return SE3(found), before, after, settled

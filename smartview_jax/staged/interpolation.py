@@ -13,7 +13,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..geometry import PoseLike, as_se3
+from ..geometry import PoseLike, as_se3, transform_points
 
 
 class Interpolation(eqx.Module):
@@ -50,12 +50,14 @@ class Interpolation(eqx.Module):
         rotation = SO3.from_rpy_radians(e[..., 2], e[..., 1], e[..., 0])
         return SE3.from_rotation_and_translation(rotation, e[..., 3:])
 
+    def points_in_camera(
+        self, base_from_tool: PoseLike, points: Float[Array, "*points 3"]
+    ) -> Float[Array, "*points 3"]:
+        """Target points in the camera frame, m."""
+        return transform_points(self.camera_from_world(base_from_tool), jnp.asarray(points, float))
+
     def project(
         self, base_from_tool: PoseLike, points: Float[Array, "*points 3"]
     ) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
         """Pixels of target points, shapes as in `Calibration.project`."""
-        poses = self.camera_from_world(base_from_tool)
-        points = jnp.asarray(points, dtype=float)
-        rank = len(poses.get_batch_axes()) + 2
-        points = points.reshape((1,) * (rank - points.ndim) + points.shape)
-        return self.camera.project(SE3(poses.wxyz_xyz[..., None, :]).apply(points))
+        return self.camera.project(self.points_in_camera(base_from_tool, points))

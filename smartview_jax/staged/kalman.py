@@ -26,6 +26,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
 from ..dataset import Observations
+from ..geometry import transform_points
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
@@ -136,8 +137,7 @@ class _Pass(NamedTuple):
 
 def _residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
     """Measured minus projected, px; a point that cannot be projected counts as far off."""
-    per_point = SE3(camera_from_world.wxyz_xyz[:, None])
-    predicted, valid = camera.project(per_point.apply(observations.points))
+    predicted, valid = camera.project(transform_points(camera_from_world, observations.points))
     residuals = observations.residuals(predicted, valid)
     return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)
 

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera, Radial
 from ..dataset import Observations
+from ..geometry import nearest_rotation, transform_points
 
 LINEAR, PLANAR, MEDIAN = (
     "linear",
@@ -93,13 +94,16 @@ def calibrate_views(
     found = _calibrate_all(observations, start, jnp.asarray(free), jnp.asarray(distortion))
 
     alpha_std = np.array(found.alpha_std)
+    shown = np.asarray(observations.visible).any(axis=1)
     frontal = ~(alpha_std < _DETERMINED)
     starts = [
         MEDIAN if frontal[i] else PLANAR if coplanar[i] else LINEAR for i in range(len(coplanar))
     ]
     if frontal.any():
         # Where no view is oblique the least uncertain ones must do.
-        trusted = ~frontal if not frontal.all() else alpha_std <= np.nanmedian(alpha_std)
+        trusted = shown & ~frontal
+        if not trusted.any():
+            trusted = shown & (alpha_std <= np.nanmedian(alpha_std[shown]))
         median = jax.tree.map(lambda x: np.median(np.asarray(x)[trusted]), found.intrinsics)
         held = _hold_alpha(start, median, frontal, centre)
         free[frontal] = False
@@ -254,13 +258,6 @@ def _rotation_between(start: Array, end: Array) -> Array:
     return jnp.eye(3) + K + K @ K / jnp.maximum(1.0 + cosine, 1e-6)
 
 
-def nearest_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """The rotation closest to a matrix in the Frobenius norm."""
-    U, _, Vt = jnp.linalg.svd(matrix)
-    sign = jnp.linalg.det(U @ Vt)
-    return (U * jnp.stack([jnp.ones(()), jnp.ones(()), sign])[None]) @ Vt
-
-
 def _similarity(values: Array, visible: Array) -> tuple[Array, Array]:
     """Centre and scale that bring points to the size of one, which makes the linear solve sound."""
     centre = _mean(values, visible)
@@ -388,7 +385,7 @@ def _residuals(state: _State, points: Array, pixels: Array, used: Array) -> Arra
     camera = Intrinsics(
         jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, state.k1
     ).camera((1, 1))
-    predicted, valid = camera.project(SE3(state.pose.wxyz_xyz[None]).apply(points))
+    predicted, valid = camera.project(transform_points(state.pose, points))
     residual = jnp.where(valid[:, None], pixels - jnp.where(valid[:, None], predicted, 0.0), 1e4)
     return jnp.where(used[:, None], residual, 0.0)
 
@@ -437,7 +434,7 @@ def _alternate(
         log_alpha, log_ratio, u0, v0 = state.shape
         alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
         distorted = (pixels - jnp.stack([u0, v0])[None]) / alpha[None]
-        p = SE3(state.pose.wxyz_xyz[None]).apply(points)
+        p = transform_points(state.pose, points)
         weight = (used & (p[:, 2] > 0.0))[:, None].astype(float) * alpha[None]
         ideal = p[:, :2] / jnp.where(p[:, 2:] > 0.0, p[:, 2:], 1.0)
         column = distorted * jnp.sum(distorted**2, axis=1, keepdims=True) * weight
