@@ -1,14 +1,15 @@
 """Staged, then joint, with the best defaults: what the command line runs."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset
 from ..staged import StagedFit, fit_staged
 from .fit import JointFit, fit_joint
+from .rehearsal import rehearse
 
 
 class CalibrationFit(eqx.Module):
@@ -48,10 +49,13 @@ def calibrate(
     Raises:
         ValueError: as `fit_staged` and `fit_joint` do.
     """
-    staged = fit_staged(data, lens, camera=camera, progress=progress)
-    trusted = eqx.tree_at(lambda d: d.visible, data, data.visible & jnp.asarray(staged.inliers))
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
+    with ThreadPoolExecutor(max_workers=1) as background:
+        rehearsal = background.submit(rehearse, data, lens, camera, joint_options)
+        staged = fit_staged(data, lens, camera=camera, progress=progress)
+        rehearsal.exception()  # waits; what is wrong with the data the real run will say
+    trusted = eqx.tree_at(lambda d: d.visible, data, data.visible & staged.inliers)
     joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)
     # The report is on everything that was seen, outliers too.
     everything = data.observations.residuals(

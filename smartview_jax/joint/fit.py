@@ -20,7 +20,7 @@ from .observability import Observability, observability
 from .parameters import Parameters, parameter_names, select
 from .priors import Prior
 from .problem import JointProblem, valid_at_start
-from .solver import Solution, solve
+from .solver import Solution, linearise, solve
 
 GATE = 2.0 * np.log(1e4)
 """Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
@@ -152,14 +152,10 @@ def _problem(
     _refuse_blind_views(data, lost)
     visible = data.visible & ~jnp.asarray(lost)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
-    lengths = np.asarray(_column_lengths(problem))
+    _, J = linearise(problem, jnp.zeros(len(index)))
+    lengths = np.linalg.norm(np.asarray(J), axis=0)
     scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
     return eqx.tree_at(lambda p: p.scale, problem, jnp.asarray(scale)), names, lost
-
-
-@eqx.filter_jit
-def _column_lengths(problem: JointProblem) -> Float[Array, "free"]:
-    return jnp.linalg.norm(problem.jacobian(jnp.zeros(len(problem.free))), axis=0)
 
 
 def _priors(
@@ -197,9 +193,8 @@ def _assemble(
     noise: str | Noise,
     lost: np.ndarray,
 ) -> JointFit:
-    found = _at_solution(problem, solution.z)
-    calibration, corrections, J, whitened, chained = found
-    J, scale = np.asarray(J), np.asarray(problem.scale)
+    calibration, corrections, whitened, chained = _at_solution(problem, solution.z)
+    J, scale = np.asarray(linearise(problem, solution.z)[1]), np.asarray(problem.scale)
     visible = np.asarray(problem.observations.visible)
     known = isinstance(noise, Noise)
     factor, sigma = _variance(np.asarray(whitened), visible, len(problem.free), problem, known)
@@ -236,7 +231,7 @@ def _at_solution(problem: JointProblem, z: Float[Array, "free"]) -> tuple:
     chained = observations.residuals(
         *calibration.project(observations.base_from_tool, observations.points)
     )
-    return calibration, corrections, problem.jacobian(z), problem.whitened(z), chained
+    return calibration, corrections, problem.whitened(z), chained
 
 
 def _all_views(corrections: Array, views: int) -> Float[Array, "views 6"]:

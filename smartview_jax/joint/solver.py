@@ -10,6 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
@@ -51,11 +52,11 @@ def solve(
     solver = default_solver() if solver is None else solver
     z = jnp.zeros(len(problem.free))
     start_cost, _ = _cost_and_decrease(problem, z)
-    costs, steps = [float(start_cost)], 0
+    costs, steps = [start_cost], 0
     share, converged = float("inf"), False
     for _ in range(ROUNDS):
         z, taken = _run(problem, solver, z, maximum_steps)
-        cost, decrease = (float(x) for x in _cost_and_decrease(problem, z))
+        cost, decrease = _cost_and_decrease(problem, z)
         steps, costs = steps + int(taken), [*costs, cost]
         share = decrease / max(cost, 1e-300)
         converged = bool(share < 1e-8 or decrease < 1e-12)
@@ -101,13 +102,20 @@ def _run(
 
 
 @eqx.filter_jit
-def _cost_and_decrease(problem: JointProblem, z: Float[Array, "free"]) -> tuple[Array, Array]:
-    r, J = problem.residuals(z), problem.jacobian(z)
-    gradient = J.T @ r
-    hessian = J.T @ J
-    values, vectors = jnp.linalg.eigh(hessian)
-    along = vectors.T @ gradient
+def linearise(
+    problem: JointProblem, z: Float[Array, "free"]
+) -> tuple[Float[Array, "rows"], Float[Array, "rows free"]]:
+    """Residuals and their Jacobian at a scaled step."""
+    return problem.residuals(z), problem.jacobian(z)
+
+
+def _cost_and_decrease(problem: JointProblem, z: Float[Array, "free"]) -> tuple[float, float]:
+    r, J = (np.asarray(x) for x in linearise(problem, z))
+    cost = 0.5 * float(r @ r)
+    if not np.isfinite(cost) or not np.isfinite(J).all():
+        return float("inf"), float("inf")
+    values, vectors = np.linalg.eigh(J.T @ J)
+    along = vectors.T @ (J.T @ r)
     # Directions that the data do not see are left out: no step there can lower the cost.
     seen = values > 1e-12 * values[-1]
-    step = jnp.where(seen, along**2 / jnp.where(seen, values, 1.0), 0.0)
-    return 0.5 * jnp.sum(r**2), 0.5 * jnp.sum(step)
+    return cost, 0.5 * float(np.sum(along[seen] ** 2 / values[seen]))

@@ -122,8 +122,9 @@ def _compare(
 ) -> tuple[Float[Array, "views views"], Float[Array, "2"], Float[Array, "2"]]:
     return (
         _angle_differences(given, camera_from_world, weights),
-        _closure(given, camera_from_world, weights),
-        _closure(inverted, camera_from_world, weights),
+        *jax.vmap(lambda robot: _closure(SE3(robot), camera_from_world, weights))(
+            jnp.stack([given.wxyz_xyz, inverted.wxyz_xyz])
+        ),
     )
 
 

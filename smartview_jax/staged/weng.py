@@ -354,17 +354,16 @@ def _calibrate_view(
     alpha_u, alpha_v, u0, v0, k1 = intrinsics
     ratio = jnp.where(free[1], jnp.log(alpha_v / alpha_u), 0.0)
     state = _State(jnp.stack([jnp.log(alpha_u), ratio, u0, v0]), k1, pose)
-    state = _alternate(state, points, pixels, visible, free, distortion, rounds=4)
 
     def trim(_, carry):
         """Gross outliers give way in a few rounds, the largest first."""
-        state, _ = carry
+        state, used = carry
+        state = _alternate(state, points, pixels, used, free, distortion, rounds=5)
         size = jnp.linalg.norm(_residuals(state, points, pixels, visible), axis=-1)
         scale = jnp.nanmedian(jnp.where(visible, size, jnp.nan))
-        used = visible & (size <= 5.0 * scale + 1e-6)
-        return _alternate(state, points, pixels, used, free, distortion, rounds=5), used
+        return state, visible & (size <= 5.0 * scale + 1e-6)
 
-    state, used = jax.lax.fori_loop(0, 5, trim, (state, visible))
+    state, used = jax.lax.fori_loop(0, 6, trim, (state, visible))
 
     residuals = _residuals(state, points, pixels, used)
     count = jnp.sum(used).astype(float)

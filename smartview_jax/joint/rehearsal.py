@@ -1,0 +1,38 @@
+"""Compile the later steps while the first ones run.
+
+In a new process compilation takes far longer than the fits. XLA compiles outside Python's lock, so
+a second thread takes the later steps through made-up data of the same shape meanwhile.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxlie import SE3
+
+from ..calibration import Calibration
+from ..cameras import AbstractLens, Camera, Pinhole, start_lens
+from ..dataset import Dataset
+from ..staged import solve_hand_eye
+from .fit import fit_joint
+
+_rehearsed: set[tuple] = set()
+
+
+def rehearse(data: Dataset, lens: str | AbstractLens, camera: Camera | None, options: dict) -> None:
+    """Run Step 3 and the joint fit once on made-up data, unless this shape has been seen."""
+    key = (data.pixels.shape, data.mount, str(lens), camera is None, repr(sorted(options.items())))
+    if key in _rehearsed:
+        return
+    _rehearsed.add(key)
+    solve_hand_eye(data.base_from_tool, data.base_from_tool)
+    width, height = data.image_size
+    if camera is None:
+        model = start_lens(lens, Pinhole())
+        camera = Camera(width, width, width / 2.0, height / 2.0, model, data.image_size)
+    ahead = SE3.from_translation(jnp.array([0.0, 0.0, 1.0]))
+    calibration = Calibration(camera, SE3.identity(), ahead, data.mount)
+    poses = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, data.base_from_tool.wxyz_xyz.shape))
+    pixels, valid = calibration.project(poses, data.points)
+    made_up = eqx.tree_at(
+        lambda d: (d.pixels, d.visible, d.base_from_tool), data, (pixels, valid, poses)
+    )
+    fit_joint(made_up, calibration, **options)
