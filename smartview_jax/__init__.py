@@ -17,8 +17,26 @@ import jax as _jax
 
 _jax.config.update("jax_enable_x64", True)
 
+from . import cameras as cameras  # noqa: E402
+from . import io as io  # noqa: E402
+from . import simulation as simulation  # noqa: E402
+from . import targets as targets  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402
+from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
+from .evaluation import compare as compare  # noqa: E402
+from .evaluation import held_out as held_out  # noqa: E402
+from .geometry import se3_from_xyzoat as se3_from_xyzoat  # noqa: E402
+from .geometry import xyzoat as xyzoat  # noqa: E402
+from .io import load_dataset as load_dataset  # noqa: E402
+from .io import save_dataset as save_dataset  # noqa: E402
+from .joint import JointFit as JointFit  # noqa: E402
+from .joint import Noise as Noise  # noqa: E402
+from .joint import Prior as Prior  # noqa: E402
+from .joint import calibrate as calibrate  # noqa: E402
+from .joint import fit_joint as fit_joint  # noqa: E402
+from .staged import StagedFit as StagedFit  # noqa: E402
+from .staged import fit_staged as fit_staged  # noqa: E402
 
 try:
     __version__ = _version("smartview-jax")

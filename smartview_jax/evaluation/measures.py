@@ -1,0 +1,84 @@
+"""How far predicted points lie from measured ones, in pixels and in millimetres at the target."""
+
+from typing import NamedTuple, Protocol
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..cameras import Camera
+from ..dataset import Dataset
+from ..geometry import PoseLike
+
+
+class Predictor(Protocol):
+    """Whatever says where target points appear from a robot pose: a `Calibration`, for one."""
+
+    @property
+    def camera(self) -> Camera: ...
+
+    def points_in_camera(self, base_from_tool: PoseLike, points: Array) -> Array: ...
+
+    def project(self, base_from_tool: PoseLike, points: Array) -> tuple[Array, Array]: ...
+
+
+class Deviations(NamedTuple):
+    """Distances between measured and predicted points; NaN where a point was not seen.
+
+    Attributes:
+        px: in the picture.
+        m: at the target: pixel deviation x depth / focal length.
+    """
+
+    px: Float[np.ndarray, "views points"]
+    m: Float[np.ndarray, "views points"]
+
+    @property
+    def mean(self) -> float:
+        """Mean deviation, px (the paper's registration error)."""
+        return float(np.nanmean(self.px)) if np.isfinite(self.px).any() else float("nan")
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the deviations, px."""
+        return float(np.nanstd(self.px)) if np.isfinite(self.px).any() else float("nan")
+
+    @property
+    def rms(self) -> float:
+        """Root mean square deviation over points, px."""
+        return _rms(self.px)
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square deviation over points, mm at the target."""
+        return 1e3 * _rms(self.m)
+
+    @property
+    def per_view(self) -> Float[np.ndarray, "views"]:
+        """RMS of each view, px; NaN for a view without points."""
+        return np.array([_rms(row) for row in self.px])
+
+
+def _rms(values: np.ndarray) -> float:
+    seen = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+
+
+def deviations(predictor: Predictor, data: Dataset) -> Deviations:
+    """Deviations of everything that was seen; infinite where it cannot be predicted."""
+    predicted, valid, depth = _predict(predictor, data.base_from_tool, data.points)
+    error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
+    visible = np.asarray(data.visible)
+    px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
+    focal = float(jnp.sqrt(jnp.abs(predictor.camera.alpha_u * predictor.camera.alpha_v)))
+    return Deviations(px, px * np.abs(np.asarray(depth)) / focal)
+
+
+@eqx.filter_jit
+def _predict(
+    predictor: Predictor, base_from_tool: PoseLike, points: Array
+) -> tuple[Array, Bool[Array, "views points"], Array]:
+    pixels, valid = predictor.project(base_from_tool, points)
+    return pixels, valid, predictor.points_in_camera(base_from_tool, points)[..., 2]
+
