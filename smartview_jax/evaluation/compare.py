@@ -55,9 +55,7 @@ def compare(
         say(name)
         try:
             fit = fitter(data)
-            unseen = held_out(
-                data, fitter, folds, lambda text, name=name: say(f"{name}: {text}")
-            )
+            unseen = held_out(data, fitter, folds, lambda text, name=name: say(f"{name}: {text}"))
             rows.append(Row(name, deviations(getattr(fit, "calibration", fit), data), unseen))
         except (ValueError, np.linalg.LinAlgError) as error:
             rows.append(Row(name, None, None, str(error)))

@@ -81,4 +81,3 @@ def _predict(
 ) -> tuple[Array, Bool[Array, "views points"], Array]:
     pixels, valid = predictor.project(base_from_tool, points)
     return pixels, valid, predictor.points_in_camera(base_from_tool, points)[..., 2]
-

@@ -37,7 +37,10 @@ _DIRECTIONS = ("base_from_tool", "tool_from_base")
 
 
 def load_folder(
-    folder: Path, bad_views: str = "raise", progress: Callable[[str], None] | None = None
+    folder: Path,
+    bad_views: str = "raise",
+    progress: Callable[[str], None] | None = None,
+    keep_detections: bool = True,
 ) -> Dataset:
     """A data set from a folder with a `dataset.yaml`; see `load_dataset`."""
     content = read_yaml(folder / DESCRIPTION)
@@ -62,7 +65,9 @@ def load_folder(
     masked: dict[str, str] = {}
     if "pictures" in content:
         files = _picture_files(folder, content["pictures"], views, target, where)
-        detections, masked = _detections(folder, files, target, image_size, bad_views, progress)
+        detections, masked = _detections(
+            folder, files, target, image_size, bad_views, progress, keep_detections
+        )
         pixels = np.stack([detections[view].pixels for view in views])
         pixels = _ordered(pixels, target, poses, mount, image_size)
         pictures = [files[view][0] for view in views]
@@ -196,6 +201,7 @@ def _detections(
     image_size: tuple[int, int],
     bad_views: str,
     progress: Callable[[str], None] | None,
+    keep: bool,
 ) -> tuple[dict[str, Detection], dict[str, str]]:
     """A detection a view, from the cache where it is fresh, and the views to mask with reasons."""
     cache = folder / DETECTIONS
@@ -216,10 +222,8 @@ def _detections(
                 if bad_views != "mask":
                     raise
                 detections[view] = _empty(target, str(error))
-        try:
-            _write_detections(cache, {k: d.pixels for k, d in detections.items()}, stamp)
-        except OSError:
-            say("the folder cannot be written to: detections are not kept")
+        if keep:
+            _keep(cache, detections, stamp, say)
     for view, detection in detections.items():
         if not detection.visible.any():
             masked[view] = detection.reason or "no point of the target was seen"
@@ -230,6 +234,15 @@ def _detections(
             f"does the description in {DESCRIPTION} fit the pictures?"
         )
     return detections, masked
+
+
+def _keep(
+    cache: Path, detections: dict[str, Detection], stamp: str, say: Callable[[str], None]
+) -> None:
+    try:
+        _write_detections(cache, {view: d.pixels for view, d in detections.items()}, stamp)
+    except OSError as error:
+        say(f"detections are not kept: {error}")
 
 
 def _empty(target: AbstractTarget, reason: str) -> Detection:

@@ -13,6 +13,7 @@ def load_dataset(
     folder: str | os.PathLike[str],
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
+    keep_detections: bool = True,
 ) -> Dataset:
     """Pictures, or detections, with the robot's poses and the target, from a folder.
 
@@ -26,6 +27,7 @@ def load_dataset(
             not rigid): `"raise"` an error that names it, or `"mask"` it with its reason. A picture
             in which the target is not found is always kept as a masked view.
         progress: told what is being done.
+        keep_detections: write what was detected beside the pictures, to be read the next time.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -35,7 +37,7 @@ def load_dataset(
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if (folder / DESCRIPTION).is_file():
-        return load_folder(folder, bad_views, progress)
+        return load_folder(folder, bad_views, progress, keep_detections)
     if (folder / DATA_FILE).is_file():
         return import_robot_cal_tools(folder, bad_views=bad_views, progress=progress)
     raise FileNotFoundError(

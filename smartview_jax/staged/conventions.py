@@ -26,7 +26,7 @@ class ConventionReport(NamedTuple):
         problems: sentences; each makes the data unusable as given.
         suspicious_views: view index and sentence, for views that fit the others badly.
         angle_mismatch: median difference of the rotation angles, rad.
-        length_ratio: camera motion over robot motion; 1 where units agree.
+        length_ratio: camera motion over robot motion; 1 where the data do not contradict it.
         misfit: median rotation left over by the best hand-eye transform, rad.
         misfit_inverted: the same with every pose inverted.
     """
@@ -147,14 +147,24 @@ def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> 
     expected = R @ B.rotation() @ R.inverse()
     angle = rotation_angle(A.rotation().inverse() @ expected)
     left_over = jnp.nanmedian(jnp.where(w > 0.0, angle, jnp.nan))
-    # (R_A - I) t = s R t_B - t_A, for the translation t and the ratio of lengths s together.
-    columns = jnp.concatenate(
-        [
-            (A.rotation().as_matrix() - jnp.eye(3)[None]).reshape(-1, 3),
-            -(B.translation() @ R.as_matrix().T).reshape(-1, 1),
-        ],
-        axis=1,
-    )
+    # (R_A - I) t = s R t_B - t_A, for the translation t and the ratio of lengths s together, and
+    # with s = 1: an orbit about the target fits any ratio, and then none is to be believed.
+    turning = (A.rotation().as_matrix() - jnp.eye(3)[None]).reshape(-1, 3)
+    moved = (B.translation() @ R.as_matrix().T).reshape(-1)
     rows = jnp.repeat(w, 3)
-    solution = jnp.linalg.lstsq(rows[:, None] * columns, -rows * A.translation().reshape(-1))[0]
-    return jnp.stack([left_over, solution[3]])
+    free = _least_squares(
+        jnp.concatenate([turning, -moved[:, None]], axis=1), -A.translation().reshape(-1), rows
+    )
+    held = _least_squares(turning, moved - A.translation().reshape(-1), rows)
+    worse = held[1] > _SIGNIFICANT * free[1]
+    return jnp.stack([left_over, jnp.where(worse, free[0][3], 1.0)])
+
+
+_SIGNIFICANT = 10.0
+"""Another ratio of lengths is believed where it leaves a tenth of the squared residual."""
+
+
+def _least_squares(A: Array, b: Array, weights: Array) -> tuple[Array, Array]:
+    """Solution and squared residual."""
+    solution = jnp.linalg.lstsq(weights[:, None] * A, weights * b)[0]
+    return solution, jnp.sum((weights * (A @ solution - b)) ** 2)

@@ -38,11 +38,11 @@ class HandEyeResult(eqx.Module):
     """Step 3's answer.
 
     Attributes:
-        camera_from_mount: the hand-eye transform, from the same form with the roles exchanged
-            (`C_j C_i^-1 X = X T_j T_i^-1`).
         holder_from_world: where the target stands.
-        camera_from_mount_averaged: the hand-eye transform from `holder_from_world`, averaged over
-            the views, as the paper's text also says.
+        camera_from_mount: the hand-eye transform from the first answer, averaged over the views.
+            The errors of the two then cancel in the chain, so this is the answer to use.
+        camera_from_mount_same_form: the hand-eye transform found by itself, from the same form
+            with the roles exchanged (`C_j C_i^-1 X = X T_j T_i^-1`).
         difference: between the two, translation (m) and rotation (rad).
         starts: every start tried for `holder_from_world`.
         hand_eye_starts: every start tried for `camera_from_mount`.
@@ -50,9 +50,9 @@ class HandEyeResult(eqx.Module):
         converged, message: whether both searches did.
     """
 
-    camera_from_mount: SE3
     holder_from_world: SE3
-    camera_from_mount_averaged: SE3
+    camera_from_mount: SE3
+    camera_from_mount_same_form: SE3
     difference: tuple[float, float] = eqx.field(static=True)
     starts: tuple[StartTried, ...] = eqx.field(static=True)
     hand_eye_starts: tuple[StartTried, ...] = eqx.field(static=True)
@@ -103,9 +103,9 @@ def solve_hand_eye(
     averaged, gap = (np.asarray(x) for x in _averaged(T, C, world, eye, weights))
     converged = world_best.converged and eye_best.converged
     return HandEyeResult(
-        eye,
         world,
         SE3(jnp.asarray(averaged)),
+        eye,
         (float(np.linalg.norm(gap[:3])), float(np.linalg.norm(gap[3:]))),
         world_tried,
         eye_tried,

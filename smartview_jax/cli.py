@@ -1,0 +1,178 @@
+"""The `smartview` command."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from .dataset import Dataset
+    from .evaluation import HeldOut
+
+app = typer.Typer(
+    help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
+)
+
+DatasetArgument = Annotated[
+    Path | None, typer.Argument(help="Data-set folder; the sample of the package if not given.")
+]
+LensOption = Annotated[
+    str, typer.Option(help="pinhole, radial, weng, opencv4, opencv5, opencv8 or fisheye.")
+]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from . import __version__
+
+        typer.echo(f"smartview_jax {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Calibrate cameras on robot arms."""
+
+
+@app.command()
+def calibrate(
+    dataset: DatasetArgument = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("calibration"),
+    lens: LensOption = "radial",
+    held_out: Annotated[
+        bool, typer.Option(help="Also refit without some views and predict those.")
+    ] = True,
+    debug: DebugOption = False,
+) -> None:
+    """Calibrate: staged and joint fit, a table, calibration.yaml and report.html."""
+    with _errors(debug):
+        from .joint import calibrate as fit_both
+        from .report import summaries, write_page
+
+        with _progress() as say:
+            data, name = _load(dataset, say)
+            fit = fit_both(data, lens, progress=say)
+            unseen = _held_out(data, lens, say) if held_out else {}
+            write_page(out / "report.html", fit, data, unseen, f"Calibration of {name}", say)
+            fit.calibration.save(out / "calibration.yaml")
+            fit.staged.calibration.save(out / "calibration_staged.yaml")
+        _print_result(summaries(fit, data, unseen), fit, data)
+        typer.echo(f"\n{out / 'calibration.yaml'}  {out / 'report.html'}")
+        if not fit.result.converged:
+            raise typer.Exit(1)
+
+
+@app.command()
+def compare(dataset: DatasetArgument = None, debug: DebugOption = False) -> None:
+    """Print joint, staged, no-distortion, interpolation and one-view fits side by side."""
+    with _errors(debug):
+        from .evaluation import compare as compare_methods
+
+        with _progress() as say:
+            data, name = _load(dataset, say)
+            rows = compare_methods(data, progress=say)
+        table = Table(title=name)
+        for column in ("method", "fitted, mean +- std px", "RMS px", "held-out px", "mm"):
+            table.add_column(column, justify="left" if column == "method" else "right")
+        for row in rows:
+            if row.fitted is None or row.held_out is None:
+                table.add_row(row.name, row.failure or "failed", "-", "-", "-")
+                continue
+            unseen = row.held_out.deviations
+            table.add_row(
+                row.name,
+                f"{row.fitted.mean:.2f} +- {row.fitted.std:.2f}",
+                f"{row.fitted.rms:.2f}",
+                f"{unseen.rms:.2f}",
+                f"{unseen.rms_mm:.2f}",
+            )
+        Console().print(table)
+
+
+def _load(dataset: Path | None, say: Callable[[str], None]) -> "tuple[Dataset, str]":
+    from .io import load_dataset, sample_folder
+
+    if dataset is None:
+        say("no data set given: the sample of the package")
+        return load_dataset(sample_folder(), progress=say, keep_detections=False), "the sample"
+    return load_dataset(dataset, progress=say), dataset.resolve().name
+
+
+def _held_out(data: "Dataset", lens: str, say: Callable[[str], None]) -> "dict[str, HeldOut]":
+    """Held-out error of both fits, each fold fitted once."""
+    from .evaluation import held_out
+    from .joint import calibrate as fit_both
+
+    if len(data.usable_views()) < 4:
+        return {}
+    fits = []
+
+    def staged(part: "Dataset"):
+        fits.append(fit_both(part, lens))
+        return fits[-1].staged
+
+    unseen = {"staged": held_out(data, staged, progress=lambda text: say(f"held-out: {text}"))}
+    if unseen["staged"].failures:
+        return {}
+    remaining = iter(fits)
+    unseen["joint"] = held_out(data, lambda _: next(remaining).joint)
+    return unseen
+
+
+def _print_result(rows, fit, data) -> None:
+    from .report import MEASURES, cells, rejections, verdict
+
+    table = Table()
+    table.add_column("")
+    for row in rows:
+        table.add_column(row.name, justify="right")
+    for texts in zip(MEASURES, *(cells(row) for row in rows), strict=True):
+        table.add_row(*texts)
+    console = Console()
+    console.print(table)
+    console.print(verdict(rows, fit))
+    for direction in fit.joint.observability.null:
+        console.print(f"not determined: {direction.words}")
+    rejected = rejections(fit, data)
+    if rejected:
+        console.print("rejected:")
+    for view, reason in rejected[:12]:
+        console.print(f"  view {view}: {reason}", highlight=False)
+    if len(rejected) > 12:
+        console.print(f"  and {len(rejected) - 12} more, in the report")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """What is being done, on stderr: one changing line on a terminal, plain lines elsewhere."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda text: console.print(text, highlight=False, soft_wrap=True)
+        return
+    with console.status("starting") as status:
+        yield lambda text: status.update(text)
+
+
+@contextmanager
+def _errors(debug: bool) -> Iterator[None]:
+    """Errors a user can do something about, as one line; an interrupted run says so."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo("interrupted; no results were written", err=True)
+        sys.exit(130)
+    except (ValueError, OSError) as error:
+        if debug:
+            raise
+        typer.echo(f"smartview: {error}", err=True)
+        sys.exit(2)

@@ -1,0 +1,158 @@
+"""One self-contained HTML page: nothing is fetched, pictures are inside."""
+
+import base64
+import io
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..dataset import Dataset
+from ..detection import read_picture
+from ..evaluation import HeldOut
+from ..files import write_atomically
+from ..joint import CalibrationFit
+from . import plots, tables
+
+_TEMPLATE = jinja2.Environment(
+    loader=jinja2.PackageLoader("smartview_jax.report"),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+).get_template
+
+
+def write_page(
+    path: Path,
+    fit: CalibrationFit,
+    data: Dataset,
+    unseen: dict[str, HeldOut] | None = None,
+    title: str = "Calibration",
+    progress: Callable[[str], None] | None = None,
+) -> None:
+    """Write the report of a calibration.
+
+    Args:
+        path: of the HTML file, written whole or not at all.
+        fit: what `calibrate` found.
+        data: what it was fitted to.
+        unseen: held-out errors by method, `"staged"` and `"joint"`.
+        title: of the page.
+        progress: told what is being drawn.
+    """
+    say = progress or (lambda _: None)
+    rows = tables.summaries(fit, data, unseen)
+    say("drawing the report")
+    page = _TEMPLATE("page.html").render(
+        title=title,
+        verdict=tables.verdict(rows, fit),
+        names=[row.name for row in rows],
+        measures=list(zip(tables.MEASURES, *(tables.cells(row) for row in rows), strict=True)),
+        rejections=tables.rejections(fit, data),
+        blind=[d.words for d in fit.joint.observability.null],
+        weak=[
+            f"{d.words} (singular value {d.singular_value:.1e})"
+            for d in fit.joint.observability.weak
+        ],
+        parameters=tables.parameter_rows(fit),
+        figures=[
+            (name, text, _embedded(figure)) for name, text, figure in _figures(fit, data, rows)
+        ],
+        staged=fit.staged,
+        joint=fit.joint,
+        facts=_facts(fit, data, unseen),
+    )
+    write_atomically(path, page)
+
+
+def _figures(
+    fit: CalibrationFit, data: Dataset, rows: list[tables.Summary]
+) -> list[tuple[str, str, Figure]]:
+    calibration = fit.joint.calibration
+    found = [
+        (
+            "How far off",
+            "Deviations between measured and predicted centres, over all views.",
+            plots.deviation_histogram(rows),
+        ),
+        (
+            "View by view",
+            "One view that stands out is a wrong pose, a wrong pairing or a bad detection; views "
+            "that grow worse together point at the robot.",
+            plots.view_errors(data, rows),
+        ),
+        (
+            "Over the image",
+            "Residuals of the joint fit. Arrows that agree with their neighbours in all views mean "
+            "that the lens model is too simple; groups of parallel arrows are views whose robot "
+            "pose is off.",
+            plots.residual_vectors(data, np.asarray(fit.joint.residuals)),
+        ),
+        (
+            "Where the camera stood",
+            "Cameras and target in the target's frame. Views that differ in direction and in roll "
+            "about the optical axis determine the hand-eye transform.",
+            plots.views_in_space(data, calibration),
+        ),
+    ]
+    picture = _worst_and_typical(data, rows)
+    for view in picture:
+        image = read_picture(data.pictures[view]) if data.pictures else None
+        if image is not None:
+            found.insert(
+                0,
+                (
+                    f"Predicted centres, view {data.view_ids[view]}",
+                    "Cross-bars: where the joint calibration puts the target's points from the "
+                    "robot's pose alone. Dots: where they were measured.",
+                    plots.cross_bars(data, view, image, calibration),
+                ),
+            )
+    return found
+
+
+def _worst_and_typical(data: Dataset, rows: list[tables.Summary]) -> list[int]:
+    """The view with the largest error, then one with the median error, where pictures are known."""
+    if data.pictures is None:
+        return []
+    errors = rows[-1].fitted.per_view
+    order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
+    return [order[-1], order[len(order) // 2]] if len(order) > 1 else order
+
+
+def _embedded(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _facts(
+    fit: CalibrationFit, data: Dataset, unseen: dict[str, HeldOut] | None
+) -> list[tuple[str, str]]:
+    step3 = fit.staged.step3
+    facts = [
+        ("views", f"{len(fit.staged.views)} used of {data.view_count}, {data.mount}"),
+        ("observations", f"{data.observation_count} points seen"),
+        ("camera alone", f"{float(fit.staged.step2.rms):.3f} px RMS with a free pose a view"),
+        ("pixel sigma", f"{float(fit.staged.step2.pixel_sigma):.3f} px of u and of v (Step 2)"),
+        ("staged", fit.staged.result.message),
+        (
+            "Step 3, two ways",
+            f"the hand-eye transforms differ by {1e3 * step3.difference[0]:.2f} mm and "
+            f"{np.rad2deg(step3.difference[1]):.3f} deg",
+        ),
+        ("joint", fit.joint.result.message),
+        (
+            "lengths",
+            f"camera motion over robot motion {fit.staged.conventions.length_ratio:.3f}",
+        ),
+    ]
+    if unseen:
+        folds = next(iter(unseen.values())).folds
+        facts.append(("held-out error", f"{len(folds)} folds by view, all refitted in each"))
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("jax", "optimistix", "numpy"))
+    facts.append(("computed with", libraries))
+    return facts

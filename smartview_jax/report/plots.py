@@ -1,0 +1,157 @@
+"""The pictures of the report, as matplotlib figures."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..calibration import Calibration
+from ..dataset import Dataset
+from .tables import Summary
+
+# Okabe and Ito's colours, which stay apart for colour-blind readers.
+BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
+COLOURS = {"staged": ORANGE, "joint": BLUE}
+
+
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calibration) -> Figure:
+    """The paper's Fig. 1: predicted centres as cross-bars over a real picture.
+
+    Args:
+        data: what was seen.
+        view: index of the view.
+        picture: grey, `(h, w)`.
+        calibration: whose predictions to draw.
+    """
+    figure, axes = _figure(7.5, 5.8)
+    axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
+    predicted, valid = calibration.project(data.base_from_tool, data.points)
+    u, v = np.asarray(predicted)[view][np.asarray(valid)[view]].T
+    axes.plot(u, v, "+", color=RED, markersize=9, markeredgewidth=1.2, label="predicted")
+    seen = np.asarray(data.pixels)[view][np.asarray(data.visible)[view]]
+    axes.plot(*seen.T, ".", color=BLUE, markersize=3, label="measured")
+    axes.set_xlim(-0.5, picture.shape[1] - 0.5)
+    axes.set_ylim(picture.shape[0] - 0.5, -0.5)
+    axes.set_title(f"view {data.view_ids[view]}")
+    axes.set_xlabel("u (px)")
+    axes.set_ylabel("v (px)")
+    axes.legend(loc="upper right", framealpha=0.9)
+    return figure
+
+
+def deviation_histogram(rows: Sequence[Summary]) -> Figure:
+    """The paper's Fig. 7: how the deviations are distributed."""
+    figure, axes = _figure(7.0, 3.6)
+    finite = [row.fitted.px[np.isfinite(row.fitted.px)] for row in rows]
+    limit = max(float(np.percentile(values, 99.5)) for values in finite if values.size)
+    bins = np.linspace(0.0, limit, 40)
+    for row, values in zip(rows, finite, strict=True):
+        colour = COLOURS.get(row.name, GREY)
+        axes.hist(values, bins, alpha=0.35, color=colour)
+        axes.hist(values, bins, histtype="step", color=colour, label=row.name)
+        axes.axvline(row.fitted.mean, color=colour, linestyle="--", linewidth=1)
+    axes.set_xlabel("deviation between measured and predicted centre (px); dashed: mean")
+    axes.set_ylabel("points")
+    axes.legend(frameon=False)
+    return figure
+
+
+def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
+    """Residuals over the image, lengthened so that they can be seen."""
+    figure, axes = _figure(7.0, 5.2)
+    seen = np.asarray(data.visible) & np.isfinite(residuals).all(axis=-1)
+    where, vectors = np.asarray(data.pixels)[seen], residuals[seen]
+    typical = float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1)))) or 1.0
+    width, height = data.image_size
+    gain = 0.03 * width / typical
+    rng = np.random.default_rng(0)
+    shown = rng.permutation(len(where))[:2500]
+    # From the prediction to the measurement.
+    arrows = axes.quiver(
+        *where[shown].T,
+        *(gain * vectors[shown]).T,
+        np.linalg.norm(vectors[shown], axis=1),
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        cmap="viridis",
+        width=0.0018,
+    )
+    figure.colorbar(arrows, ax=axes, label="deviation (px)", shrink=0.85)
+    axes.set_xlim(0, width)
+    axes.set_ylim(height, 0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("u (px)")
+    axes.set_ylabel("v (px)")
+    axes.set_title(f"arrows are {gain:.0f} times too long", fontsize=10)
+    return figure
+
+
+def view_errors(data: Dataset, rows: Sequence[Summary]) -> Figure:
+    """RMS of every view, to find the one that is wrong."""
+    figure, axes = _figure(max(5.0, 0.35 * data.view_count + 2.0), 3.4)
+    place = np.arange(data.view_count)
+    for k, row in enumerate(rows):
+        offset = (k - 0.5 * (len(rows) - 1)) * 0.38
+        heights = np.nan_to_num(row.fitted.per_view)
+        axes.bar(place + offset, heights, 0.36, color=COLOURS.get(row.name, GREY), label=row.name)
+    axes.set_xticks(place, data.view_ids, rotation=90 if data.view_count > 20 else 0)
+    axes.set_xlabel("view")
+    axes.set_ylabel("RMS (px)")
+    axes.legend(frameon=False)
+    return figure
+
+
+def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
+    """Cameras, tools and the target, in the frame the target stands in."""
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    world_from_camera = calibration.camera_from_world(data.base_from_tool).inverse()
+    centres = np.asarray(world_from_camera.translation())
+    rotations = np.asarray(world_from_camera.rotation().as_matrix())
+    seen = np.asarray(data.visible)
+    target = np.asarray(data.points)[seen]
+    target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
+    axes.scatter(*target.T, s=3, color=GREY, depthshade=False)
+    used = seen.any(axis=1)
+    length = 0.18 * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
+    for centre, rotation, view, good in zip(centres, rotations, data.view_ids, used, strict=True):
+        _frustum(axes, centre, rotation, calibration, length, BLUE if good else RED)
+        axes.text(*centre, f" {view}", fontsize=7)
+    for axis, colour in zip(np.eye(3), (RED, GREEN, BLUE), strict=True):
+        axes.plot(*np.stack([np.zeros(3), length * axis]).T, color=colour, linewidth=2)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.set_zlabel("z (m)")
+    if centres[:, 2].mean() < 0.0:
+        axes.invert_zaxis()  # the target's z points away from the cameras: keep them on top
+        axes.invert_yaxis()
+    return figure
+
+
+def _frustum(
+    axes: Axes,
+    centre: np.ndarray,
+    rotation: np.ndarray,
+    calibration: Calibration,
+    length: float,
+    colour: str,
+) -> None:
+    camera = calibration.camera
+    width, height = camera.image_size
+    x = np.array([0.0, width, width, 0.0]) - float(camera.u0)
+    y = np.array([0.0, 0.0, height, height]) - float(camera.v0)
+    corners = np.stack([x / float(camera.alpha_u), y / float(camera.alpha_v), np.ones(4)], axis=1)
+    corners = centre + length * corners @ rotation.T
+    axes.plot(*corners[[0, 1, 2, 3, 0]].T, color=colour, linewidth=0.8)
+    for corner in corners:
+        axes.plot(*np.stack([centre, corner]).T, color=colour, linewidth=0.5)

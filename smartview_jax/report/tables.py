@@ -1,0 +1,138 @@
+"""The result as rows of text, for the terminal and for the page alike."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..dataset import Dataset
+from ..evaluation import Deviations, HeldOut, deviations
+from ..joint import CalibrationFit
+
+
+class Summary(NamedTuple):
+    """What the table says of one fit.
+
+    Attributes:
+        name: of the method.
+        fitted: deviations on all views.
+        held_out: deviations on views the fit never saw; None where not evaluated.
+    """
+
+    name: str
+    fitted: Deviations
+    held_out: HeldOut | None
+
+
+def summaries(
+    fit: CalibrationFit, data: Dataset, unseen: dict[str, HeldOut] | None = None
+) -> list[Summary]:
+    """Staged and joint, side by side."""
+    unseen = unseen or {}
+    return [
+        Summary(name, deviations(part.calibration, data), unseen.get(name))
+        for name, part in (("staged", fit.staged), ("joint", fit.joint))
+    ]
+
+
+MEASURES = (
+    "registration error, mean +- std",
+    "registration error, RMS",
+    "held-out error, RMS",
+    "held-out error at the target",
+)
+
+
+def cells(summary: Summary) -> list[str]:
+    """One column of the table: a text for each of `MEASURES`."""
+    unseen = summary.held_out.deviations if summary.held_out is not None else None
+    return [
+        f"{summary.fitted.mean:.2f} +- {summary.fitted.std:.2f} px",
+        f"{summary.fitted.rms:.2f} px",
+        "-" if unseen is None else f"{unseen.rms:.2f} px",
+        "-" if unseen is None else f"{unseen.rms_mm:.2f} mm",
+    ]
+
+
+def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
+    """View and reason, a line a view: whole views first, then points counted by reason."""
+    whole, points = {}, {}
+    for view, point, reason in (*fit.staged.rejected, *fit.joint.rejected):
+        if point is None:
+            whole[view] = reason
+        else:
+            points.setdefault((view, reason), set()).add(point)
+    lines = [(view, f"not used: {reason}") for view, reason in whole.items()]
+    order = {view: k for k, view in enumerate(data.view_ids)}
+    for (view, reason), which in sorted(points.items(), key=lambda item: order[item[0][0]]):
+        lines.append((view, f"{len(which)} points {reason}"))
+    return lines
+
+
+def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
+    """Name, value with unit, and standard deviation of every number of the joint fit."""
+    calibration = fit.joint.calibration
+    rows = []
+    for name, value in _values(calibration).items():
+        std = fit.joint.std.get(name)
+        scale, unit = _unit(name)
+        if std is None:
+            spread = "held"
+        else:
+            spread = f"{scale * std:.2g}" if np.isfinite(std) else "not determined"
+        rows.append((name, f"{scale * value:.6g} {unit}".strip(), spread))
+    return rows
+
+
+def _values(calibration) -> dict[str, float]:
+    camera = calibration.camera
+    values = {
+        f"camera.{key}": float(getattr(camera, key)) for key in ("alpha_u", "alpha_v", "u0", "v0")
+    }
+    values |= {
+        f"camera.lens.{key}": float(value)
+        for key, value in vars(camera.lens).items()
+        if np.ndim(value) == 0
+    }
+    transforms = (calibration.camera_from_mount, calibration.holder_from_world)
+    for name, transform in zip(calibration.transform_names, transforms, strict=True):
+        turn = np.asarray(transform.rotation().log())
+        shift = np.asarray(transform.translation())
+        for part, numbers in (("translation", shift), ("rotation", turn)):
+            values |= {
+                f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
+            }
+    values["target_scale"] = float(calibration.target_scale)
+    return values
+
+
+def _unit(name: str) -> tuple[float, str]:
+    if ".translation." in name:
+        return 1e3, "mm"
+    if ".rotation." in name:
+        return float(np.rad2deg(1.0)), "deg"
+    if name.split(".")[-1] in ("alpha_u", "alpha_v", "u0", "v0"):
+        return 1.0, "px"
+    return 1.0, ""
+
+
+def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
+    """The result in a sentence or two."""
+    if not fit.joint.result.converged:
+        return f"The joint fit did not converge: {fit.joint.result.message}."
+    staged, joint = rows
+    key = "held_out" if joint.held_out is not None and staged.held_out is not None else "fitted"
+    measured = [
+        row.held_out.deviations.rms if key == "held_out" else row.fitted.rms for row in rows
+    ]
+    what = "on views it never saw" if key == "held_out" else "on the views it was fitted to"
+    floor = float(fit.staged.step2.rms)
+    text = (
+        f"The joint fit predicts target points to {measured[1]:.2f} px RMS {what}; "
+        f"the staged pipeline to {measured[0]:.2f} px. "
+        f"With a free pose for every view the camera alone would reach {floor:.2f} px"
+    )
+    if measured[1] > 3.0 * floor:
+        text += ": the rest comes from the robot's poses, the target's size or too few views."
+    else:
+        text += "."
+    return text
