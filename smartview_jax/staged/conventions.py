@@ -83,9 +83,28 @@ def check_conventions(
         )
     elif not 0.2 < ratio < 5.0 and np.isfinite(ratio):
         problems.append(_length_problem(ratio))
+    else:
+        problems += _implausible(base_from_tool, camera_from_world, np.asarray(weights) > 0.0)
     return ConventionReport(
         tuple(problems), _suspicious(angles), mismatch, ratio, misfit, misfit_inverted
     )
+
+
+REACH = 30.0
+"""Metres that no arm reaches and no target is away from its camera."""
+
+
+def _implausible(base_from_tool: SE3, camera_from_world: SE3, used: np.ndarray) -> list[str]:
+    """Lengths that only another unit explains, where the motion itself does not tell."""
+    found = []
+    for poses, what in (
+        (base_from_tool, "the tool is reported {:.0f} m from the base"),
+        (camera_from_world, "the target seems to be {:.0f} m from the camera"),
+    ):
+        distance = float(np.median(np.linalg.norm(np.asarray(poses.translation())[used], axis=1)))
+        if distance > REACH:
+            found.append(f"{what.format(distance)}: millimetres where metres are expected?")
+    return found
 
 
 def _length_problem(ratio: float) -> str:
@@ -147,24 +166,29 @@ def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> 
     expected = R @ B.rotation() @ R.inverse()
     angle = rotation_angle(A.rotation().inverse() @ expected)
     left_over = jnp.nanmedian(jnp.where(w > 0.0, angle, jnp.nan))
-    # (R_A - I) t = s R t_B - t_A, for the translation t and the ratio of lengths s together, and
-    # with s = 1: an orbit about the target fits any ratio, and then none is to be believed.
-    turning = (A.rotation().as_matrix() - jnp.eye(3)[None]).reshape(-1, 3)
-    moved = (B.translation() @ R.as_matrix().T).reshape(-1)
-    rows = jnp.repeat(w, 3)
-    free = _least_squares(
-        jnp.concatenate([turning, -moved[:, None]], axis=1), -A.translation().reshape(-1), rows
+    # Along its own axis a screw motion advances equally far in every frame, whatever the hand-eye
+    # transform: d_A = s d_B. An orbit about the target has no advance, and then nothing is said.
+    d_A, d_B = _advance(A) * w, _advance(B) * w
+    together, squares = jnp.sum(d_A * d_B), jnp.stack([jnp.sum(d_A**2), jnp.sum(d_B**2)])
+    lengths = jnp.stack([jnp.sum((w[:, None] * m.translation()) ** 2) for m in (A, B)])
+    telling = jnp.all(squares > _TELLING**2 * lengths) & (
+        together**2 > _CORRELATED * squares[0] * squares[1]
     )
-    held = _least_squares(turning, moved - A.translation().reshape(-1), rows)
-    worse = held[1] > _SIGNIFICANT * free[1]
-    return jnp.stack([left_over, jnp.where(worse, free[0][3], 1.0)])
+    ratio = jnp.abs(together) / jnp.where(telling, squares[1], 1.0)
+    return jnp.stack([left_over, jnp.where(telling, ratio, 1.0)])
 
 
-_SIGNIFICANT = 10.0
-"""Another ratio of lengths is believed where it leaves a tenth of the squared residual."""
+_CORRELATED = 0.9
+"""Squared correlation of the advances of robot and camera above which their ratio is believed."""
+
+_TELLING = 0.02
+"""Share of the motion that the advance must be; less is noise."""
 
 
-def _least_squares(A: Array, b: Array, weights: Array) -> tuple[Array, Array]:
-    """Solution and squared residual."""
-    solution = jnp.linalg.lstsq(weights[:, None] * A, weights * b)[0]
-    return solution, jnp.sum((weights * (A @ solution - b)) ** 2)
+def _advance(motion: SE3) -> Float[Array, "pairs"]:
+    """Translation along the rotation axis; zero for turns too small to have an axis."""
+    vector = motion.rotation().log()
+    angle = jnp.linalg.norm(vector, axis=-1)
+    turning = angle > np.deg2rad(2.0)
+    along = jnp.sum(vector * motion.translation(), axis=-1)
+    return jnp.where(turning, along / jnp.where(turning, angle, 1.0), 0.0)

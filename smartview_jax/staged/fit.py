@@ -109,12 +109,15 @@ def fit_staged(
     )
 
     say(f"Step 1: each of {len(views)} views by itself")
-    step1, start_camera, start_poses = _step_one(observations, data.image_size, used, lens, camera)
+    step1, start_camera, start_poses, start_inliers = _step_one(
+        observations, data.image_size, used, lens, camera
+    )
     say("Step 2: one camera for all views")
     step2 = kalman_filter(
         observations,
         start_camera,
         start_poses,
+        start_inliers,
         pixel_sigma,
         gate_probability,
         hold_camera=camera is not None,
@@ -155,11 +158,11 @@ def _step_one(
     used: np.ndarray,
     lens: str | AbstractLens,
     camera: Camera | None,
-) -> tuple[ViewCalibrations | None, Camera, SE3]:
+) -> tuple[ViewCalibrations | None, Camera, SE3, Bool[Array, "views points"]]:
     """Per-view calibrations, and from them the point where Step 2 starts."""
     if camera is not None:
-        poses, _, _ = locate_views(observations, camera)
-        return None, camera, _safe(poses, used)
+        poses, _, kept = locate_views(observations, camera)
+        return None, camera, _safe(poses, used), kept
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
     step1 = calibrate_views(observations, image_size, distortion)
     numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
@@ -167,7 +170,7 @@ def _step_one(
     # A view that took a longer lens for itself stood farther off than the common lens says.
     depth = step1.camera_from_world.wxyz_xyz[:, 6] * common.alpha_u / step1.intrinsics.alpha_u
     poses = SE3(step1.camera_from_world.wxyz_xyz.at[:, 6].set(depth))
-    return step1, common, _safe(poses, used)
+    return step1, common, _safe(poses, used), step1.used
 
 
 def _safe(poses: SE3, used: np.ndarray) -> SE3:

@@ -31,6 +31,10 @@ from ..geometry import transform_points
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 
+_SETTLED = 3.0
+"""Movement of the state, in its own sigmas, under which the gate begins to work. Before, a whole
+view whose pose is still off would look like outliers."""
+
 _SIGMA_FLOOR = 1e-3
 """Smallest pixel sigma that is believed, px; noise-free data would make it zero."""
 
@@ -66,6 +70,7 @@ def kalman_filter(
     observations: Observations,
     start_camera: Camera,
     start_camera_from_world: SE3,
+    start_inliers: Bool[Array, "views points"] | None = None,
     pixel_sigma: float | None = None,
     gate_probability: float = 0.9999,
     maximum_passes: int = 25,
@@ -77,6 +82,8 @@ def kalman_filter(
     Args:
         observations: points, pixels, visibility; the robot's poses are not used.
         start_camera, start_camera_from_world: the first linearisation point, from Step 1.
+        start_inliers: what is not known to be an outlier already (Step 1 sets gross ones aside).
+            They are used until the state has settled; from then on the gate decides.
         pixel_sigma: of u and of v, px; by default estimated, robustly, before each pass.
         gate_probability: a measurement is set aside where its innovation is larger than this
             share of good ones (chi-square with two degrees of freedom).
@@ -86,11 +93,13 @@ def kalman_filter(
     """
     gate = -2.0 * np.log1p(-gate_probability)
     point = (start_camera, start_camera_from_world)
-    inliers = observations.visible
+    visible = observations.visible
+    inliers = visible if start_inliers is None else visible & start_inliers
+    gating = False
     freedom, previous, message = 1.0, None, "the passes did not settle"
     converged, passes = False, 0
     for passes in range(1, maximum_passes + 1):
-        sigma = _pixel_sigma(observations, point, pixel_sigma)
+        sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
         trial = _one_pass(
             observations,
             point,
@@ -99,6 +108,7 @@ def kalman_filter(
             jnp.asarray(gate),
             jnp.asarray(freedom),
             jnp.asarray(hold_camera),
+            jnp.asarray(gating),
         )
         if previous is not None and float(trial.cost_before) > 1.5 * previous[0] + 1e-12:
             # The last step went too far: go back, and trust the linearisation less.
@@ -113,12 +123,13 @@ def kalman_filter(
         previous = (float(trial.cost_before), point, inliers, freedom)
         point, inliers = trial.point, trial.inliers
         freedom = min(1.0, freedom * 10.0)
+        gating = gating or moved < _SETTLED
         if progress is not None:
             progress(f"pass {passes}: sigma {float(sigma):.3f} px, moved {moved:.2g} sigma")
-        if moved < 1e-3 and same:
+        if moved < 1e-3 and same and gating:
             converged, message = True, f"settled after {passes} passes"
             break
-    sigma = _pixel_sigma(observations, point, pixel_sigma)
+    sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
     residuals = _residuals(observations, *point)
     count = jnp.maximum(jnp.sum(inliers), 1)
     rms = jnp.sqrt(jnp.sum(jnp.where(inliers[..., None], residuals, 0.0) ** 2) / count)
@@ -144,11 +155,14 @@ def _residuals(observations: Observations, camera: Camera, camera_from_world: SE
 
 @eqx.filter_jit
 def _pixel_sigma(
-    observations: Observations, point: tuple[Camera, SE3], given: float | None
+    observations: Observations,
+    point: tuple[Camera, SE3],
+    inliers: Bool[Array, "views points"],
+    given: float | None,
 ) -> Float[Array, ""]:
     if given is not None:
         return jnp.asarray(given, dtype=float)
-    size = jnp.where(observations.visible[..., None], _residuals(observations, *point), jnp.nan)
+    size = jnp.where(inliers[..., None], _residuals(observations, *point), jnp.nan)
     return jnp.maximum(MAD_TO_SIGMA * jnp.nanmedian(jnp.abs(size)), _SIGMA_FLOOR)
 
 
@@ -184,6 +198,7 @@ def _one_pass(
     gate: Float[Array, ""],
     freedom: Float[Array, ""],
     hold_camera: Bool[Array, ""],
+    gating: Bool[Array, ""],
 ) -> _Pass:
     camera, poses = point
     numbers, rebuild = ravel_pytree(camera)
@@ -197,13 +212,11 @@ def _one_pass(
     J_pose = J_pose * pose_sigma[:, None, None] * jnp.sqrt(freedom)
 
     measurements = _interleave(observations, residuals, J_camera, J_pose, inliers)
-    (change, covariance, _), accepted = jax.lax.scan(
-        _absorb(sigma, gate, len(numbers)),
+    (change, covariance, _), _ = jax.lax.scan(
+        _absorb(sigma, jnp.where(gating, gate, jnp.inf), len(numbers)),
         (jnp.zeros(len(scale)), jnp.eye(len(scale)), jnp.zeros(len(poses.wxyz_xyz))),
         measurements,
     )
-    views, points = inliers.shape
-    accepted = accepted.reshape(points, views).T
     movement = jnp.max(jnp.abs(change) / jnp.sqrt(jnp.maximum(jnp.diag(covariance), 1e-30)))
     change = change * scale
     moved = SE3.exp(change[len(numbers) :].reshape(-1, 6)) @ poses
@@ -212,9 +225,8 @@ def _one_pass(
 
     # What stands out after the pass is set aside before the next, and what fits is let in again.
     after = jnp.sum(_residuals(observations, *new_point) ** 2, axis=-1)
-    fits = observations.visible & (after <= gate * jnp.maximum(sigma, _SIGMA_FLOOR) ** 2)
-    settled = movement < 10.0
-    kept = jnp.where(settled, fits, observations.visible & (accepted | fits))
+    fits = observations.visible & (after <= gate * sigma**2)
+    kept = jnp.where(gating, fits, inliers)
     size = jnp.minimum(jnp.sum(residuals**2, axis=-1), 100.0 * gate)
     cost = jnp.sum(jnp.where(observations.visible, size, 0.0)) / jnp.sum(observations.visible)
     return _Pass(new_point, covariance, kept, movement, cost)
