@@ -99,7 +99,7 @@ def _scipy(problem) -> float:
     found = least_squares(
         lambda z: np.asarray(linearise(problem, jnp.asarray(z))[0]),
         np.zeros(len(problem.free)),
-        jac=lambda z: np.asarray(linearise(problem, jnp.asarray(z))[1]),
+        jac=lambda z: np.asarray(linearise(problem, jnp.asarray(z))[1]),  # pyright: ignore[reportArgumentType]
         xtol=1e-12,
         ftol=1e-12,
         gtol=1e-12,

@@ -9,16 +9,18 @@ interpolation.
 
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 
 import smartview_jax as sv
+from smartview_jax.evaluation import Predictor
 from smartview_jax.simulation import Scene, paper_points, paper_scene, views_around
 
 NOISE = sv.Noise(pixel=0.15, translation=1e-4, rotation=float(np.deg2rad(0.01)))
 TILT = np.deg2rad(19.0)
 
 
-def methods() -> dict[str, Callable[[sv.Dataset], object]]:
+def methods() -> dict[str, Callable[[sv.Dataset], Predictor]]:
     """From a data set to a predictor."""
     return {
         "staged": lambda data: sv.fit_staged(data).calibration,
@@ -33,14 +35,14 @@ def _joint(data: sv.Dataset, noise: str | sv.Noise) -> sv.Calibration:
     return sv.fit_joint(data, sv.fit_staged(data).calibration, noise=noise).calibration
 
 
-def unseen_deviations(predictor: object, scene: Scene, seed: int) -> np.ndarray:
+def unseen_deviations(predictor: Predictor, scene: Scene, seed: int) -> np.ndarray:
     """Deviations from the true pixels at new viewpoints, px."""
     points = paper_points()
     rng = np.random.default_rng((seed, 2))
     views = views_around(rng, 60, points.mean(axis=0), (0.2, 0.2), TILT, roll=0.6)
     commands = scene.calibration.command_for(views)
     truth, seen = scene.calibration.project(commands, points)
-    predicted, _ = predictor.project(commands, points)
+    predicted, _ = predictor.project(commands, jnp.asarray(points))
     size = np.array(scene.calibration.camera.image_size)
     inside = np.asarray(seen) & ((truth >= 0.0) & (truth <= size - 1.0)).all(axis=-1)
     return np.linalg.norm(np.asarray(predicted - truth), axis=-1)[np.asarray(inside)]

@@ -211,8 +211,8 @@ class Calibration(eqx.Module):
             mount = content["mount"]
             names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
             camera = _camera_from_dict(content["camera"], lens)
-            transforms = [_transform_from_dict(name, content[name]) for name in names]
-            return cls(camera, *transforms, mount, float(content["target_scale"]))
+            mounted, held = (_transform_from_dict(name, content[name]) for name in names)
+            return cls(camera, mounted, held, mount, float(content["target_scale"]))
         except KeyError as error:
             raise ValueError(f"entry {error.args[0]!r} is missing") from error
 
@@ -247,8 +247,8 @@ def _camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Cam
         )
     fitted = type(template)(**{name: float(value) for name, value in numbers.items()})
     width, height = content["image_size"]
-    focal = (float(content[key]) for key in ("alpha_u", "alpha_v", "u0", "v0"))
-    return Camera(*focal, lens=fitted, image_size=(int(width), int(height)))
+    alpha_u, alpha_v, u0, v0 = (float(content[key]) for key in ("alpha_u", "alpha_v", "u0", "v0"))
+    return Camera(alpha_u, alpha_v, u0, v0, fitted, (int(width), int(height)))
 
 
 def _transform_from_dict(name: str, content: dict[str, Any]) -> SE3:

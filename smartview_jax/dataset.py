@@ -210,7 +210,7 @@ def _view_ids(view_ids: Sequence[str | int] | None, views: int) -> tuple[str, ..
 def _visible(
     visible: np.ndarray | Array | None, pixels: np.ndarray, ids: tuple[str, ...]
 ) -> np.ndarray:
-    has_numbers = np.isfinite(pixels).all(axis=-1)
+    has_numbers = np.asarray(np.isfinite(pixels).all(axis=-1))
     if visible is None:
         return has_numbers
     seen = np.array(visible, dtype=bool)
@@ -244,4 +244,4 @@ def _pixel_problems(
 
 
 def _finite_views(matrices: np.ndarray) -> np.ndarray:
-    return np.isfinite(matrices).all(axis=(1, 2), keepdims=True)
+    return np.asarray(np.isfinite(matrices).all(axis=(1, 2), keepdims=True))

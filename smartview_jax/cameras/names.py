@@ -1,5 +1,6 @@
 """Lenses by name."""
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from .fisheye import Fisheye
@@ -56,4 +57,4 @@ def start_lens(name: str | AbstractLens, known: AbstractLens) -> AbstractLens:
         return lens
     k1 = getattr(known, "k1", jnp.zeros(()))
     same = isinstance(lens, inverse) == isinstance(known, inverse)
-    return type(lens)(k1=k1 if same else -k1)
+    return eqx.tree_at(lambda model: model.k1, lens, k1 if same else -k1)

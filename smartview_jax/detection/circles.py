@@ -1,5 +1,7 @@
 """Circle grids, by OpenCV's blob detector and grid finder."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -72,7 +74,7 @@ def _grid(
 
 
 def _origin_first(
-    centres: np.ndarray, blobs: tuple[cv2.KeyPoint, ...], target: CircleGrid
+    centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid
 ) -> np.ndarray:
     """Turned so that the larger corner circle comes first, and never mirrored."""
     positions = np.array([blob.pt for blob in blobs])

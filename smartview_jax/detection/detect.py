@@ -1,5 +1,6 @@
 """Pictures to pixels, for any target."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ from .circles import detect_circles
 from .detection import Detection
 from .markers import detect_charuco, detect_tags
 
-_DETECTORS = (
+_DETECTORS: tuple[tuple[type[AbstractTarget], Callable[..., Detection]], ...] = (
     (CircleGrid, detect_circles),
     (Chessboard, detect_chessboard),
     (Charuco, detect_charuco),

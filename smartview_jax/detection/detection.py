@@ -30,7 +30,7 @@ def some_found(count: int, index: np.ndarray, pixels: np.ndarray) -> Detection:
     """Points of the target by index; the others were not seen."""
     everywhere = np.full((count, 2), np.nan)
     everywhere[index] = np.asarray(pixels, dtype=float).reshape(-1, 2)
-    return Detection(everywhere, np.isfinite(everywhere).all(axis=1), None)
+    return Detection(everywhere, np.asarray(np.isfinite(everywhere).all(axis=1)), None)
 
 
 def nothing_found(count: int, reason: str) -> Detection:

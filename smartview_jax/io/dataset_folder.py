@@ -276,7 +276,7 @@ def _ordered(
     mount_from_holder = poses.inverse() if mount == "eye_in_hand" else poses
     chosen = consistent_ordering(
         pixels,
-        np.isfinite(pixels).all(axis=-1),
+        np.asarray(np.isfinite(pixels).all(axis=-1)),
         target.points,
         symmetries,
         np.asarray(mount_from_holder.rotation().as_matrix()),
@@ -312,7 +312,7 @@ def _cached(path: Path, stamp: str, views: list[str], count: int) -> dict[str, D
         return None
     pixels = _pixels(path, table, views, count)
     return {
-        view: Detection(where, np.isfinite(where).all(axis=1), None)
+        view: Detection(where, np.asarray(np.isfinite(where).all(axis=1)), None)
         for view, where in zip(views, pixels, strict=True)
     }
 

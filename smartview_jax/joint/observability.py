@@ -71,8 +71,8 @@ def observability(
     return Observability(
         int(np.sum(singular > NULL)),
         len(names),
-        tuple(direction(k) for k in np.flatnonzero(singular <= NULL)),
-        tuple(direction(k) for k in np.flatnonzero((singular > NULL) & (singular <= WEAK))),
+        tuple(direction(int(k)) for k in np.flatnonzero(singular <= NULL)),
+        tuple(direction(int(k)) for k in np.flatnonzero((singular > NULL) & (singular <= WEAK))),
         float(singular[-1]) if len(singular) else 1.0,
     )
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
 
 from ..calibration import Calibration
 from ..dataset import Dataset
@@ -54,7 +55,7 @@ def deviation_histogram(rows: Sequence[Summary]) -> Figure:
     figure, axes = _figure(7.0, 3.6)
     finite = [row.fitted.px[np.isfinite(row.fitted.px)] for row in rows]
     limit = max(float(np.percentile(values, 99.5)) for values in finite if values.size)
-    bins = np.linspace(0.0, limit, 40)
+    bins = np.linspace(0.0, limit, 40).tolist()
     for row, values in zip(rows, finite, strict=True):
         colour = COLOURS.get(row.name, GREY)
         axes.hist(values, bins, alpha=0.35, color=colour)
@@ -115,7 +116,7 @@ def view_errors(data: Dataset, rows: Sequence[Summary]) -> Figure:
 def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
     """Cameras, tools and the target, in the frame the target stands in."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    axes = figure.add_subplot(projection="3d")
+    axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
     world_from_camera = calibration.camera_from_world(data.base_from_tool).inverse()
     centres = np.asarray(world_from_camera.translation())
     rotations = np.asarray(world_from_camera.rotation().as_matrix())
@@ -123,11 +124,11 @@ def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
     target = np.asarray(data.points)[seen]
     target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
     axes.scatter(*target.T, s=3, color=GREY, depthshade=False)
-    used = seen.any(axis=1)
+    used = np.asarray(seen.any(axis=1))
     length = 0.18 * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
     for centre, rotation, view, good in zip(centres, rotations, data.view_ids, used, strict=True):
         _frustum(axes, centre, rotation, calibration, length, BLUE if good else RED)
-        axes.text(*centre, f" {view}", fontsize=7)
+        axes.text(float(centre[0]), float(centre[1]), float(centre[2]), f" {view}", fontsize=7)
     for axis, colour in zip(np.eye(3), (RED, GREEN, BLUE), strict=True):
         axes.plot(*np.stack([np.zeros(3), length * axis]).T, color=colour, linewidth=2)
     axes.set_aspect("equal")

@@ -120,11 +120,12 @@ def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows
-    key = "held_out" if joint.held_out is not None and staged.held_out is not None else "fitted"
-    measured = [
-        row.held_out.deviations.rms if key == "held_out" else row.fitted.rms for row in rows
-    ]
-    what = "on views it never saw" if key == "held_out" else "on the views it was fitted to"
+    if staged.held_out is not None and joint.held_out is not None:
+        measured = [staged.held_out.deviations.rms, joint.held_out.deviations.rms]
+        what = "on views it never saw"
+    else:
+        measured = [staged.fitted.rms, joint.fitted.rms]
+        what = "on the views it was fitted to"
     floor = float(fit.staged.step2.rms)
     text = (
         f"The joint fit predicts target points to {measured[1]:.2f} px RMS {what}; "

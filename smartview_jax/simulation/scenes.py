@@ -101,14 +101,13 @@ def look_at(
     Returns:
         Transforms with the broadcast shape of the four numbers.
     """
-    distance, tilt, azimuth, roll = map(
-        jnp.asarray, np.broadcast_arrays(distance, tilt, azimuth, roll)
-    )
+    numbers = np.broadcast_arrays(distance, tilt, azimuth, roll)
+    away, lean, around, turn = (jnp.asarray(number, dtype=float) for number in numbers)
     # Seen from straight above, the picture's x is the world's x and its y the world's -y.
-    downward = SO3.from_x_radians(jnp.full(tilt.shape, jnp.pi))
-    tilted = SO3.from_z_radians(azimuth) @ SO3.from_y_radians(tilt) @ SO3.from_z_radians(-azimuth)
-    camera_rotation = SO3.from_z_radians(-roll) @ downward @ tilted.inverse()
-    offset = jnp.stack([jnp.zeros_like(distance), jnp.zeros_like(distance), distance], axis=-1)
+    downward = SO3.from_x_radians(jnp.full(lean.shape, jnp.pi))
+    tilted = SO3.from_z_radians(around) @ SO3.from_y_radians(lean) @ SO3.from_z_radians(-around)
+    camera_rotation = SO3.from_z_radians(-turn) @ downward @ tilted.inverse()
+    offset = jnp.stack([jnp.zeros_like(away), jnp.zeros_like(away), away], axis=-1)
     centre = jnp.broadcast_to(jnp.asarray(target, dtype=float), offset.shape)
     return SE3.from_rotation_and_translation(
         camera_rotation, offset - camera_rotation.apply(centre)

@@ -98,6 +98,7 @@ def kalman_filter(
     gating = False
     freedom, previous, message = 1.0, None, "the passes did not settle"
     converged, passes = False, 0
+    covariance = jnp.full((0, 0), jnp.nan)
     for passes in range(1, maximum_passes + 1):
         sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
         trial = _one_pass(
@@ -121,7 +122,7 @@ def kalman_filter(
             continue
         moved, same = float(trial.movement), bool(jnp.all(trial.inliers == inliers))
         previous = (float(trial.cost_before), point, inliers, freedom)
-        point, inliers = trial.point, trial.inliers
+        point, inliers, covariance = trial.point, trial.inliers, trial.covariance
         freedom = min(1.0, freedom * 10.0)
         gating = gating or moved < _SETTLED
         if progress is not None:
@@ -135,7 +136,7 @@ def kalman_filter(
     rms = jnp.sqrt(jnp.sum(jnp.where(inliers[..., None], residuals, 0.0) ** 2) / count)
     if not bool(jnp.isfinite(rms)):
         converged, message = False, "the filter diverged: its state is not finite"
-    return KalmanResult(*point, trial.covariance, inliers, sigma, rms, passes, converged, message)
+    return KalmanResult(*point, covariance, inliers, sigma, rms, passes, converged, message)
 
 
 class _Pass(NamedTuple):

@@ -139,7 +139,8 @@ def locate_views(
     coplanar = _coplanar(straight.points, straight.visible)
     size = jnp.asarray(float(max(camera.image_size)))
     every = np.ones(len(coplanar), dtype=bool)
-    known = Intrinsics(*(np.asarray(camera.alpha_u),) * 2, 0.0, 0.0, 0.0)
+    alpha, zero = camera.alpha_u, jnp.zeros(())
+    known = Intrinsics(alpha, alpha, zero, zero, zero)
     start = _starts(straight, centre, size, coplanar)
     held = _hold_alpha(start, known, every, np.zeros(2))
     nothing = jnp.zeros((len(coplanar), 4), dtype=bool)
@@ -166,7 +167,7 @@ def _hold_alpha(
     """The start with the median intrinsics in frontal views, at the depth that fits them."""
     chosen = jnp.asarray(frontal)
     ratio = median.alpha_u / start.intrinsics.alpha_u
-    held = Intrinsics(median.alpha_u, median.alpha_u, *centre, median.k1)
+    held = Intrinsics(median.alpha_u, median.alpha_u, centre[0], centre[1], median.k1)
     intrinsics = jax.tree.map(
         lambda value, new: jnp.where(chosen, jnp.full_like(value, new), value),
         start.intrinsics,
