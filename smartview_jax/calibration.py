@@ -155,7 +155,7 @@ class Calibration(eqx.Module):
 
     def points_in_camera(
         self, base_from_tool: PoseLike, points: Float[Array, "*points 3"] | np.ndarray
-    ) -> Float[Array, "*points 3"]:
+    ) -> Float[Array, "*moved 3"]:
         """Target points in the camera frame, m; shapes as in `project`."""
         points = self.target_scale * jnp.asarray(points, dtype=float)
         return transform_points(self.camera_from_world(base_from_tool), points)

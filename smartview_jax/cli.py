@@ -27,12 +27,13 @@ LensOption = Annotated[
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
 
 
-def _version(asked: bool) -> None:
+def _version(asked: bool) -> bool:
     if asked:
         from . import __version__
 
         typer.echo(f"smartview_jax {__version__}")
         raise typer.Exit
+    return asked
 
 
 @app.callback()

@@ -1,8 +1,12 @@
 """Real data sets that lie beside the checkout; tests that need one skip where it is missing."""
 
+import json
 from pathlib import Path
 
 import pytest
+
+from smartview_jax.dataset import Dataset
+from smartview_jax.io import import_pairs
 
 _ROOT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -13,3 +17,16 @@ def shared_data(name: str) -> Path:
     if not folder.is_dir():
         pytest.skip(f"the data set {name} is not beside this checkout (shared/data/{name})")
     return folder
+
+
+def shared_pairs(name: str, prefix: str = "") -> tuple[Dataset, dict]:
+    """A data set's corners and poses, and its reference figures."""
+    folder = shared_data(name)
+    reference = json.loads((folder / f"{prefix}measured.json").read_text())
+    data = import_pairs(
+        folder / f"{prefix}poses.csv",
+        folder / f"{prefix}corners.csv",
+        tuple(reference["image_size"]),
+        mount="eye_in_hand" if reference["eye_in_hand"] else "eye_to_hand",
+    )
+    return data, reference

@@ -1,6 +1,6 @@
 """How far predicted points lie from measured ones, in pixels and in millimetres at the target."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from ..dataset import Dataset
 from ..geometry import PoseLike
 
 
+@runtime_checkable
 class Predictor(Protocol):
     """Whatever says where target points appear from a robot pose: a `Calibration`, for one."""
 

@@ -61,7 +61,7 @@ def rotation_angle(rotation: SO3) -> Float[Array, "*batch"]:
 
 def transform_points(
     target_from_source: SE3, points: Float[Array, "*points 3"]
-) -> Float[Array, "*points 3"]:
+) -> Float[Array, "*moved 3"]:
     """Points under a batch of transforms `(*batch)`: `(N, 3)` for all, or `(*batch, N, 3)`."""
     rank = len(target_from_source.get_batch_axes()) + 2
     points = points.reshape((1,) * (rank - points.ndim) + points.shape)

@@ -52,7 +52,7 @@ class Interpolation(eqx.Module):
 
     def points_in_camera(
         self, base_from_tool: PoseLike, points: Float[Array, "*points 3"]
-    ) -> Float[Array, "*points 3"]:
+    ) -> Float[Array, "*moved 3"]:
         """Target points in the camera frame, m."""
         return transform_points(self.camera_from_world(base_from_tool), jnp.asarray(points, float))
 

@@ -132,7 +132,7 @@ def kalman_filter(
             break
     sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
     residuals = _residuals(observations, *point)
-    count = jnp.maximum(jnp.sum(inliers), 1)
+    count = jnp.maximum(jnp.sum(inliers.astype(float)), 1.0)
     rms = jnp.sqrt(jnp.sum(jnp.where(inliers[..., None], residuals, 0.0) ** 2) / count)
     if not bool(jnp.isfinite(rms)):
         converged, message = False, "the filter diverged: its state is not finite"
@@ -229,7 +229,9 @@ def _one_pass(
     fits = observations.visible & (after <= gate * sigma**2)
     kept = jnp.where(gating, fits, inliers)
     size = jnp.minimum(jnp.sum(residuals**2, axis=-1), 100.0 * gate)
-    cost = jnp.sum(jnp.where(observations.visible, size, 0.0)) / jnp.sum(observations.visible)
+    cost = jnp.sum(jnp.where(observations.visible, size, 0.0)) / jnp.sum(
+        observations.visible.astype(float)
+    )
     return _Pass(new_point, covariance, kept, movement, cost)
 
 

@@ -263,7 +263,7 @@ def _similarity(values: Array, visible: Array) -> tuple[Array, Array]:
     """Centre and scale that bring points to the size of one, which makes the linear solve sound."""
     centre = _mean(values, visible)
     spread = jnp.sum(jnp.where(visible[:, None], (values - centre[None]) ** 2, 0.0))
-    return centre, jnp.sqrt(spread / jnp.maximum(jnp.sum(visible), 1)) + 1e-12
+    return centre, jnp.sqrt(spread / jnp.maximum(jnp.sum(visible.astype(float)), 1.0)) + 1e-12
 
 
 def _null_vector(rows: Array) -> Array:

@@ -48,7 +48,7 @@ class CircleGrid(AbstractTarget):
         if self.origin_mark:
             return np.arange(self.rows * self.columns)[None]
         if self.asymmetric:
-            # An odd number of rows ends as it began: half a turn maps the grid to itself.
+            # With an even number of rows half a turn maps shifted rows to unshifted ones.
             index = np.arange(self.rows * self.columns)
-            return np.stack([index, index[::-1]]) if self.rows % 2 else index[None]
+            return index[None] if self.rows % 2 else np.stack([index, index[::-1]])
         return grid_rotations(self.rows, self.columns)

@@ -1,0 +1,160 @@
+import cv2
+import numpy as np
+import pytest
+from shared_data import shared_data
+
+from smartview_jax.detection import (
+    charuco_board,
+    consistent_ordering,
+    detect,
+    dictionary_by_name,
+    read_picture,
+)
+from smartview_jax.io import load_dataset, sample_folder
+from smartview_jax.targets import Charuco, Chessboard, CircleGrid, TagGrid
+
+SETS = {
+    "rct_circle10x10": (CircleGrid(10, 10, 0.0254, origin_mark=True), "images/{}.png", "", 1500),
+    "visp_franka_eih": (Chessboard(6, 9, 0.0236), "franka_image-{1}.png", "", 432),
+    "visp_franka_eth": (TagGrid(1, 1, 0.048, first_id=10), "franka_image-{1}.png", "", 32),
+    "koide_charuco": (Charuco(5, 7, 0.024, 0.018), "images/20231006_{0:03d}.png", "20231006_", 155),
+    "koide_charuco, legacy": (
+        Charuco(7, 10, 0.024, 0.018, legacy=True),
+        "images/20230920_{0:03d}.png",
+        "20230920_",
+        320,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_real_pictures_give_the_known_points(name):
+    """Every view is found, and every point lies where the reference detection has one."""
+    target, pattern, prefix, count = SETS[name]
+    folder = shared_data(name.split(",")[0])
+    corners = np.genfromtxt(folder / f"{prefix}corners.csv", delimiter=",", skip_header=1)
+    views = np.unique(corners[:, 0]).astype(int)
+    total = 0
+    for view in views:
+        found = detect(read_picture(folder / pattern.format(view, view + 1)), target)
+        assert found.reason is None
+        known = corners[corners[:, 0] == view, 4:6]
+        seen = found.pixels[found.visible]
+        nearest = np.linalg.norm(seen[:, None] - known[None], axis=-1).min(axis=1)
+        assert np.sqrt(np.mean(nearest**2)) < 0.05
+        total += found.visible.sum()
+    assert total == count
+
+
+@pytest.mark.parametrize(("name", "view"), [("tampere_kuka_2", 3), ("lwr4_joint", 10)])
+def test_large_chessboards_are_found(name, view):
+    target = Chessboard(17, 24, 0.015) if name == "tampere_kuka_2" else Chessboard(6, 9, 0.025)
+    folder = shared_data(name)
+    found = detect(read_picture(folder / f"images/{view:03d}.png"), target)
+    corners = np.genfromtxt(folder / "corners.csv", delimiter=",", skip_header=1)
+    known = corners[corners[:, 0] == view, 4:6]
+    np.testing.assert_allclose(found.pixels, known, atol=0.01)
+
+
+def drawn_circles(target, pitch=30, radius=9):
+    """A drawing of a grid, and where its circles are; 16 times finer than its pixels."""
+    centres = 60.0 + target.points[:, :2] / target.spacing * pitch
+    size = tuple(int(x) for x in centres.max(axis=0) + 60)
+    image = np.full(size[::-1], 0 if target.light_on_dark else 255, dtype=np.uint8)
+    for x, y in centres:
+        place = (round(16 * x), round(16 * y))
+        colour = 255 if target.light_on_dark else 0
+        cv2.circle(image, place, 16 * radius, colour, -1, cv2.LINE_AA, shift=4)
+    return cv2.GaussianBlur(image, (0, 0), 0.8), centres
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        CircleGrid(5, 7, 0.02),
+        CircleGrid(5, 7, 0.02, light_on_dark=True),
+        CircleGrid(9, 4, 0.01, asymmetric=True),
+        CircleGrid(9, 4, 0.01, asymmetric=True, light_on_dark=True),
+    ],
+    ids=repr,
+)
+def test_drawn_circles_are_found_where_they_are(target):
+    image, centres = drawn_circles(target)
+    found = detect(image, target)
+    assert found.reason is None
+    best = min(np.abs(found.pixels[order] - centres).max() for order in target.symmetries)
+    assert best < 0.1
+
+
+def test_drawn_tags_are_found_by_their_numbers_and_may_be_partly_hidden():
+    target = TagGrid(2, 2, 0.04, 0.02, "DICT_4X4_50", first_id=7)
+    image = np.full((400, 400), 255, dtype=np.uint8)
+    for k, tag in enumerate(target.ids):
+        drawing = cv2.aruco.generateImageMarker(dictionary_by_name(target.dictionary), tag, 120)
+        y, x = 40 + 180 * (k // 2), 40 + 180 * (k % 2)
+        image[y : y + 120, x : x + 120] = drawing
+    whole = detect(image, target)
+    assert whole.visible.all()
+    np.testing.assert_allclose(whole.pixels[0], [39.5, 39.5], atol=1.0)
+    # Order of the corners: top left, top right, bottom right, bottom left.
+    assert (whole.pixels[1] - whole.pixels[0])[0] > 100
+    image[:200] = 255
+    part = detect(image, target)
+    assert part.visible.tolist() == [False] * 8 + [True] * 8
+    assert np.isnan(part.pixels[:8]).all()
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_drawn_charuco_boards_new_and_old(legacy):
+    target = Charuco(6, 8, 0.03, 0.02, "DICT_5X5_100", legacy)
+    image = charuco_board(target).generateImage((600, 800), marginSize=30)
+    assert detect(image, target).visible.all()
+    wrong = detect(image, Charuco(6, 8, 0.03, 0.02, "DICT_5X5_100", not legacy))
+    assert wrong.visible.sum() < 35
+
+
+def test_what_is_not_there_is_said():
+    blank = np.full((200, 300), 255, dtype=np.uint8)
+    assert "0 blobs seen, 35 expected" in detect(blank, CircleGrid(5, 7, 0.02)).reason
+    assert "no chessboard with 6 x 9" in detect(blank, Chessboard(6, 9, 0.1)).reason
+    assert "0 markers" in detect(blank, Charuco(5, 7, 0.024, 0.018)).reason
+    assert "no tag 3 to 3" in detect(blank, TagGrid(1, 1, 0.1, first_id=3)).reason
+    with pytest.raises(ValueError, match="expected uint8"):
+        detect(blank.astype(float), Chessboard(6, 9, 0.1))
+    with pytest.raises(ValueError, match="found 'DICT_9X9'"):
+        dictionary_by_name("DICT_9X9")
+
+
+def test_pictures_that_cannot_be_read_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.png: no such picture"):
+        read_picture(tmp_path / "none.png")
+    (tmp_path / "text.png").write_text("not a picture")
+    with pytest.raises(ValueError, match=r"text\.png: not a picture that can be read"):
+        read_picture(tmp_path / "text.png")
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((10, 20), dtype=np.uint8))
+    with pytest.raises(ValueError, match="expected 640 x 480 px, found 20 x 10"):
+        read_picture(tmp_path / "small.png", (640, 480))
+
+
+def test_robot_motion_orders_a_symmetric_grid():
+    """The sample's views turned by random symmetries come back to one order."""
+    data = load_dataset(sample_folder(), keep_detections=False)
+    plain = CircleGrid(10, 10, 0.0254)
+    turns = np.random.default_rng(1).integers(0, 4, data.view_count)
+    turned = np.stack(
+        [np.asarray(p)[plain.symmetries[k]] for p, k in zip(data.pixels, turns, strict=True)]
+    )
+    chosen = consistent_ordering(
+        turned,
+        np.asarray(data.visible),
+        plain.points,
+        plain.symmetries,
+        np.asarray(data.base_from_tool.inverse().rotation().as_matrix()),
+        data.image_size,
+    )
+    back = np.stack([p[plain.symmetries[k]] for p, k in zip(turned, chosen, strict=True)])
+    # Which quarter turn the whole set has is a free choice.
+    differences = [
+        np.abs(back[:, order] - np.asarray(data.pixels)).max() for order in plain.symmetries
+    ]
+    assert min(differences) == 0.0

@@ -1,0 +1,169 @@
+import os
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from shared_data import shared_data
+
+from smartview_jax.io import import_pairs, load_dataset, sample_folder, save_dataset
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of the sample with four of its views."""
+    copy = tmp_path / "data"
+    shutil.copytree(sample_folder(), copy)
+    for view in range(4, 15):
+        (copy / f"images/{view}.png").unlink()
+    lines = (copy / "poses.csv").read_text().splitlines()
+    (copy / "poses.csv").write_text("\n".join(lines[:5]) + "\n")
+    return copy
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_the_sample_is_whole():
+    data = load_dataset(sample_folder(), keep_detections=False)
+    assert data.view_ids == tuple(map(str, range(15)))
+    assert data.observation_count == 1500
+    assert data.masked_views == ()
+
+
+def test_the_sample_is_the_original():
+    original = load_dataset(shared_data("rct_circle10x10"))
+    sample = load_dataset(sample_folder(), keep_detections=False)
+    assert sample.view_ids == original.view_ids
+    np.testing.assert_allclose(sample.pixels, original.pixels, atol=0.01)
+    np.testing.assert_allclose(
+        sample.base_from_tool.as_matrix(), original.base_from_tool.as_matrix(), atol=1e-12
+    )
+
+
+def test_pairing_is_by_name_not_by_position(folder):
+    before = load_dataset(folder, keep_detections=False)
+    lines = (folder / "poses.csv").read_text().splitlines()
+    (folder / "poses.csv").write_text("\n".join([lines[0], *lines[:0:-1]]) + "\n")
+    after = load_dataset(folder, keep_detections=False)
+    assert after.view_ids == before.view_ids[::-1]
+    np.testing.assert_array_equal(after.pixels[0], before.pixels[3])
+
+
+def test_detections_are_kept_and_made_anew_when_a_picture_changes(folder):
+    first = load_dataset(folder)
+    assert (folder / "detections.csv").is_file()
+    messages = []
+    second = load_dataset(folder, progress=messages.append)
+    assert messages == ["detections of 4 views from detections.csv"]
+    np.testing.assert_array_equal(first.pixels, second.pixels)
+    shutil.copy(folder / "images/1.png", folder / "images/0.png")
+    third = load_dataset(folder)
+    np.testing.assert_array_equal(third.pixels[0], first.pixels[1])
+
+
+def test_what_is_saved_is_loaded(folder, tmp_path):
+    data = load_dataset(folder)
+    save_dataset(data, tmp_path / "saved")
+    again = load_dataset(tmp_path / "saved")
+    np.testing.assert_array_equal(again.pixels, data.pixels)
+    np.testing.assert_allclose(
+        again.base_from_tool.as_matrix(), data.base_from_tool.as_matrix(), atol=1e-15
+    )
+    assert (again.view_ids, again.image_size, again.target) == (
+        data.view_ids,
+        data.image_size,
+        data.target,
+    )
+
+
+def test_a_view_without_detection_stays_an_empty_view(folder):
+    cv2.imwrite(str(folder / "images/2.png"), np.full((480, 640), 255, dtype=np.uint8))
+    data = load_dataset(folder)
+    assert data.view_ids == ("0", "1", "2", "3")
+    assert not np.asarray(data.visible)[2].any()
+    assert np.asarray(data.visible)[3].all()
+    ((view, reason),) = data.masked_views
+    assert view == "2"
+    assert "0 blobs seen, 100 expected" in reason
+
+
+def test_a_missing_picture_is_an_error_or_a_masked_view(folder):
+    (folder / "images/1.png").unlink()
+    with pytest.raises(FileNotFoundError, match=r"1\.png: no such picture"):
+        load_dataset(folder)
+    data = load_dataset(folder, bad_views="mask")
+    assert data.masked_views[0][0] == "1"
+    assert "no such picture" in data.masked_views[0][1]
+
+
+def test_a_picture_that_cannot_be_read_is_named(folder):
+    (folder / "images/1.png").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"1\.png: not a picture"):
+        load_dataset(folder)
+
+
+def test_a_picture_without_a_pose_is_named(folder):
+    shutil.copy(folder / "images/1.png", folder / "images/extra.png")
+    with pytest.raises(ValueError, match=r"no pose for the picture extra\.png"):
+        load_dataset(folder)
+
+
+CASES = {
+    "duplicate row": ("poses.csv", "\n1,", "\n0,", "view 0 has more than one row"),
+    "not a number": ("poses.csv", "\n1,0", "\n1,x0", "view 1: x is 'x0"),
+    "NaN": ("poses.csv", "\n1,0.5752203716195865", "\n1,nan", "row 1 contains NaN"),
+    "no column": ("poses.csv", "qw", "w", "missing qw"),
+    "unit": ("dataset.yaml", "length_unit: m", "length_unit: inch", "length_unit is one of m, cm"),
+    "no unit": ("dataset.yaml", "  angle_unit: rad\n", "", "'poses.angle_unit' is missing"),
+    "codec": ("dataset.yaml", "quaternion_xyzw", "euler", "pose format is one of matrix"),
+    "direction": ("dataset.yaml", "base_from_tool", "flange", "poses.direction is one of"),
+    "version": (
+        "dataset.yaml",
+        "smartview_dataset: 1",
+        "smartview_dataset: 7",
+        "expected 1, found 7",
+    ),
+    "mount": ("dataset.yaml", "eye_in_hand", "eye_of_god", "found 'eye_of_god'"),
+    "target": ("dataset.yaml", "circle_grid", "cube", "target.kind is one of"),
+    "size": ("dataset.yaml", "[640, 480]", "[640]", "camera.image_size: expected"),
+    "other size": ("dataset.yaml", "[640, 480]", "[800, 600]", "expected 800 x 600 px, found 640"),
+    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 17", "found in none of 4 pictures"),
+    "pattern": ("dataset.yaml", "{view}", "view", "expected a name with {view}"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_wrong_is_named_with_its_file(folder, case):
+    name, old, new, message = CASES[case]
+    edit(folder / name, old, new)
+    with pytest.raises(ValueError, match=message.replace("{", r"\{").replace("[", r"\[")):
+        load_dataset(folder)
+
+
+def test_an_interrupted_detection_leaves_no_file(folder, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        load_dataset(folder)
+    assert not list(folder.glob("*detections*"))
+
+
+def test_not_a_data_set(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        load_dataset(tmp_path / "nowhere")
+    with pytest.raises(FileNotFoundError, match=r"neither dataset\.yaml nor cal_data\.yaml"):
+        load_dataset(tmp_path)
+
+
+def test_pairs_with_a_view_that_has_no_pose(tmp_path):
+    names = ",".join(f"m{i}{j}" for i in range(4) for j in range(4))
+    (tmp_path / "p.csv").write_text(f"view,{names}\n0,{','.join(map(str, np.eye(4).ravel()))}\n")
+    (tmp_path / "c.csv").write_text("view,X,Y,Z,u,v\n0,0,0,0,10,20\n3,0,0,0,1,2\n")
+    with pytest.raises(ValueError, match=r"c\.csv: view 3 has no row in p\.csv"):
+        import_pairs(tmp_path / "p.csv", tmp_path / "c.csv", (640, 480))

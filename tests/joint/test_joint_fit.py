@@ -1,0 +1,309 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import optimistix as optx
+import pytest
+from jaxlie import SE3
+from scipy.optimize import least_squares
+from shared_data import shared_pairs
+
+from smartview_jax import Calibration, Noise, Prior, calibrate, fit_joint
+from smartview_jax.cameras import Camera, OpenCV4
+from smartview_jax.evaluation import deviations
+from smartview_jax.joint import optimum
+from smartview_jax.joint.fit import _problem
+from smartview_jax.joint.solver import linearise
+from smartview_jax.simulation import paper_points, random_scene
+
+POINTS = paper_points((0.0, 0.02))[::4]
+
+
+def nudged(calibration, size=1e-3):
+    step = size * np.random.default_rng(7).normal(size=(2, 6))
+    return Calibration(
+        calibration.camera,
+        SE3.exp(jnp.asarray(step[0])) @ calibration.camera_from_mount,
+        SE3.exp(jnp.asarray(step[1])) @ calibration.holder_from_world,
+        calibration.mount,
+    )
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    scene = random_scene(0, views=10, points=POINTS)
+    return scene, fit_joint(scene.data, nudged(scene.calibration))
+
+
+def reference_start(reference, distortion):
+    """A start near the reference's answer: its `X` is the camera's pose in the mount."""
+    camera = Camera(*reference["K"][:4], OpenCV4(*distortion), tuple(reference["image_size"]))
+    poses = []
+    for key in ("X_fixedK", "Y_fixedK"):
+        numbers = np.asarray(reference[key])
+        rotation = jaxlie.SO3.exp(jnp.asarray(numbers[:3]))
+        poses.append(SE3.from_rotation_and_translation(rotation, jnp.asarray(numbers[3:])))
+    mount = "eye_in_hand" if reference["eye_in_hand"] else "eye_to_hand"
+    return nudged(Calibration(camera, poses[0].inverse(), poses[1], mount), 2e-3)
+
+
+SETS = [
+    ("rct_circle10x10", ""),
+    ("tampere_kuka_2", ""),
+    ("koide_charuco", "20231006_"),
+    ("visp_franka_eih", ""),
+    ("tampere_synthetic", "cs1_"),
+]
+"""The others are in `benchmarks/real_sets.py`: each shape costs its own compilation."""
+
+
+@pytest.mark.parametrize(("name", "prefix"), SETS)
+def test_real_sets_reach_the_reference(name, prefix):
+    """joint_px with everything free, he_only_refined_px with the camera held."""
+    data, reference = shared_pairs(name, prefix)
+    start = reference_start(reference, reference["K"][4:])
+    joint = fit_joint(data, start)
+    assert joint.result.converged
+    rounding = 5e-4
+    assert deviations(joint.calibration, data).rms == pytest.approx(
+        reference["joint_px"], rel=0.01, abs=rounding
+    )
+    held = fit_joint(data, start, fixed=("camera",))
+    tolerance = 0.15 if name == "tampere_synthetic" else 0.01
+    assert deviations(held.calibration, data).rms == pytest.approx(
+        reference["he_only_refined_px"], rel=tolerance, abs=rounding
+    )
+    if name == "tampere_synthetic":
+        truth = SE3.from_rotation(jaxlie.SO3.from_x_radians(jnp.pi))
+        error = np.asarray((joint.calibration.camera_from_tool @ truth).log())
+        assert np.linalg.norm(error[:3]) < 4e-4
+        assert np.rad2deg(np.linalg.norm(error[3:])) < 0.01
+
+
+def test_eye_to_hand_with_the_camera_held():
+    data, reference = shared_pairs("visp_franka_eth")
+    held = fit_joint(data, reference_start(reference, [0.0] * 4), fixed=("camera",))
+    assert deviations(held.calibration, data).rms == pytest.approx(
+        reference["he_only_refined_px"], rel=0.01
+    )
+
+
+def test_without_noise_it_finds_the_truth():
+    scene = random_scene(1, views=8, points=POINTS, pixel_noise=0.0)
+    fit = fit_joint(scene.data, nudged(scene.calibration))
+    assert fit.result.converged
+    for found, truth in zip(
+        jax.tree.leaves(fit.calibration), jax.tree.leaves(scene.calibration), strict=True
+    ):
+        np.testing.assert_allclose(found, truth, rtol=1e-7, atol=1e-9)
+
+
+def test_scipy_reaches_the_same_cost_and_covariance(noisy):
+    scene, fit = noisy
+    problem, _, _ = _problem(scene.data, nudged(scene.calibration), "trusted", None, (), (), {})
+    found = least_squares(
+        lambda z: np.asarray(linearise(problem, jnp.asarray(z))[0]),
+        np.zeros(len(problem.free)),
+        jac=lambda z: np.asarray(linearise(problem, jnp.asarray(z))[1]),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+    )
+    assert fit.solution.costs[-1] == pytest.approx(found.cost, rel=1e-9)
+    dof = 2 * scene.data.observation_count - len(problem.free)
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * 2.0 * found.cost / dof
+    std = np.sqrt(np.diag(covariance)) * np.asarray(problem.scale)
+    np.testing.assert_allclose(list(fit.std.values()), std, rtol=1e-5)
+    assert fit.pixel_sigma == pytest.approx(0.15, rel=0.05)
+
+
+def test_errors_have_the_size_that_is_stated(noisy):
+    """The normalised error of all parameters, over many noisy copies, is chi-square."""
+    scene, _ = noisy
+    problem, names, _ = _problem(scene.data, scene.calibration, "trusted", None, (), (), {})
+    clean, _ = scene.calibration.project(scene.base_from_tool, scene.data.points)
+    rng = np.random.default_rng(0)
+    noise = jnp.asarray(0.15 * rng.normal(size=(60, *clean.shape)))
+    pixels = jnp.where(scene.data.visible[None, ..., None], clean[None] + noise, jnp.nan)
+
+    @jax.jit
+    def solved(pixels):
+        return optimum(eqx.tree_at(lambda p: p.observations.pixels, problem, pixels))
+
+    z = np.asarray(jax.lax.map(solved, pixels))
+    J = np.asarray(linearise(problem, jnp.zeros(len(problem.free)))[1])
+    nees = np.einsum("ki,ij,kj->k", z, J.T @ J / 0.15**2, z)
+    n = len(problem.free)
+    assert nees.mean() == pytest.approx(n, abs=4.0 * np.sqrt(2.0 * n / 60))
+    assert names[0] == "camera.alpha_u"
+
+
+def test_the_optimum_is_differentiable_in_the_data(noisy):
+    """d hand-eye / d one pixel: forward, reverse, and by refitting."""
+    scene, fit = noisy
+    problem, _, _ = _problem(scene.data, fit.calibration, "trusted", None, (), (), {})
+    pixels = jnp.where(scene.data.visible[..., None], scene.data.pixels, 0.0)
+
+    def hand_eye(shift):
+        moved = eqx.tree_at(lambda p: p.observations.pixels, problem, pixels.at[2, 3].add(shift))
+        calibration, _ = moved.calibration(optimum(moved))
+        return calibration.camera_from_tool.translation()
+
+    forward = jax.jacfwd(hand_eye)(jnp.zeros(2))
+    reverse = jax.jacrev(hand_eye)(jnp.zeros(2))
+    np.testing.assert_allclose(forward, reverse, rtol=1e-6, atol=1e-12)
+    for k in range(2):
+        step = jnp.zeros(2).at[k].set(0.05)
+        numeric = (hand_eye(step) - hand_eye(-step)) / 0.1
+        np.testing.assert_allclose(forward[:, k], numeric, rtol=2e-3, atol=1e-9)
+
+
+def test_a_batch_of_problems_is_solved_by_vmap(noisy):
+    scene, _ = noisy
+    problem, _, _ = _problem(scene.data, scene.calibration, "trusted", None, (), (), {})
+    shifts = jnp.array([0.0, 0.3])
+
+    def moved(shift):
+        return optimum(
+            eqx.tree_at(lambda p: p.observations.pixels, problem, scene.data.pixels + shift)
+        )
+
+    together = jax.vmap(moved)(shifts)
+    for k, shift in enumerate(shifts):
+        np.testing.assert_allclose(together[k], moved(shift), rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "geman_mcclure", "student_t"])
+def test_robust_losses_shrug_at_outliers(loss):
+    scene = random_scene(3, views=10, points=POINTS, outlier_fraction=0.1)
+    visible = scene.data.visible & ~scene.outliers
+    clean = eqx.tree_at(lambda d: d.visible, scene.data, visible)
+    start = nudged(scene.calibration)
+    best = fit_joint(clean, start)
+    robust = fit_joint(scene.data, start, loss=loss, noise=Noise(0.15, 1e-9, 1e-9))
+    plain = fit_joint(scene.data, start)
+
+    def error(fit):
+        gap = fit.calibration.camera_from_tool.inverse() @ best.calibration.camera_from_tool
+        return float(jnp.linalg.norm(gap.log()))
+
+    assert error(robust) < 0.3 * error(plain)
+    assert not np.asarray(robust.inliers & scene.outliers).any()
+
+
+def test_robot_noise_that_is_known_makes_the_mount_better():
+    scene = random_scene(4, views=12, translation_noise=2e-3, rotation_noise=1e-4)
+    start = nudged(scene.calibration)
+    trusted = fit_joint(scene.data, start)
+    known = fit_joint(scene.data, start, noise=Noise(0.15, 2e-3, 1e-4))
+
+    def error(fit):
+        return abs(float(fit.calibration.camera.alpha_u - 2133.0))
+
+    assert error(known) < 0.5 * error(trusted)
+    assert known.pose_corrections.shape == (12, 6)
+    # Residuals are through the chain as reported: corrections never flatter them.
+    assert deviations(known.calibration, scene.data).rms == pytest.approx(
+        float(
+            np.sqrt(
+                np.mean(
+                    np.sum(np.asarray(known.residuals)[np.asarray(scene.data.visible)] ** 2, -1)
+                )
+            )
+        ),
+        rel=1e-9,
+    )
+
+
+def test_paths_fix_free_and_bind(noisy):
+    scene, fit = noisy
+    start = nudged(scene.calibration)
+    held = fit_joint(scene.data, start, fixed=("camera", "base_from_world.translation.z"))
+    assert eqx.tree_equal(held.calibration.camera, start.camera)
+    assert float(held.calibration.base_from_world.translation()[2]) == float(
+        start.base_from_world.translation()[2]
+    )
+    assert "camera.u0" not in held.parameter_names
+    scaled = fit_joint(scene.data, start, free=("target_scale",), fixed=("camera",))
+    assert float(scaled.calibration.target_scale) == pytest.approx(1.0, abs=1e-3)
+    bound = fit_joint(scene.data, start, priors={"camera.u0": Prior(mean=300.0, std=1e-6)})
+    assert float(bound.calibration.camera.u0) == pytest.approx(300.0, abs=1e-3)
+    assert float(fit.calibration.camera.u0) == pytest.approx(322.0, abs=5.0)
+
+
+def test_any_optimistix_solver_will_do(noisy):
+    scene, fit = noisy
+    other = fit_joint(
+        scene.data, nudged(scene.calibration), solver=optx.Dogleg(rtol=1e-10, atol=1e-10)
+    )
+    assert other.solution.costs[-1] == pytest.approx(fit.solution.costs[-1], rel=1e-8)
+
+
+def test_one_rotation_axis_is_named(noisy):
+    scene, _ = noisy
+    turns = np.zeros((6, 6))
+    turns[:, 5] = np.linspace(-0.6, 0.6, 6)
+    turns[:, :2] = 0.01 * np.random.default_rng(0).normal(size=(6, 2))
+    commands = SE3(scene.base_from_tool.wxyz_xyz[0][None]) @ SE3.exp(jnp.asarray(turns))
+    pixels, valid = scene.calibration.project(commands, POINTS)
+    data = eqx.tree_at(
+        lambda d: (d.pixels, d.visible, d.base_from_tool),
+        scene.data.select(range(6)),
+        (pixels, valid, commands),
+    )
+    fit = fit_joint(data, scene.calibration, fixed=("camera",))
+    assert fit.observability.rank == 11
+    assert fit.observability.size == 12
+    (direction,) = fit.observability.null
+    assert direction.words == "camera offset along the tool's z axis: all rotations share that axis"
+    assert np.isinf(fit.std["camera_from_tool.translation.z"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"noise": "estimated"}, 'noise is "trusted" or a Noise'),
+        ({"fixed": ("camera.alpha",)}, r"no parameter is called 'camera.alpha'; did you mean"),
+        ({"loss": "l7"}, "loss is one of huber, cauchy"),
+        ({"lens": "bottle"}, "lens is one of pinhole"),
+        (
+            {"priors": {"camera_from_tool.rotation": Prior(std=0.1, mean=0.0)}},
+            "a rotation's prior is about the start",
+        ),
+    ],
+)
+def test_wrong_options_are_named(noisy, options, message):
+    scene, _ = noisy
+    with pytest.raises(ValueError, match=message):
+        fit_joint(scene.data, scene.calibration, **options)
+
+
+def test_a_start_that_sees_nothing_is_refused(noisy):
+    scene, _ = noisy
+    behind = eqx.tree_at(
+        lambda c: c.camera_from_mount,
+        scene.calibration,
+        SE3.from_rotation(jaxlie.SO3.from_x_radians(jnp.pi)) @ scene.calibration.camera_from_tool,
+    )
+    with pytest.raises(ValueError, match=r"every point of view 0, 1, .* behind the camera"):
+        fit_joint(scene.data, behind)
+
+
+def test_noise_and_priors_must_be_positive():
+    with pytest.raises(ValueError, match=r"Noise\.pixel: expected a positive number, found 0"):
+        Noise(0.0, 1e-3, 1e-3)
+    with pytest.raises(ValueError, match=r"Prior\.std"):
+        Prior(std=-1.0)
+
+
+def test_calibrate_goes_all_the_way():
+    scene = random_scene(6, views=8, outlier_fraction=0.05)
+    messages = []
+    fit = calibrate(scene.data, progress=messages.append)
+    assert fit.result.converged
+    assert fit.staged.result.converged
+    assert any(text.startswith("joint fit") for text in messages)
+    assert not np.asarray(fit.inliers & scene.outliers).any()
+    error = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
+    assert float(jnp.linalg.norm(error[:3])) < 2e-3

@@ -1,0 +1,143 @@
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax.simulation import random_scene
+from smartview_jax.staged import CLOSED_FORMS, frobenius_cost, solve_hand_eye
+from smartview_jax.staged.hand_eye import PAPER_START
+
+VIEWS = 9
+
+
+@pytest.fixture(scope="module")
+def exact():
+    scene = random_scene(3, views=VIEWS)
+    camera_from_world = scene.calibration.camera_from_world(scene.base_from_tool)
+    return scene, scene.base_from_tool.inverse(), camera_from_world
+
+
+@pytest.fixture(scope="module")
+def noisy(exact):
+    scene, tool_from_base, camera_from_world = exact
+    noise = 1e-3 * np.random.default_rng(0).normal(size=(VIEWS, 6))
+    return scene, tool_from_base, SE3.exp(jnp.asarray(noise)) @ camera_from_world
+
+
+def distance(a, b):
+    return float(jnp.abs((a.inverse() @ b).log()).max())
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_closed_forms_find_the_truth(exact, name):
+    scene, T, C = exact
+    hand_eye, world = CLOSED_FORMS[name](T, C, jnp.ones(VIEWS))
+    assert distance(hand_eye, scene.calibration.camera_from_tool) < 1e-10
+    assert distance(world, scene.calibration.base_from_world) < 1e-10
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_a_view_of_weight_zero_has_no_say(exact, name):
+    scene, T, C = exact
+    wrong = SE3(C.wxyz_xyz.at[2].set(SE3.identity().wxyz_xyz))
+    hand_eye, _ = CLOSED_FORMS[name](T, wrong, jnp.ones(VIEWS).at[2].set(0.0))
+    assert distance(hand_eye, scene.calibration.camera_from_tool) < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "metres"),
+    [
+        ("Park-Martin", "PARK", 3e-4),
+        ("Tsai-Lenz", "TSAI", 1e-3),
+        ("Daniilidis", "DANIILIDIS", 1e-9),
+    ],
+)
+def test_closed_forms_agree_with_opencv(noisy, name, method, metres):
+    """OpenCV weighs pairs otherwise, so translations differ by a little of the noise's effect."""
+    if not hasattr(cv2, "calibrateHandEye"):
+        pytest.skip("this OpenCV has no calibrateHandEye (5.0 left it out of its Python package)")
+    _, T, C = noisy
+    tool, world = np.asarray(T.inverse().as_matrix()), np.asarray(C.as_matrix())
+    R, t = cv2.calibrateHandEye(
+        tool[:, :3, :3],
+        tool[:, :3, 3],
+        world[:, :3, :3],
+        world[:, :3, 3],
+        method=getattr(cv2, f"CALIB_HAND_EYE_{method}"),
+    )
+    found = np.asarray(CLOSED_FORMS[name](T, C, jnp.ones(VIEWS))[0].inverse().as_matrix())
+    np.testing.assert_allclose(found[:3, :3], R, atol=1e-3 if name == "Tsai-Lenz" else 1e-9)
+    np.testing.assert_allclose(found[:3, 3], t[:, 0], atol=metres)
+
+
+def test_shah_agrees_with_opencv(noisy):
+    if not hasattr(cv2, "calibrateRobotWorldHandEye"):
+        pytest.skip("this OpenCV has no calibrateRobotWorldHandEye")
+    _, T, C = noisy
+    tool, world = np.asarray(T.as_matrix()), np.asarray(C.as_matrix())
+    _, _, R, t = cv2.calibrateRobotWorldHandEye(
+        world[:, :3, :3],
+        world[:, :3, 3],
+        tool[:, :3, :3],
+        tool[:, :3, 3],
+        method=cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH,
+    )
+    hand_eye, _ = CLOSED_FORMS["Shah"](T, C, jnp.ones(VIEWS))
+    np.testing.assert_allclose(hand_eye.rotation().as_matrix(), R, atol=1e-9)
+    np.testing.assert_allclose(hand_eye.translation(), t[:, 0], atol=1e-3)
+
+
+def test_eq_17_is_the_sum_it_says(noisy):
+    _, T, C = noisy
+    X = SE3.exp(jnp.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
+    t, c, x = (np.asarray(pose.as_matrix()) for pose in (T, C, X))
+    expected = sum(
+        np.sum((np.linalg.inv(t[i]) @ t[j] @ x - x @ np.linalg.inv(c[i]) @ c[j]) ** 2)
+        for i in range(VIEWS)
+        for j in range(VIEWS)
+        if i != j
+    )
+    assert float(frobenius_cost(X, T, C, jnp.ones(VIEWS))) == pytest.approx(expected, rel=1e-9)
+
+
+def test_bfgs_reaches_the_same_optimum_from_every_start(noisy):
+    scene, T, C = noisy
+    found = solve_hand_eye(T, C)
+    assert found.converged
+    assert found.starts[0].name == PAPER_START
+    assert len(found.starts) == 1 + len(CLOSED_FORMS)
+    costs = [tried.cost for tried in found.starts]
+    np.testing.assert_allclose(costs, min(costs), rtol=1e-6)
+    assert all(tried.cost <= tried.start_cost for tried in found.starts)
+    gradient = jax.grad(
+        lambda step: frobenius_cost(SE3.exp(step) @ found.holder_from_world, T, C, jnp.ones(VIEWS))
+    )(jnp.zeros(6))
+    assert np.abs(gradient).max() < 1e-5
+    assert distance(found.holder_from_world, scene.calibration.base_from_world) < 5e-3
+    assert found.difference[0] < 5e-3
+
+
+def test_the_unit_of_length_matters_and_can_be_chosen(noisy):
+    _, T, C = noisy
+    metres, millimetres = solve_hand_eye(T, C), solve_hand_eye(T, C, length_scale=1e-3)
+    assert 1e-7 < distance(metres.holder_from_world, millimetres.holder_from_world) < 0.05
+
+
+def test_a_failed_start_is_listed_and_not_used(exact):
+    """One rotation axis only: Park-Martin's rotation is not determined."""
+    scene, _, _ = exact
+    turns = np.zeros((VIEWS, 6))
+    turns[:, 5] = np.linspace(0.0, 1.0, VIEWS)
+    T = SE3.exp(jnp.asarray(turns))
+    C = scene.calibration.camera_from_tool @ T @ scene.calibration.base_from_world
+    found = solve_hand_eye(T, C)
+    assert all(np.isfinite(np.asarray(pose.wxyz_xyz)).all() for pose in (found.holder_from_world,))
+    assert min(tried.cost for tried in found.starts) < 1e-12
+
+
+def test_two_views_are_too_few(exact):
+    _, T, C = exact
+    with pytest.raises(ValueError, match="at least 3 views, found 2"):
+        solve_hand_eye(T, C, weights=jnp.zeros(VIEWS).at[:2].set(1.0))

@@ -1,0 +1,107 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from shared_data import shared_pairs
+
+from smartview_jax.evaluation import deviations
+from smartview_jax.simulation import paper_calibration, paper_scene, random_scene
+from smartview_jax.staged import fit_one_view_intrinsics, fit_staged
+
+
+@pytest.fixture(scope="module")
+def paper():
+    scene = paper_scene(1)
+    messages = []
+    return scene, fit_staged(scene.data, progress=messages.append), messages
+
+
+def test_the_papers_set_up_lands_in_the_papers_order_of_error(paper):
+    scene, fit, _ = paper
+    assert fit.result.converged
+    assert 0.2 < deviations(fit.calibration, scene.data).mean < 3.0
+    assert float(fit.step2.pixel_sigma) == pytest.approx(0.15, rel=0.1)
+
+
+def test_it_says_what_it_does(paper):
+    _, _, messages = paper
+    assert [text[:6] for text in messages if text.startswith("Step")] == [
+        "Step 1",
+        "Step 2",
+        "Step 3",
+    ]
+
+
+def test_noise_free_data_are_explained_to_the_last_pixel():
+    scene = random_scene(0, views=8, pixel_noise=0.0)
+    fit = fit_staged(scene.data)
+    assert deviations(fit.calibration, scene.data).rms < 1e-4
+    gap = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
+    assert np.abs(gap).max() < 1e-6
+
+
+def test_interpolation_reproduces_its_own_viewpoints_only(paper):
+    scene, fit, _ = paper
+    between = fit.interpolation(scene.data)
+    weights = between.weights(scene.data.base_from_tool.translation())
+    np.testing.assert_allclose(np.sum(weights, axis=1), 1.0, atol=1e-9)
+    moved = weights @ between.positions
+    np.testing.assert_allclose(moved, scene.data.base_from_tool.translation(), atol=1e-9)
+    assert deviations(between, scene.data).rms > deviations(fit.calibration, scene.data).rms
+
+
+def test_without_distortion_and_with_one_views_intrinsics_it_is_worse():
+    strong = eqx.tree_at(lambda c: c.camera.lens.k1, paper_calibration(), jnp.asarray(3.0))
+    scene = random_scene(2, views=8, calibration=strong)
+    best = deviations(fit_staged(scene.data).calibration, scene.data).rms
+    for other in (fit_staged(scene.data, lens="pinhole"), fit_one_view_intrinsics(scene.data)):
+        assert deviations(other.calibration, scene.data).rms > 1.2 * best
+
+
+def test_real_pictures_are_as_good_as_the_best_closed_form():
+    data, reference = shared_pairs("rct_circle10x10")
+    fit = fit_staged(data)
+    assert deviations(fit.calibration, data).rms < 1.05 * min(reference["before_px"].values())
+
+
+def test_eye_to_hand_with_a_known_camera():
+    data, reference = shared_pairs("visp_franka_eth")
+    other, _ = shared_pairs("visp_franka_eih")
+    fx, fy, cx, cy = reference["K"][:4]
+    camera = fit_staged(other, lens="pinhole").calibration.camera
+    camera = eqx.tree_at(
+        lambda c: (c.alpha_u, c.alpha_v, c.u0, c.v0),
+        camera,
+        tuple(jnp.asarray(x) for x in (fx, fy, cx, cy)),
+    )
+    fit = fit_staged(data, camera=camera)
+    assert fit.calibration.transform_names == ("camera_from_base", "tool_from_world")
+    assert deviations(fit.calibration, data).rms < 1.2 * min(reference["before_px"].values())
+
+
+def test_wrong_poses_are_refused_or_reported():
+    scene = random_scene(5, views=8)
+    wrong = eqx.tree_at(lambda d: d.base_from_tool, scene.data, scene.data.base_from_tool.inverse())
+    with pytest.raises(ValueError, match="when every one is inverted"):
+        fit_staged(wrong)
+    assert "inverted" in fit_staged(wrong, conventions="report").conventions.problems[0]
+    with pytest.raises(ValueError, match="conventions is 'raise' or 'report'"):
+        fit_staged(scene.data, conventions="shrug")
+
+
+def test_too_few_views_say_why():
+    scene = random_scene(5, views=8)
+    visible = scene.data.visible.at[2:].set(False)
+    few = eqx.tree_at(lambda d: d.visible, scene.data, visible)
+    with pytest.raises(ValueError, match=r"2 of 8 views have them \(view 2: 0 points seen"):
+        fit_staged(few)
+
+
+def test_a_masked_view_is_listed_with_its_reason():
+    scene = random_scene(5, views=8)
+    visible = scene.data.visible.at[3].set(False)
+    data = eqx.tree_at(lambda d: d.visible, scene.data, visible)
+    fit = fit_staged(data)
+    assert ("3", None, "0 points seen, 6 needed") in fit.rejected
+    assert 3 not in fit.views
+    assert not np.asarray(fit.residuals)[3].any()

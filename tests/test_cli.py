@@ -1,0 +1,105 @@
+import re
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from smartview_jax import Calibration
+from smartview_jax.cli import app
+from smartview_jax.io import sample_folder
+
+RUNNER = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """The main job on the sample, once for all tests here."""
+    out = tmp_path_factory.mktemp("result")
+    return RUNNER.invoke(app, ["calibrate", "--out", str(out)]), out
+
+
+def test_the_main_job_prints_the_table(result):
+    run, _ = result
+    assert run.exit_code == 0, run.output
+    text = run.output
+    for words in ("staged", "joint", "registration error, mean", "held-out error, RMS", "rejected"):
+        assert words in text
+    held_out = re.search(r"held-out error, RMS\s*│\s*([\d.]+) px\s*│\s*([\d.]+) px", run.stdout)
+    assert held_out is not None
+    staged, joint = map(float, held_out.groups())
+    assert joint == pytest.approx(2.26, abs=0.05)
+    assert joint < staged
+
+
+def test_it_says_what_it_is_doing(result):
+    run, _ = result
+    for words in ("view 0 (1 of 15)", "Step 1", "Step 2", "Step 3", "joint fit", "fold 5 of 5"):
+        assert words in run.stderr
+
+
+def test_the_calibration_file_is_the_result(result):
+    _, out = result
+    calibration = Calibration.load(out / "calibration.yaml")
+    assert float(calibration.camera.alpha_u) == pytest.approx(538.2, abs=1.0)
+    assert np.isfinite(np.asarray(calibration.camera_from_tool.wxyz_xyz)).all()
+
+
+def test_the_report_is_one_page_that_fetches_nothing(result):
+    _, out = result
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 6
+    assert not re.findall(r'(?:src|href)="(?!data:)', page)
+    for words in ("Rejected points and views", "What the data cannot tell", "camera.lens.k1"):
+        assert words in page
+    assert sorted(p.name for p in out.iterdir()) == [
+        "calibration.yaml",
+        "calibration_staged.yaml",
+        "report.html",
+    ]
+
+
+def test_names_from_the_data_are_escaped(result, tmp_path, monkeypatch):
+    from smartview_jax.report import page
+
+    rows = page.tables.rejections
+    monkeypatch.setattr(page.tables, "rejections", lambda *_: [("<script>", "&")])
+    assert rows is not page.tables.rejections
+    text = page._TEMPLATE("page.html").render(rejections=[("<script>", "&")], title="<b>")
+    assert "<script>" not in text
+    assert "&lt;script&gt;" in text
+
+
+def test_errors_are_one_line_and_exit_code_two(tmp_path):
+    run = RUNNER.invoke(app, ["calibrate", str(tmp_path / "nowhere")])
+    assert run.exit_code == 2
+    assert "no such folder" in run.stderr
+    assert "Traceback" not in run.output
+
+
+def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    # The package re-exports a function of the module's own name.
+    monkeypatch.setattr(sys.modules["smartview_jax.joint.calibrate"], "fit_staged", interrupted)
+    run = RUNNER.invoke(app, ["calibrate", "--out", str(tmp_path / "out")])
+    assert run.exit_code == 130
+    assert "interrupted; no results were written" in run.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_poses_the_wrong_way_round_are_named(tmp_path):
+    folder = tmp_path / "data"
+    shutil.copytree(sample_folder(), folder)
+    text = (folder / "dataset.yaml").read_text()
+    (folder / "dataset.yaml").write_text(text.replace("base_from_tool", "tool_from_base"))
+    run = RUNNER.invoke(app, ["calibrate", str(folder), "--out", str(tmp_path / "out")])
+    assert run.exit_code == 2
+    assert "when every one is inverted" in run.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_version():
+    assert "smartview_jax" in RUNNER.invoke(app, ["--version"]).output
