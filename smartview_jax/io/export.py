@@ -1,0 +1,165 @@
+"""A calibration in the words of the next program: ROS, URDF, OpenCV.
+
+Each function returns the text of a file. The camera's frame is the optical one (z forward, x to the
+right), which is what image processing expects; `optical=False` gives the body frame of ROS's
+REP 103 (x forward, z up) for programs that add the optical joint themselves.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3, SO3
+
+from ..calibration import Calibration
+from ..cameras import AbstractOpenCVLens, Camera, Fisheye, OpenCV8, Pinhole
+from ..files import dump_yaml
+
+OPTICAL_FROM_LINK = SO3.from_rpy_radians(jnp.pi / 2, -jnp.pi / 2, 0.0)
+"""Coordinates in the optical frame of a vector in the body frame: x forward becomes z forward."""
+
+
+class Coefficients(NamedTuple):
+    """A lens in OpenCV's terms.
+
+    Attributes:
+        model: ROS's name: `plumb_bob`, `rational_polynomial` or `equidistant`.
+        values: in OpenCV's order.
+        deviation: largest difference to the fitted lens over the picture, px; 0 where it is the
+            same model.
+    """
+
+    model: str
+    values: tuple[float, ...]
+    deviation: float
+
+
+def opencv_coefficients(camera: Camera) -> Coefficients:
+    """The lens in OpenCV's terms: as it is, or the nearest k1, k2, p1, p2, k3 to another model.
+
+    The paper's and Weng's lens map the other way; their inverse is no polynomial, so the nearest
+    one is fitted over the picture and its deviation reported.
+    """
+    lens = camera.lens
+    if isinstance(lens, Fisheye):
+        return Coefficients("equidistant", tuple(float(k) for k in vars(lens).values()), 0.0)
+    if isinstance(lens, OpenCV8):
+        return Coefficients("rational_polynomial", _floats(lens.coefficients), 0.0)
+    if isinstance(lens, AbstractOpenCVLens):
+        return Coefficients("plumb_bob", _floats(lens.coefficients[:5]), 0.0)
+    if isinstance(lens, Pinhole):
+        return Coefficients("plumb_bob", (0.0,) * 5, 0.0)
+    return _nearest_plumb_bob(camera)
+
+
+def _floats(values: object) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.asarray(values))
+
+
+def _nearest_plumb_bob(camera: Camera) -> Coefficients:
+    width, height = camera.image_size
+    u, v = np.meshgrid(np.linspace(0, width - 1, 41), np.linspace(0, height - 1, 31))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays, valid = camera.unproject(jnp.asarray(pixels))
+    rays, pixels = np.asarray(rays)[np.asarray(valid)], pixels[np.asarray(valid)]
+    focal = np.array([float(camera.alpha_u), float(camera.alpha_v)])
+    distorted = (pixels - [float(camera.u0), float(camera.v0)]) / focal
+    x, y = (rays[:, :2] / rays[:, 2:]).T
+    s = x * x + y * y
+    # OpenCV's polynomial is linear in its coefficients.
+    columns = np.stack(
+        [
+            np.stack([x * s, x * s**2, 2 * x * y, s + 2 * x * x, x * s**3], axis=1),
+            np.stack([y * s, y * s**2, s + 2 * y * y, 2 * x * y, y * s**3], axis=1),
+        ]
+    )
+    wanted = distorted.T - np.stack([x, y])
+    rows = (columns * focal[:, None, None]).reshape(-1, 5)
+    values = np.linalg.lstsq(rows, (wanted * focal[:, None]).ravel())[0]
+    gap = (columns @ values - wanted) * focal[:, None]
+    return Coefficients("plumb_bob", _floats(values), float(np.hypot(*gap).max()))
+
+
+def mount_from_camera(calibration: Calibration, optical: bool = True) -> SE3:
+    """Where the camera sits on its mount (the tool, or the base)."""
+    pose = calibration.camera_from_mount.inverse()
+    if optical:
+        return pose
+    return pose @ SE3.from_rotation(OPTICAL_FROM_LINK)
+
+
+def ros_static_transform(
+    calibration: Calibration, parent: str, child: str, optical: bool = True
+) -> str:
+    """Arguments for tf2_ros: `ros2 run tf2_ros static_transform_publisher ...`."""
+    pose = mount_from_camera(calibration, optical)
+    x, y, z = _floats(pose.translation())
+    qw, qx, qy, qz = _floats(pose.rotation().wxyz)
+    return (
+        "ros2 run tf2_ros static_transform_publisher "
+        f"--x {x!r} --y {y!r} --z {z!r} --qx {qx!r} --qy {qy!r} --qz {qz!r} --qw {qw!r} "
+        f"--frame-id {parent} --child-frame-id {child}\n"
+    )
+
+
+def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:
+    """A camera_info file as ROS's camera_calibration writes it."""
+    camera = calibration.camera
+    lens = opencv_coefficients(camera)
+    K = _matrix(camera)
+    content = {
+        "image_width": camera.image_size[0],
+        "image_height": camera.image_size[1],
+        "camera_name": name,
+        "camera_matrix": _rows(K),
+        "distortion_model": lens.model,
+        "distortion_coefficients": _rows(np.array([lens.values])),
+        "rectification_matrix": _rows(np.eye(3)),
+        "projection_matrix": _rows(np.concatenate([K, np.zeros((3, 1))], axis=1)),
+    }
+    note = ""
+    if lens.deviation:
+        note = f"# nearest plumb_bob to the fitted lens: up to {lens.deviation:.3g} px off\n"
+    return note + dump_yaml(content)
+
+
+def urdf_origin(calibration: Calibration, optical: bool = True) -> str:
+    """The `<origin>` of a joint from the mount to the camera; URDF's rpy is about fixed axes."""
+    pose = mount_from_camera(calibration, optical)
+    xyz = " ".join(repr(value) for value in _floats(pose.translation()))
+    rpy = " ".join(repr(float(angle)) for angle in pose.rotation().as_rpy_radians())
+    return f'<origin xyz="{xyz}" rpy="{rpy}"/>\n'
+
+
+def opencv_yaml(calibration: Calibration) -> str:
+    """A file that `cv2.FileStorage` reads: camera matrix, distortion, and both transforms (m)."""
+    lens = opencv_coefficients(calibration.camera)
+    first, second = calibration.transform_names
+    matrices = {
+        "camera_matrix": _matrix(calibration.camera),
+        "distortion_coefficients": np.array([lens.values]),
+        first: np.asarray(calibration.camera_from_mount.as_matrix()),
+        second: np.asarray(calibration.holder_from_world.as_matrix()),
+    }
+    width, height = calibration.camera.image_size
+    lines = ["%YAML:1.0", "---", f"image_width: {width}", f"image_height: {height}"]
+    lines += [f'distortion_model: "{lens.model}"', f"distortion_deviation_px: {lens.deviation!r}"]
+    for name, matrix in matrices.items():
+        numbers = ", ".join(f"{value:.17e}" for value in matrix.ravel())
+        lines += [
+            f"{name}: !!opencv-matrix",
+            f"   rows: {matrix.shape[0]}",
+            f"   cols: {matrix.shape[1]}",
+            "   dt: d",
+            f"   data: [ {numbers} ]",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _matrix(camera: Camera) -> np.ndarray:
+    fx, fy, cx, cy = _floats(jnp.stack([camera.alpha_u, camera.alpha_v, camera.u0, camera.v0]))
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def _rows(matrix: np.ndarray) -> dict[str, object]:
+    return {"rows": len(matrix), "cols": matrix.shape[1], "data": matrix.ravel().tolist()}

@@ -1,0 +1,112 @@
+import re
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+from jaxlie import SE3
+from scipy.spatial.transform import Rotation
+
+from smartview_jax import Calibration, Camera
+from smartview_jax.cameras import Fisheye, OpenCV5, OpenCV8, Radial
+from smartview_jax.io import (
+    opencv_coefficients,
+    opencv_yaml,
+    ros_camera_info,
+    ros_static_transform,
+    urdf_origin,
+)
+
+LENSES = {
+    "plumb_bob": OpenCV5(0.1, -0.2, 0.001, 0.002, 0.05),
+    "rational_polynomial": OpenCV8(0.5, -0.2, 0.001, 0.002, 0.05, 0.6, -0.1, 0.03),
+    "equidistant": Fisheye(-0.02, 0.003, -0.001, 0.0001),
+}
+
+
+def calibration(lens):
+    camera = Camera(800.0, 790.0, 320.5, 239.5, lens, (640, 480))
+    return Calibration.eye_in_hand(
+        camera,
+        SE3.exp(jnp.array([0.02, -0.05, 0.1, 0.3, -0.2, 1.5])),
+        SE3.exp(jnp.array([0.5, 0.1, 0.0, 0.1, 0.0, 0.4])),
+    )
+
+
+def tool_from_camera(cal):
+    return np.linalg.inv(np.asarray(cal.camera_from_tool.as_matrix()))
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_opencv_reads_its_own_format(tmp_path, model):
+    cal = calibration(LENSES[model])
+    (tmp_path / "cal.yaml").write_text(opencv_yaml(cal))
+    file = cv2.FileStorage(str(tmp_path / "cal.yaml"), cv2.FILE_STORAGE_READ)
+    K = file.getNode("camera_matrix").mat()
+    distortion = file.getNode("distortion_coefficients").mat()
+    hand_eye = file.getNode("camera_from_tool").mat()
+    np.testing.assert_allclose(hand_eye, cal.camera_from_tool.as_matrix(), atol=1e-15)
+    assert file.getNode("distortion_model").string() == model
+    points = np.random.default_rng(0).uniform([-0.2, -0.2, 1.0], [0.2, 0.2, 1.5], (20, 3))
+    zero = np.zeros(3)
+    if model == "equidistant":
+        expected, _ = cv2.fisheye.projectPoints(points[:, None], zero, zero, K, distortion)
+    else:
+        expected, _ = cv2.projectPoints(points, zero, zero, K, distortion)
+    found, _ = cal.camera.project(jnp.asarray(points))
+    np.testing.assert_allclose(found, expected[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("k1", [0.3, -0.1])
+def test_the_papers_lens_becomes_the_nearest_polynomial_and_says_how_near(k1):
+    cal = calibration(Radial(k1))
+    lens = opencv_coefficients(cal.camera)
+    assert lens.model == "plumb_bob"
+    assert lens.values[0] == pytest.approx(-k1, rel=0.2)
+    nearest = Camera(800.0, 790.0, 320.5, 239.5, OpenCV5(*lens.values), (640, 480))
+    rays, _ = cal.camera.unproject(jnp.array([[0.0, 0.0], [639.0, 479.0], [320.0, 100.0]]))
+    gap = np.abs(np.asarray(nearest.project(rays)[0] - cal.camera.project(rays)[0])).max()
+    assert gap <= lens.deviation < 0.05
+    assert "px off" in ros_camera_info(cal).splitlines()[0]
+
+
+def test_camera_info_is_yaml_with_the_camera():
+    cal = calibration(LENSES["plumb_bob"])
+    content = yaml.safe_load(ros_camera_info(cal, "wrist"))
+    assert content["camera_name"] == "wrist"
+    assert content["distortion_model"] == "plumb_bob"
+    np.testing.assert_allclose(content["camera_matrix"]["data"][:3], [800.0, 0.0, 320.5])
+    np.testing.assert_allclose(
+        content["distortion_coefficients"]["data"], [0.1, -0.2, 0.001, 0.002, 0.05]
+    )
+
+
+def test_the_static_transform_is_the_camera_in_the_tool():
+    cal = calibration(Radial(0.1))
+    text = ros_static_transform(cal, "tool0", "camera_optical_frame")
+    values = {key: float(x) for key, x in re.findall(r"--(q?[xyzw]) (\S+)", text)}
+    expected = tool_from_camera(cal)
+    np.testing.assert_allclose([values[a] for a in "xyz"], expected[:3, 3], atol=1e-15)
+    rotation = Rotation.from_quat([values[f"q{a}"] for a in "xyzw"]).as_matrix()
+    np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-12)
+    assert "--frame-id tool0 --child-frame-id camera_optical_frame" in text
+
+
+def test_urdf_and_the_body_frame():
+    cal = calibration(Radial(0.1))
+    expected = tool_from_camera(cal)
+    xyz, rpy = (
+        np.array(text.split(), dtype=float)
+        for text in re.findall(r'(?:xyz|rpy)="([^"]*)"', urdf_origin(cal))
+    )
+    np.testing.assert_allclose(xyz, expected[:3, 3], atol=1e-15)
+    np.testing.assert_allclose(
+        Rotation.from_euler("xyz", rpy).as_matrix(), expected[:3, :3], atol=1e-12
+    )
+    body = re.search(r'rpy="([^"]*)"', urdf_origin(cal, optical=False))
+    assert body is not None
+    turned = Rotation.from_euler("xyz", np.array(body[1].split(), dtype=float)).as_matrix()
+    # The body's x looks where the optical z looks, its z up where the optical y looks down.
+    np.testing.assert_allclose(turned[:, 0], expected[:3, 2], atol=1e-12)
+    np.testing.assert_allclose(turned[:, 2], -expected[:3, 1], atol=1e-12)
