@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,6 +99,40 @@ def compare(dataset: DatasetArgument = None, debug: DebugOption = False) -> None
                 f"{unseen.rms_mm:.2f}",
             )
         Console().print(table)
+
+
+class ExportFormat(StrEnum):
+    """What `export` writes."""
+
+    ROS = "ros"
+    CAMERA_INFO = "camera_info"
+    URDF = "urdf"
+    OPENCV = "opencv"
+
+
+@app.command()
+def export(
+    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    to: Annotated[ExportFormat, typer.Option(help="For which program.")],
+    parent: Annotated[str, typer.Option(help="ROS frame of the mount.")] = "tool0",
+    child: Annotated[str, typer.Option(help="ROS frame of the camera.")] = "camera_optical_frame",
+    debug: DebugOption = False,
+) -> None:
+    """Print a calibration in another program's words."""
+    with _errors(debug):
+        from . import io
+        from .calibration import Calibration
+
+        found = Calibration.load(calibration)
+        if to is ExportFormat.ROS:
+            text = io.ros_static_transform(found, parent, child)
+        elif to is ExportFormat.CAMERA_INFO:
+            text = io.ros_camera_info(found)
+        elif to is ExportFormat.URDF:
+            text = io.urdf_origin(found)
+        else:
+            text = io.opencv_yaml(found)
+        typer.echo(text, nl=False)
 
 
 def _load(dataset: Path | None, say: Callable[[str], None]) -> "tuple[Dataset, str]":

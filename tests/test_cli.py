@@ -46,6 +46,22 @@ def test_the_calibration_file_is_the_result(result):
     assert np.isfinite(np.asarray(calibration.camera_from_tool.wxyz_xyz)).all()
 
 
+@pytest.mark.parametrize(
+    ("to", "words"),
+    [
+        ("ros", "static_transform_publisher"),
+        ("camera_info", "distortion_model: plumb_bob"),
+        ("urdf", "<origin xyz="),
+        ("opencv", "!!opencv-matrix"),
+    ],
+)
+def test_the_calibration_is_exported(result, to, words):
+    _, out = result
+    run = RUNNER.invoke(app, ["export", str(out / "calibration.yaml"), "--to", to])
+    assert run.exit_code == 0, run.output
+    assert words in run.stdout
+
+
 def test_the_report_is_one_page_that_fetches_nothing(result):
     _, out = result
     page = (out / "report.html").read_text()

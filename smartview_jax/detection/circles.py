@@ -68,9 +68,23 @@ def _grid(
     size = (target.columns, target.rows)
     for flags in (kind | cv2.CALIB_CB_CLUSTERING, kind):
         ok, centres = cv2.findCirclesGrid(image, size, flags=flags, blobDetector=detector)
-        if ok:
+        if ok and _is_a_grid(centres.reshape(-1, 2), target):
             return centres.reshape(-1, 2)
     return None
+
+
+def _is_a_grid(centres: np.ndarray, target: CircleGrid) -> bool:
+    """The finder may take a stray blob for a circle: a homography must explain the whole grid."""
+    flat = target.points[:, :2] / target.spacing
+    H, _ = cv2.findHomography(flat, centres)
+    if H is None:
+        return False
+    mapped = cv2.perspectiveTransform(flat[None], H)[0]
+    neighbours = np.linalg.norm(np.diff(mapped, axis=0), axis=1)
+    # Lens distortion bends a grid by a few hundredths of a step, a wrong circle by a whole one.
+    return float(np.linalg.norm(centres - mapped, axis=1).max()) < 0.3 * float(
+        np.median(neighbours)
+    )
 
 
 def _origin_first(
