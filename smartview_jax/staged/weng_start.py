@@ -111,7 +111,8 @@ def linear_start(
     # Back to pixels and metres.
     alpha, centre = r * pinhole[:2], r * pinhole[2:] + b
     pose = _pose(rotation, s * translation, a)
-    return Start(Intrinsics(*alpha, *centre, jnp.zeros(())), SE3(jnp.stack([pose, pose])))
+    found = Intrinsics(alpha[0], alpha[1], centre[0], centre[1], jnp.zeros(()))
+    return Start(found, SE3(jnp.stack([pose, pose])))
 
 
 def _projection(p: Array, uv: Array, visible: Array) -> Array:
