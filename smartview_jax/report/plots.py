@@ -46,7 +46,7 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
     axes.set_title(f"view {data.view_ids[view]}")
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    axes.legend(loc="upper right", framealpha=0.9)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 
