@@ -128,7 +128,7 @@ class Dataset(eqx.Module):
             points=jnp.asarray(np.where(np.isfinite(points), points, 0.0)),
             pixels=jnp.asarray(np.where(seen[..., None], pixels, np.nan)),
             visible=jnp.asarray(seen),
-            base_from_tool=SE3.from_matrix(jnp.asarray(matrices)),
+            base_from_tool=as_se3(matrices),
             view_ids=ids,
             image_size=(int(image_size[0]), int(image_size[1])),
             mount=mount,

@@ -1,10 +1,21 @@
-"""Yaw, pitch, roll (Eq. 16) and the other three-angle conventions that robots report."""
+"""Yaw, pitch, roll (Eq. 16) and the other three-angle conventions that robots report.
+
+Each inverse takes its first two angles from the matrix, turns the first rotation back, and reads
+the last angle from what is left. That pair of entries has length 1 whatever the pose, so near the
+gimbal, where the first angle is ill determined, the last one makes up for it: the rotation comes
+back to rounding, although the single angles do not.
+"""
 
 import jax.numpy as jnp
 from jaxlie import SO3
 from jaxtyping import Array, Float
 
-_GIMBAL = 1e-7
+GIMBAL = 1e-10
+"""Cosine (or sine) of the middle angle under which the outer angles are one angle.
+
+Far above rounding, so that composed transforms that should be at the gimbal are; far below any
+angle that matters, since the rotation is wrong by about this much there.
+"""
 
 
 def rotation_from_ypr(ypr: Float[Array, "*batch 3"]) -> SO3:
@@ -16,14 +27,19 @@ def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     """Yaw, pitch, roll in rad, pitch within +-90 degrees; at +-90 degrees roll is zero."""
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 0], R[..., 1, 0])
-    gimbal = cosine < _GIMBAL
+    gimbal = cosine < GIMBAL
     pitch = jnp.arctan2(-R[..., 2, 0], cosine)
     yaw = jnp.arctan2(
         jnp.where(gimbal, -R[..., 0, 1], R[..., 1, 0]),
         jnp.where(gimbal, R[..., 1, 1], R[..., 0, 0]),
     )
-    roll = jnp.where(gimbal, 0.0, jnp.arctan2(R[..., 2, 1], jnp.where(gimbal, 1.0, R[..., 2, 2])))
-    return jnp.stack([yaw, pitch, roll], axis=-1)
+    # The second row of Rz(-yaw) R = Ry(pitch) Rx(roll) is (0, cos roll, -sin roll).
+    s, c = jnp.sin(yaw), jnp.cos(yaw)
+    roll = jnp.arctan2(
+        s * R[..., 0, 2] - c * R[..., 1, 2],
+        c * R[..., 1, 1] - s * R[..., 0, 1],
+    )
+    return jnp.stack([yaw, pitch, jnp.where(gimbal, 0.0, roll)], axis=-1)
 
 
 def rotation_from_zyz(angles: Float[Array, "*batch 3"]) -> SO3:
@@ -36,9 +52,15 @@ def zyz_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     """The three angles in rad, the second in [0, 180] degrees; at its ends the first is zero."""
     R = rotation.as_matrix()
     sine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
-    gimbal = sine < _GIMBAL
+    gimbal = sine < GIMBAL
     second = jnp.arctan2(sine, R[..., 2, 2])
-    first = jnp.where(gimbal, 0.0, jnp.arctan2(R[..., 1, 2], jnp.where(gimbal, 1.0, R[..., 0, 2])))
-    regular = jnp.arctan2(R[..., 2, 1], jnp.where(gimbal, 1.0, -R[..., 2, 0]))
-    third = jnp.where(gimbal, jnp.arctan2(R[..., 1, 0], R[..., 1, 1]), regular)
+    # The inner `where` keeps the derivative of the branch not taken finite.
+    first = jnp.arctan2(R[..., 1, 2], jnp.where(gimbal, 1.0, R[..., 0, 2]))
+    first = jnp.where(gimbal, 0.0, first)
+    # The second row of Rz(-first) R = Ry(second) Rz(third) is (sin third, cos third, 0).
+    s, c = jnp.sin(first), jnp.cos(first)
+    third = jnp.arctan2(
+        c * R[..., 1, 0] - s * R[..., 0, 0],
+        c * R[..., 1, 1] - s * R[..., 0, 1],
+    )
     return jnp.stack([first, second, third], axis=-1)

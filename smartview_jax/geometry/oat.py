@@ -4,7 +4,9 @@
 
 At O = A = T = 0 the tool points along -y. At A = +-90 degrees it points straight down or up, which
 is how one looks at a table, and only T - O (or T + O) is defined there. So this is a format for
-files and commands only: nothing is estimated, averaged or interpolated in it.
+files and commands only: nothing is estimated, averaged or interpolated in it. O and T belong
+together: near the gimbal each varies wildly from pose to pose, and the O of one pose with the T of
+another is no orientation near either.
 
 Reference: UNIMATION, VAL, 1977; the paper's Eq. 18.
 """
@@ -13,10 +15,8 @@ import jax.numpy as jnp
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from .euler import GIMBAL
 from .rigid import PoseLike, as_se3
-
-_GIMBAL = 1e-7
-"""Cosine of A under which O and T cannot be told apart in double precision."""
 
 _M0 = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
 
@@ -29,34 +29,40 @@ def rotation_from_oat(oat: Float[Array, "*batch 3"]) -> SO3:
 
 
 def oat_from_rotation(
-    rotation: SO3, other_branch: bool = False, gimbal_o: float = 0.0
+    rotation: SO3,
+    other_branch: bool = False,
+    gimbal_o: float | Float[Array, "*#batch"] = 0.0,
 ) -> Float[Array, "*batch 3"]:
     """O, A, T in rad, A within +-90 degrees.
 
     Args:
         rotation: `(*batch)`.
         other_branch: the same rotation as `(O + pi, pi - A, T + pi)`.
-        gimbal_o: O where the tool points straight down or up, such as the last commanded one.
+        gimbal_o: O where the tool points straight down or up, such as the last commanded one, for
+            all rotations or for each; in the other branch it, too, is turned by pi.
     """
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
-    gimbal = cosine < _GIMBAL
-    safe = jnp.where(gimbal, 1.0, R[..., 0, 2])
-    O = jnp.arctan2(safe, -R[..., 1, 2])
+    gimbal = cosine < GIMBAL
     A = jnp.arctan2(-R[..., 2, 2], cosine)
-    T = jnp.arctan2(jnp.where(gimbal, 1.0, R[..., 2, 1]), -R[..., 2, 0])
-    # Straight down (A > 0) only T - O is defined, straight up T + O.
-    free = jnp.arctan2(R[..., 0, 0], R[..., 0, 1])
-    chosen = jnp.full_like(free, gimbal_o)
-    O = jnp.where(gimbal, chosen, O)
-    T = jnp.where(gimbal, free + jnp.where(A > 0.0, chosen, -chosen), T)
+    # The inner `where` keeps the derivative of the branch not taken finite.
+    O = jnp.arctan2(jnp.where(gimbal, 1.0, R[..., 0, 2]), -R[..., 1, 2])
+    O = jnp.where(gimbal, jnp.broadcast_to(jnp.asarray(gimbal_o, R.dtype), O.shape), O)
+    # The first row of Rz(-O) R = M0 Ry(A) Rz(T) is (sin T, cos T, 0): T fits whatever O there is.
+    s, c = jnp.sin(O), jnp.cos(O)
+    T = jnp.arctan2(c * R[..., 0, 0] + s * R[..., 1, 0], c * R[..., 0, 1] + s * R[..., 1, 1])
     if other_branch:
-        O, A, T = O + jnp.pi, jnp.pi - A, T + jnp.pi
-    return jnp.stack([_wrapped(O), A, _wrapped(T)], axis=-1)
+        O, A, T = _wrapped(O + jnp.pi), jnp.pi - A, _wrapped(T + jnp.pi)
+    return jnp.stack([O, A, T], axis=-1)
 
 
-def xyzoat(base_from_tool: PoseLike, gimbal_o: float = 0.0) -> Float[Array, "*batch 6"]:
-    """A pose as VAL writes it: x, y, z in m, then O, A, T in rad."""
+def xyzoat(
+    base_from_tool: PoseLike, gimbal_o: float | Float[Array, "*#batch"] = 0.0
+) -> Float[Array, "*batch 6"]:
+    """A pose as VAL writes it: x, y, z in m, then O, A, T in rad, A within +-90 degrees.
+
+    `gimbal_o` is O where the tool points straight down or up, as in `oat_from_rotation`.
+    """
     pose = as_se3(base_from_tool)
     angles = oat_from_rotation(pose.rotation(), gimbal_o=gimbal_o)
     return jnp.concatenate([pose.translation(), angles], axis=-1)

@@ -1,7 +1,22 @@
 """Poses as rows of numbers, in the formats that robots and files use, by name.
 
-A codec turns rows into transforms and back. Units are stated, never guessed: `length_unit` is m or
-mm, `angle_unit` rad or deg. Vendors' own units are mm and degrees, except UR (m, rad).
+A codec turns rows into transforms and back. Units are stated, never guessed; the vendors' own are
+
+| name | rotation | columns after x, y, z | units |
+|---|---|---|---|
+| `matrix` | 4x4, row by row | (sixteen in all) | |
+| `quaternion_xyzw`, `quaternion_wxyz` | unit quaternion | as named | |
+| `rotation_vector` | axis times angle | rx, ry, rz | |
+| `yaw_pitch_roll` | Rz(yaw) Ry(pitch) Rx(roll), Eq. 16 | yaw, pitch, roll | |
+| `val_oat` | Rz(O) Rx(A) M0 Rz(T), Eq. 18 | O, A, T | mm, deg |
+| `kawasaki_oat` | Rz(O) Ry(A) Rz(T) | O, A, T | mm, deg |
+| `kuka_abc` | Rz(A) Ry(B) Rx(C) | A, B, C | mm, deg |
+| `ur` | axis times angle | rx, ry, rz | m, rad in programs; mm, rad on the pendant |
+| `fanuc_wpr` | Rz(R) Ry(P) Rx(W) | W, P, R | mm, deg |
+| `abb` | unit quaternion, real part first | q1, q2, q3, q4 | mm |
+
+Reference: the vendors' pose formats as collected in the manual of Basler's rc_visard, chapter
+"Pose formats"; VAL's in `oat.py`.
 """
 
 import dataclasses
@@ -14,13 +29,16 @@ from jaxtyping import Array, Float
 
 from .euler import rotation_from_ypr, rotation_from_zyz, ypr_from_rotation, zyz_from_rotation
 from .oat import oat_from_rotation, rotation_from_oat
-from .rigid import check_rigid
+from .rigid import as_se3, check_rigid
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 
 _UNIT_TOLERANCE = 1e-3
 """How far a quaternion's length may be from 1: files have few digits."""
+
+_NAMED = 5
+"""How many bad rows a message names: in a wrong unit or format all of them are bad."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,60 +48,65 @@ class PoseCodec:
     Attributes:
         name: of the format.
         columns: what each number is.
-        angles: which columns are angles, by index.
         lengths: which columns are lengths, by index.
-        to_rotation: rotation from the columns after x, y, z.
-        from_rotation: the inverse.
+        angles: which columns are angles, by index.
+        to_se3: transforms `(*batch)` of rows `(*batch, columns)` in m and rad; pure JAX.
+        from_se3: the inverse.
+        check: a sentence for each of the labelled rows `(n, columns)` that is no transform.
     """
 
     name: str
     columns: tuple[str, ...]
-    angles: tuple[int, ...]
     lengths: tuple[int, ...]
-    to_rotation: Callable[[Array], SO3]
-    from_rotation: Callable[[SO3], Array]
+    angles: tuple[int, ...]
+    to_se3: Callable[[Array], SE3]
+    from_se3: Callable[[SE3], Array]
+    check: Callable[[np.ndarray, tuple[str, ...]], list[str]]
 
     def decode(
         self,
-        rows: np.ndarray,
+        rows: np.ndarray | Array,
         length_unit: str = "m",
         angle_unit: str = "rad",
         labels: Sequence[str] | None = None,
     ) -> SE3:
-        """Transforms of rows `(n, columns)`.
+        """Transforms `(*batch)` of rows `(*batch, columns)`.
 
         Raises:
             ValueError: an unknown unit, a wrong number of columns, or a row that is no rigid
                 transform, named by its label (by default its number).
         """
         numbers = np.array(rows, dtype=float)
-        if numbers.ndim != 2 or numbers.shape[1] != len(self.columns):
+        if numbers.ndim == 0 or numbers.shape[-1] != len(self.columns):
             raise ValueError(
                 f"{self.name}: expected rows of {len(self.columns)} numbers "
                 f"({', '.join(self.columns)}), found shape {numbers.shape}"
             )
-        names = tuple(map(str, range(len(numbers)) if labels is None else labels))
-        for name, row in zip(names, numbers, strict=True):
-            if not np.isfinite(row).all():
-                raise ValueError(f"{self.name}: row {name} contains NaN or infinity")
         numbers = numbers * self._units(length_unit, angle_unit)
-        if self.name == "matrix":
-            return _from_matrices(numbers, names)
-        if self.name.startswith(("quaternion", "abb")):
-            _check_quaternions(self.name, numbers[:, 3:], names)
-        rotation = self.to_rotation(jnp.asarray(numbers[:, 3:]))
-        return SE3.from_rotation_and_translation(rotation, jnp.asarray(numbers[:, :3]))
+        flat = numbers.reshape(-1, len(self.columns))
+        names = tuple(map(str, range(len(flat)) if labels is None else labels))
+        if len(names) != len(flat):
+            raise ValueError(f"{self.name}: {len(flat)} rows, but {len(names)} labels")
+        self._refuse(flat, names)
+        return self.to_se3(jnp.asarray(numbers))
 
     def encode(
         self, poses: SE3, length_unit: str = "m", angle_unit: str = "rad"
-    ) -> Float[np.ndarray, "rows columns"]:
-        """Rows of transforms `(n)`."""
-        if self.name == "matrix":
-            numbers = np.asarray(poses.as_matrix()).reshape(-1, 16)
-        else:
-            rotation = np.asarray(self.from_rotation(poses.rotation()))
-            numbers = np.concatenate([np.asarray(poses.translation()), rotation], axis=1)
-        return numbers / self._units(length_unit, angle_unit)
+    ) -> Float[np.ndarray, "*batch columns"]:
+        """Rows `(*batch, columns)` of transforms `(*batch)`."""
+        return np.asarray(self.from_se3(poses)) / self._units(length_unit, angle_unit)
+
+    def _refuse(self, rows: np.ndarray, names: tuple[str, ...]) -> None:
+        problems = [
+            f"row {name} contains NaN or infinity"
+            for name, row in zip(names, rows, strict=True)
+            if not np.isfinite(row).all()
+        ]
+        problems = problems or self.check(rows, names)
+        if problems:
+            more = len(problems) - _NAMED
+            rest = f"; and {more} more of {len(rows)} rows" if more > 0 else ""
+            raise ValueError(f"{self.name}: {'; '.join(problems[:_NAMED])}{rest}")
 
     def _units(self, length_unit: str, angle_unit: str) -> np.ndarray:
         for unit, known, what in (
@@ -98,42 +121,42 @@ class PoseCodec:
         return units
 
 
-def _from_matrices(numbers: np.ndarray, names: tuple[str, ...]) -> SE3:
-    matrices = numbers.reshape(-1, 4, 4)
-    problems = check_rigid(matrices, names)
-    if problems:
-        raise ValueError("; ".join(f"row {name}: {text}" for name, text in problems.items()))
-    return SE3.from_matrix(jnp.asarray(matrices))
+def _matrix() -> PoseCodec:
+    def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
+        problems = check_rigid(rows.reshape(-1, 4, 4), names)
+        return [f"row {name}: {text}" for name, text in problems.items()]
+
+    return PoseCodec(
+        name="matrix",
+        columns=tuple(f"m{i}{j}" for i in range(4) for j in range(4)),
+        lengths=(3, 7, 11),
+        angles=(),
+        to_se3=lambda rows: as_se3(rows.reshape(*rows.shape[:-1], 4, 4)),
+        from_se3=lambda poses: poses.as_matrix().reshape(*poses.get_batch_axes(), 16),
+        check=check,
+    )
 
 
-def _check_quaternions(codec: str, quaternions: np.ndarray, names: tuple[str, ...]) -> None:
-    for name, length in zip(names, np.linalg.norm(quaternions, axis=1), strict=True):
-        if abs(length - 1.0) > _UNIT_TOLERANCE:
-            raise ValueError(f"{codec}: row {name} has a quaternion of length {length:.6g}, not 1")
+def _quaternion(name: str, columns: tuple[str, ...], wxyz: tuple[int, ...]) -> PoseCodec:
+    """`wxyz`: where w, x, y and z stand among the last four columns."""
+    written = tuple(int(k) for k in np.argsort(wxyz))
 
+    def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
+        lengths = np.linalg.norm(rows[:, 3:], axis=1)
+        return [
+            f"row {label} has a quaternion of length {length:.6g}, not 1"
+            for label, length in zip(names, lengths, strict=True)
+            if abs(length - 1.0) > _UNIT_TOLERANCE
+        ]
 
-def _unit(quaternion: Array) -> Array:
-    return quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True)
-
-
-def _wxyz(quaternion: Array) -> SO3:
-    return SO3(_unit(quaternion))
-
-
-def _xyzw(quaternion: Array) -> SO3:
-    return SO3(_unit(jnp.concatenate([quaternion[..., 3:], quaternion[..., :3]], axis=-1)))
-
-
-def _to_xyzw(rotation: SO3) -> Array:
-    return jnp.concatenate([rotation.wxyz[..., 1:], rotation.wxyz[..., :1]], axis=-1)
-
-
-def _reverse(function: Callable[[Array], SO3]) -> Callable[[Array], SO3]:
-    return lambda angles: function(angles[..., ::-1])
-
-
-_XYZ = ("x", "y", "z")
-_LENGTHS, _ANGLES = (0, 1, 2), (3, 4, 5)
+    return _three_and(
+        name,
+        columns,
+        angles=(),
+        to_rotation=lambda numbers: SO3(numbers[..., jnp.array(wxyz)]).normalize(),
+        from_rotation=lambda rotation: rotation.wxyz[..., jnp.array(written)],
+        check=check,
+    )
 
 
 def _angles(
@@ -142,44 +165,54 @@ def _angles(
     to_rotation: Callable[[Array], SO3],
     from_rotation: Callable[[SO3], Array],
 ) -> PoseCodec:
-    return PoseCodec(name, (*_XYZ, *columns), _ANGLES, _LENGTHS, to_rotation, from_rotation)
+    return _three_and(name, columns, (3, 4, 5), to_rotation, from_rotation, lambda rows, names: [])
 
 
-def _quaternion(
+def _three_and(
     name: str,
     columns: tuple[str, ...],
+    angles: tuple[int, ...],
     to_rotation: Callable[[Array], SO3],
     from_rotation: Callable[[SO3], Array],
+    check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
 ) -> PoseCodec:
-    return PoseCodec(name, (*_XYZ, *columns), (), _LENGTHS, to_rotation, from_rotation)
+    """x, y, z, and then the rotation."""
+    return PoseCodec(
+        name=name,
+        columns=("x", "y", "z", *columns),
+        lengths=(0, 1, 2),
+        angles=angles,
+        to_se3=lambda rows: SE3.from_rotation_and_translation(
+            to_rotation(rows[..., 3:]), rows[..., :3]
+        ),
+        from_se3=lambda poses: jnp.concatenate(
+            [poses.translation(), from_rotation(poses.rotation())], axis=-1
+        ),
+        check=check,
+    )
 
 
-_MATRIX_COLUMNS = tuple(f"m{i}{j}" for i in range(4) for j in range(4))
+_RXYZ = ("rx", "ry", "rz")
 
 POSE_CODECS: dict[str, PoseCodec] = {
     codec.name: codec
     for codec in (
-        PoseCodec(
-            "matrix", _MATRIX_COLUMNS, (), (3, 7, 11), lambda _: SO3.identity(), lambda r: r.wxyz
-        ),
-        _quaternion("quaternion_xyzw", ("qx", "qy", "qz", "qw"), _xyzw, _to_xyzw),
-        _quaternion("quaternion_wxyz", ("qw", "qx", "qy", "qz"), _wxyz, lambda r: r.wxyz),
-        _angles("rotation_vector", ("rx", "ry", "rz"), SO3.exp, lambda r: r.log()),
+        _matrix(),
+        _quaternion("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
+        _quaternion("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
+        _angles("rotation_vector", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
         _angles("yaw_pitch_roll", ("yaw", "pitch", "roll"), rotation_from_ypr, ypr_from_rotation),
         _angles("val_oat", ("O", "A", "T"), rotation_from_oat, oat_from_rotation),
-        # Kawasaki: Rz(O) Ry(A) Rz(T), not VAL's angles of the same names.
         _angles("kawasaki_oat", ("O", "A", "T"), rotation_from_zyz, zyz_from_rotation),
-        # KUKA: A about z, B about y, C about x, in that order.
         _angles("kuka_abc", ("A", "B", "C"), rotation_from_ypr, ypr_from_rotation),
-        _angles("ur", ("rx", "ry", "rz"), SO3.exp, lambda r: r.log()),
-        # Fanuc: W about x, P about y, R about z; R = Rz(R) Ry(P) Rx(W).
+        _angles("ur", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
         _angles(
             "fanuc_wpr",
             ("W", "P", "R"),
-            _reverse(rotation_from_ypr),
-            lambda r: ypr_from_rotation(r)[..., ::-1],
+            lambda wpr: rotation_from_ypr(wpr[..., ::-1]),
+            lambda rotation: ypr_from_rotation(rotation)[..., ::-1],
         ),
-        _quaternion("abb", ("q1", "q2", "q3", "q4"), _wxyz, lambda r: r.wxyz),
+        _quaternion("abb", ("q1", "q2", "q3", "q4"), wxyz=(0, 1, 2, 3)),
     )
 }
 """Every pose format, by name."""
