@@ -2,8 +2,10 @@
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from ..targets import Chessboard
+from ..targets.target import grid_rotations
 from .detection import Detection, found, nothing_found
 
 
@@ -21,4 +23,21 @@ def detect_chessboard(image: np.ndarray, target: Chessboard) -> Detection:
             target.rows * target.columns,
             f"no chessboard with {target.rows} x {target.columns} inner corners found",
         )
-    return found(corners)
+    return found(_light_first(image, corners.reshape(-1, 2), target))
+
+
+def _light_first(
+    image: np.ndarray, corners: Float[np.ndarray, "corners 2"], target: Chessboard
+) -> Float[np.ndarray, "corners 2"]:
+    """The corners in the order whose first square is a light one, where some order has that."""
+    rows, columns = target.rows, target.columns
+    sign = (-1.0) ** np.add.outer(np.arange(rows - 1), np.arange(columns - 1))
+    for order in grid_rotations(rows, columns):
+        grid = corners[order].reshape(rows, columns, 2)
+        centres = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4.0
+        x, y = np.moveaxis(centres.astype(np.float32), -1, 0)
+        brightness = cv2.remap(image, x, y, cv2.INTER_LINEAR)
+        # Light against dark in the mean, so that one square in shadow does not decide.
+        if np.mean(sign * brightness) > np.mean(sign) * np.mean(brightness):
+            return corners[order]
+    return corners

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from .target import AbstractTarget, grid_points, require_count, require_positive
+from .dictionaries import require_markers
+from .target import AbstractTarget, grid_points, require_count, require_flag, require_positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +20,8 @@ class Charuco(AbstractTarget):
         squares_x, squares_y: number of squares across and down.
         square, marker: sides, m.
         dictionary: name of an OpenCV dictionary, such as `"DICT_4X4_250"`.
-        legacy: the pattern of OpenCV before 4.6, where the first square is white.
+        legacy: the pattern of OpenCV before 4.6, which differs where `squares_y` is even: there
+            the first square is white.
     """
 
     squares_x: int
@@ -36,6 +38,8 @@ class Charuco(AbstractTarget):
             raise ValueError(
                 f"marker: expected less than the square's {self.square} m, found {self.marker}"
             )
+        require_flag(legacy=self.legacy)
+        require_markers(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:

@@ -12,6 +12,9 @@ from .target import AbstractTarget, grid_points, grid_rotations, require_count, 
 class Chessboard(AbstractTarget):
     """Inner corners, row by row.
 
+    The square between the first four corners is a light one, if the colours allow it: turned so
+    that it is, most boards have one order only.
+
     Attributes:
         rows, columns: number of inner corners down and across.
         square: side of a square, m.
@@ -31,5 +34,12 @@ class Chessboard(AbstractTarget):
 
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
-        """Half a turn; detectors do not all look at the colours that could tell more."""
-        return grid_rotations(self.rows, self.columns)
+        """The turns that put light squares on light ones.
+
+        Half a turn moves the first square by `rows + columns - 4` squares, a quarter turn of a
+        square board by `rows - 2`; an odd number changes its colour.
+        """
+        turns = (0, 1, 2, 3) if self.rows % 2 == 0 else (0, 2)
+        if (self.rows + self.columns) % 2:
+            turns = (0,)
+        return grid_rotations(self.rows, self.columns, turns)

@@ -5,7 +5,14 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from .target import AbstractTarget, grid_points, grid_rotations, require_count, require_positive
+from .target import (
+    AbstractTarget,
+    grid_points,
+    grid_rotations,
+    require_count,
+    require_flag,
+    require_positive,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +39,11 @@ class CircleGrid(AbstractTarget):
     def __post_init__(self):
         require_count(2, rows=self.rows, columns=self.columns)
         require_positive(spacing=self.spacing)
+        require_flag(
+            asymmetric=self.asymmetric,
+            light_on_dark=self.light_on_dark,
+            origin_mark=self.origin_mark,
+        )
         if self.asymmetric and self.origin_mark:
             raise ValueError("origin_mark: only a symmetric grid has a larger corner circle")
 

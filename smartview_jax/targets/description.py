@@ -8,7 +8,7 @@ from .chessboard import Chessboard
 from .circle_grid import CircleGrid
 from .stacked import StackedTarget
 from .tag_grid import TagGrid
-from .target import AbstractTarget
+from .target import AbstractTarget, require_lengths
 
 KINDS: dict[str, type[AbstractTarget]] = {
     "circle_grid": CircleGrid,
@@ -44,8 +44,11 @@ def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
         raise ValueError(f"target: a {kind} needs {', '.join(missing)}")
     try:
         board = KINDS[kind](**numbers)
-        return board if heights is None else StackedTarget(board, tuple(map(float, heights)))
-    except (TypeError, ValueError) as error:
+        if heights is None:
+            return board
+        require_lengths(heights=heights)
+        return StackedTarget(board, tuple(heights))
+    except ValueError as error:
         raise ValueError(f"target: {error}") from error
 
 

@@ -1,10 +1,12 @@
 """Grids of square markers with numbers: AprilTag and ArUco."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from .dictionaries import require_markers
 from .target import AbstractTarget, require_count, require_positive
 
 
@@ -31,12 +33,15 @@ class TagGrid(AbstractTarget):
     dictionary: str = "DICT_APRILTAG_36h11"
     first_id: int = 0
 
+    y_up: ClassVar[bool] = True
+
     def __post_init__(self):
         require_count(1, rows=self.rows, columns=self.columns)
         require_count(0, first_id=self.first_id)
         require_positive(size=self.size)
         if self.rows * self.columns > 1:
             require_positive(gap=self.gap)
+        require_markers(self.dictionary, self.ids[-1])
 
     @property
     def ids(self) -> range:

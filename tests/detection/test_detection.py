@@ -87,6 +87,20 @@ def test_drawn_circles_are_found_where_they_are(target):
     assert best < 0.1
 
 
+def test_a_chessboard_starts_at_a_light_square_however_it_is_turned():
+    """Nine by six: half a turn swaps the colours, so each corner keeps its number."""
+    target = Chessboard(6, 9, 0.02)
+    dark = np.add.outer(np.arange(7), np.arange(10)) % 2 == 1
+    squares = np.where(dark, 30, 230).astype(np.uint8)
+    board = np.kron(squares, np.ones((30, 30), np.uint8))
+    image = cv2.copyMakeBorder(board, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
+    upright, turned = detect(image, target), detect(np.ascontiguousarray(image[::-1, ::-1]), target)
+    size = np.array(image.shape[::-1]) - 1.0
+    np.testing.assert_allclose(upright.pixels, size - turned.pixels, atol=0.05)
+    first = upright.pixels[[0, 1, 9, 10]].mean(axis=0).round().astype(int)
+    assert image[first[1], first[0]] == 230
+
+
 def test_drawn_tags_are_found_by_their_numbers_and_may_be_partly_hidden():
     target = TagGrid(2, 2, 0.04, 0.02, "DICT_4X4_50", first_id=7)
     image = np.full((400, 400), 255, dtype=np.uint8)

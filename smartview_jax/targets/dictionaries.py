@@ -1,0 +1,28 @@
+"""Names of marker dictionaries, and how many markers each holds."""
+
+MARKER_COUNTS: dict[str, int] = {
+    **{
+        f"DICT_{bits}X{bits}_{count}": count
+        for bits in (4, 5, 6, 7)
+        for count in (50, 100, 250, 1000)
+    },
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_ARUCO_MIP_36h12": 250,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320,
+    "DICT_APRILTAG_36h11": 587,
+}
+"""Under OpenCV's names; the pictures of the markers are OpenCV's too."""
+
+
+def require_markers(dictionary: str, last_id: int) -> None:
+    """Raise a ValueError unless the dictionary exists and reaches up to this marker."""
+    if dictionary not in MARKER_COUNTS:
+        raise ValueError(f"dictionary is one of {', '.join(MARKER_COUNTS)}; found {dictionary!r}")
+    count = MARKER_COUNTS[dictionary]
+    if last_id >= count:
+        raise ValueError(
+            f"dictionary: {dictionary} has {count} markers, 0 to {count - 1}; "
+            f"the target needs one with number {last_id}"
+        )
