@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -75,30 +76,30 @@ def calibrate(
 
 
 @app.command()
-def compare(dataset: DatasetArgument = None, debug: DebugOption = False) -> None:
-    """Print joint, staged, no-distortion, interpolation and one-view fits side by side."""
+def compare(
+    dataset: DatasetArgument = None, lens: LensOption = "radial", debug: DebugOption = False
+) -> None:
+    """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
     with _errors(debug):
         from .evaluation import compare as compare_methods
+        from .evaluation import standard_methods
+        from .report import COMPARED, compared, remarks
 
         with _progress() as say:
             data, name = _load(dataset, say)
-            rows = compare_methods(data, progress=say)
-        table = Table(title=name)
-        for column in ("method", "fitted, mean +- std px", "RMS px", "held-out px", "mm"):
-            table.add_column(column, justify="left" if column == "method" else "right")
+            rows = compare_methods(data, standard_methods(lens), progress=say)
+        table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
+        for column in COMPARED:
+            side = "left" if column == "method" else "right"
+            # Names and spreads stay whole on a narrow terminal; the headings of the others wrap.
+            table.add_column(column, justify=side, no_wrap=side == "left" or "+-" in column)
         for row in rows:
-            if row.fitted is None or row.held_out is None:
-                table.add_row(row.name, row.failure or "failed", "-", "-", "-")
-                continue
-            unseen = row.held_out.deviations
-            table.add_row(
-                row.name,
-                f"{row.fitted.mean:.2f} +- {row.fitted.std:.2f}",
-                f"{row.fitted.rms:.2f}",
-                f"{unseen.rms:.2f}",
-                f"{unseen.rms_mm:.2f}",
-            )
-        Console().print(table)
+            table.add_row(*compared(row))
+        console = Console()
+        console.print(table)
+        for row in rows:
+            for remark in remarks(row.name, row.fitted, row.held_out, row.failure):
+                console.print(remark, highlight=False)
 
 
 class ExportFormat(StrEnum):
@@ -146,27 +147,21 @@ def _load(dataset: Path | None, say: Callable[[str], None]) -> "tuple[Dataset, s
 
 def _held_out(data: "Dataset", lens: str, say: Callable[[str], None]) -> "dict[str, HeldOut]":
     """Held-out error of both fits, each fold fitted once."""
-    from .evaluation import held_out
+    from .evaluation import refit, score
     from .joint import calibrate as fit_both
 
     if len(data.usable_views()) < 4:
+        say("held-out error needs at least 4 usable views: left out")
         return {}
-    fits = []
-
-    def staged(part: "Dataset"):
-        fits.append(fit_both(part, lens))
-        return fits[-1].staged
-
-    unseen = {"staged": held_out(data, staged, progress=lambda text: say(f"held-out: {text}"))}
-    if unseen["staged"].failures:
-        return {}
-    remaining = iter(fits)
-    unseen["joint"] = held_out(data, lambda _: next(remaining).joint)
-    return unseen
+    fits = refit(data, lambda part: fit_both(part, lens), progress=lambda s: say(f"held-out: {s}"))
+    return {
+        "staged": score(fits, data, lambda fit, _: fit.staged),
+        "joint": score(fits, data, lambda fit, _: fit.joint),
+    }
 
 
 def _print_result(rows, fit, data) -> None:
-    from .report import MEASURES, cells, rejections, verdict
+    from .report import MEASURES, cells, rejections, remarks, verdict
 
     table = Table()
     table.add_column("")
@@ -179,6 +174,9 @@ def _print_result(rows, fit, data) -> None:
     console.print(verdict(rows, fit))
     for direction in fit.joint.observability.null:
         console.print(f"not determined: {direction.words}")
+    for row in rows:
+        for remark in remarks(row.name, row.fitted, row.held_out):
+            console.print(remark, highlight=False)
     rejected = rejections(fit, data)
     if rejected:
         console.print("rejected:")

@@ -3,27 +3,28 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-
+from ..cameras import AbstractLens
 from ..dataset import Dataset
 from ..joint import calibrate
 from ..staged import fit_one_view_intrinsics, fit_staged
-from .held_out import HeldOut, held_out
+from .free_poses import free_pose_deviations
+from .held_out import HeldOut, Refit, predictor_of, refit, score, whole
 from .measures import Deviations, deviations
+from .rejections import Rejection, rejected_by
 
 
-def _interpolation(data: Dataset) -> Any:
-    return fit_staged(data).interpolation(data)
+class Method(NamedTuple):
+    """One line of the comparison.
 
+    Attributes:
+        fitter: from a data set to a fit. Methods that share a fitter share its fits.
+        choose: from a fit and the data to the part that is this method.
+        measure: from a predictor and the data to deviations.
+    """
 
-METHODS: dict[str, Callable[[Dataset], Any]] = {
-    "joint": calibrate,
-    "staged": fit_staged,
-    "staged, no distortion": lambda data: fit_staged(data, lens="pinhole"),
-    "linear interpolation": _interpolation,
-    "one view's intrinsics": fit_one_view_intrinsics,
-}
-"""From a data set to a fit, or to a predictor, by the name it is reported under."""
+    fitter: Callable[[Dataset], Any]
+    choose: Callable[[Any, Dataset], Any] = whole
+    measure: Callable[[Any, Dataset], Deviations] = deviations
 
 
 class Row(NamedTuple):
@@ -33,30 +34,80 @@ class Row(NamedTuple):
         name: of the method.
         fitted: deviations on the views it was fitted to; None where it failed.
         held_out: deviations on views it never saw; None where it failed.
+        rejected: what the method left out; None where it failed or cannot tell.
         failure: why, where it failed.
     """
 
     name: str
     fitted: Deviations | None
     held_out: HeldOut | None
+    rejected: tuple[Rejection, ...] | None = None
     failure: str | None = None
+
+
+def standard_methods(lens: str | AbstractLens = "radial") -> dict[str, Method]:
+    """The paper's methods, the joint fit, and the bound that no chain can pass."""
+
+    def both(data: Dataset) -> Any:
+        return calibrate(data, lens)
+
+    return {
+        "staged": Method(both, lambda fit, _: fit.staged),
+        "staged, no distortion": Method(lambda data: fit_staged(data, lens="pinhole")),
+        "linear interpolation": Method(both, lambda fit, data: fit.staged.interpolation(data)),
+        "one view's intrinsics": Method(fit_one_view_intrinsics),
+        "joint": Method(both),
+        "free pose a view": Method(both, measure=free_pose_deviations),
+    }
 
 
 def compare(
     data: Dataset,
-    methods: Mapping[str, Callable[[Dataset], Any]] = METHODS,
+    methods: Mapping[str, Method | Callable[[Dataset], Any]] | None = None,
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
 ) -> list[Row]:
-    """Fit every method to all views, and again in every fold; the folds are the same for all."""
+    """Fit every method to all views, and again in every fold; the folds are the same for all.
+
+    Args:
+        data: all views.
+        methods: by the name to report them under: a `Method`, or a fitter as `held_out` takes it;
+            by default `standard_methods()`.
+        folds: number of folds; below eight views, as many as there are views.
+        progress: told what is being fitted.
+    """
     say = progress or (lambda _: None)
+    fits: dict[Callable, _Fits | ValueError] = {}
     rows = []
-    for name, fitter in methods.items():
-        say(name)
-        try:
-            fit = fitter(data)
-            unseen = held_out(data, fitter, folds, lambda text, name=name: say(f"{name}: {text}"))
-            rows.append(Row(name, deviations(getattr(fit, "calibration", fit), data), unseen))
-        except (ValueError, np.linalg.LinAlgError) as error:
-            rows.append(Row(name, None, None, str(error)))
+    for name, given in (standard_methods() if methods is None else methods).items():
+        method = given if isinstance(given, Method) else Method(given)
+        if method.fitter not in fits:
+            say(name)
+            fits[method.fitter] = _fit(
+                data, method.fitter, folds, lambda s, n=name: say(f"{n}: {s}")
+            )
+        rows.append(_row(name, method, fits[method.fitter], data))
     return rows
+
+
+class _Fits(NamedTuple):
+    fit: Any
+    refits: tuple[Refit, ...]
+
+
+def _fit(
+    data: Dataset, fitter: Callable[[Dataset], Any], folds: int, progress: Callable[[str], None]
+) -> _Fits | ValueError:
+    try:
+        return _Fits(fitter(data), refit(data, fitter, folds, progress))
+    except ValueError as error:
+        return error
+
+
+def _row(name: str, method: Method, fits: _Fits | ValueError, data: Dataset) -> Row:
+    if isinstance(fits, ValueError):
+        return Row(name, None, None, failure=str(fits))
+    part = method.choose(fits.fit, data)
+    fitted = method.measure(predictor_of(part), data)
+    unseen = score(fits.refits, data, method.choose, method.measure)
+    return Row(name, fitted, unseen, rejected_by(part))

@@ -25,7 +25,11 @@ class Predictor(Protocol):
 
 
 class Deviations(NamedTuple):
-    """Distances between measured and predicted points; NaN where a point was not seen.
+    """Distances between measured and predicted points.
+
+    NaN where a point was not seen, infinite where one was seen that cannot be predicted at all
+    (behind the camera, outside the lens's domain). The figures below are over the predicted ones;
+    `unpredicted` counts the others, and whoever prints a figure prints that count too.
 
     Attributes:
         px: in the picture.
@@ -38,12 +42,14 @@ class Deviations(NamedTuple):
     @property
     def mean(self) -> float:
         """Mean deviation, px (the paper's registration error)."""
-        return float(np.nanmean(self.px)) if np.isfinite(self.px).any() else float("nan")
+        values = self.values
+        return float(np.mean(values)) if values.size else float("nan")
 
     @property
     def std(self) -> float:
         """Standard deviation of the deviations, px."""
-        return float(np.nanstd(self.px)) if np.isfinite(self.px).any() else float("nan")
+        values = self.values
+        return float(np.std(values)) if values.size else float("nan")
 
     @property
     def rms(self) -> float:
@@ -60,20 +66,43 @@ class Deviations(NamedTuple):
         """RMS of each view, px; NaN for a view without points."""
         return np.array([_rms(row) for row in self.px])
 
+    @property
+    def values(self) -> Float[np.ndarray, "predicted"]:
+        """The deviations of all predicted points in one row, px."""
+        return self.px[np.isfinite(self.px)]
+
+    @property
+    def unpredicted(self) -> int:
+        """How many points were seen that cannot be predicted."""
+        return int(np.count_nonzero(np.isinf(self.px)))
+
 
 def _rms(values: np.ndarray) -> float:
-    seen = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(seen**2))) if seen.size else float("nan")
+    found = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(found**2))) if found.size else float("nan")
 
 
 def deviations(predictor: Predictor, data: Dataset) -> Deviations:
     """Deviations of everything that was seen; infinite where it cannot be predicted."""
     predicted, valid, depth = _predict(predictor, data.base_from_tool, data.points)
+    return measured(predictor.camera, data, predicted, valid, depth)
+
+
+def measured(
+    camera: Camera,
+    data: Dataset,
+    predicted: Float[Array, "views points 2"],
+    valid: Bool[Array, "views points"],
+    depth: Float[Array, "views points"],
+) -> Deviations:
+    """Deviations of predicted pixels whose points lie at these depths (m)."""
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
     visible = np.asarray(data.visible)
     px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
-    focal = float(jnp.sqrt(jnp.abs(predictor.camera.alpha_u * predictor.camera.alpha_v)))
-    return Deviations(px, px * np.abs(np.asarray(depth)) / focal)
+    focal = float(jnp.sqrt(jnp.abs(camera.alpha_u * camera.alpha_v)))
+    # A depth of exactly zero would make an unpredicted point's infinity a NaN.
+    distance = np.maximum(np.abs(np.asarray(depth)), np.finfo(float).tiny)
+    return Deviations(px, px * distance / focal)
 
 
 @eqx.filter_jit

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..dataset import Dataset
-from ..evaluation import Deviations, HeldOut, deviations
+from ..evaluation import Deviations, HeldOut, Row, count_rejected, deviations, rejected_by
 from ..joint import CalibrationFit
 
 
@@ -53,10 +53,52 @@ def cells(summary: Summary) -> list[str]:
     ]
 
 
+COMPARED = (
+    "method",
+    "mean +- std, px",
+    "RMS, px",
+    "held out, px",
+    "held out, mm",
+    "left out points, views",
+)
+
+
+def compared(row: Row) -> list[str]:
+    """One row of the comparison of methods: a text for each of `COMPARED`."""
+    if row.fitted is None or row.held_out is None:
+        return [row.name, "failed", "-", "-", "-", "-"]
+    unseen = row.held_out.deviations
+    counts = None if row.rejected is None else count_rejected(row.rejected)
+    return [
+        row.name,
+        f"{row.fitted.mean:.3g} +- {row.fitted.std:.3g}",
+        f"{row.fitted.rms:.3g}",
+        f"{unseen.rms:.3g}",
+        f"{unseen.rms_mm:.3g}",
+        "-" if counts is None else f"{counts.points}, {counts.views}",
+    ]
+
+
+def remarks(
+    name: str, fitted: Deviations | None, unseen: HeldOut | None, failure: str | None = None
+) -> list[str]:
+    """What a figure in a table does not say: failures, and points it leaves out."""
+    found = [] if failure is None else [f"{name}: {failure}"]
+    if fitted is not None and fitted.unpredicted:
+        found.append(f"{name}: {fitted.unpredicted} points seen cannot be predicted at all")
+    if unseen is not None:
+        if unseen.deviations.unpredicted:
+            count = unseen.deviations.unpredicted
+            found.append(f"{name}: {count} held-out points seen cannot be predicted at all")
+        found += [f"{name}: fold {k + 1} failed: {why}" for k, why in unseen.failures]
+        found += [f"{name}: fold {k + 1} did not converge: {why}" for k, why in unseen.unconverged]
+    return found
+
+
 def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
     """View and reason, a line a view: whole views first, then points counted by reason."""
     whole, points = {}, {}
-    for view, point, reason in (*fit.staged.rejected, *fit.joint.rejected):
+    for view, point, reason in rejected_by(fit) or ():
         if point is None:
             whole[view] = reason
         else:

@@ -1,10 +1,10 @@
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from smartview_jax import held_out
-from smartview_jax.evaluation import Deviations, deviations, view_folds
+from smartview_jax.evaluation import deviations, refit, score, view_folds
 from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.staged import FitResult
 
 
 @pytest.fixture(scope="module")
@@ -12,17 +12,7 @@ def scene():
     return random_scene(0, views=10, points=paper_points((0.0,))[::3])
 
 
-def test_measures_are_what_they_say():
-    px = np.array([[3.0, 4.0, np.nan], [0.0, 5.0, np.nan]])
-    found = Deviations(px, 1e-3 * px)
-    assert found.mean == 3.0
-    assert found.std == pytest.approx(np.std([3.0, 4.0, 0.0, 5.0]))
-    assert found.rms == pytest.approx(np.sqrt(12.5))
-    assert found.rms_mm == pytest.approx(np.sqrt(12.5))
-    np.testing.assert_allclose(found.per_view, [np.sqrt(12.5)] * 2)
-
-
-def test_deviations_are_distances_and_millimetres_follow_from_depth(scene):
+def test_deviations_of_the_truth_are_the_pixel_noise(scene):
     found = deviations(scene.calibration, scene.data)
     seen = np.asarray(scene.data.visible)
     assert found.rms == pytest.approx(0.15 * np.sqrt(2.0), rel=0.1)
@@ -38,6 +28,7 @@ def test_folds_are_the_fixed_permutation_dealt_out():
     expected = [tuple(views[order[i::5]]) for i in range(5)]
     assert list(view_folds(views, 5)) == expected
     assert [len(fold) for fold in view_folds(np.arange(7), 5)] == [1] * 7
+    assert [len(fold) for fold in view_folds(np.arange(8), 5)] == [2, 2, 2, 1, 1]
 
 
 def test_every_view_is_predicted_by_a_fit_that_never_saw_it(scene):
@@ -57,6 +48,16 @@ def test_every_view_is_predicted_by_a_fit_that_never_saw_it(scene):
     assert found.deviations.rms == deviations(scene.calibration, scene.data).rms
 
 
+def test_only_the_usable_views_are_dealt_out(scene):
+    pixels = np.array(scene.data.pixels)
+    pixels[2] = np.nan
+    data = type(scene.data).from_arrays(
+        scene.data.points, pixels, scene.data.base_from_tool, scene.data.image_size
+    )
+    found = held_out(data, lambda _: scene.calibration)
+    assert found.folds == view_folds(np.array([0, 1, 3, 4, 5, 6, 7, 8, 9]), 5)
+
+
 def test_a_fold_that_fails_is_reported(scene):
     calls = iter(range(5))
 
@@ -68,6 +69,38 @@ def test_a_fold_that_fails_is_reported(scene):
     found = held_out(scene.data, fitter)
     assert found.failures == ((1, "no"),)
     assert np.isnan(found.deviations.px[list(found.folds[1])]).all()
+    assert np.isfinite(found.deviations.px[list(found.folds[0])]).all()
+
+
+class Fit:
+    """A fit that predicts by the truth and stops early when view 0 is hidden."""
+
+    def __init__(self, data, calibration):
+        stopped = not np.asarray(data.visible)[0].any()
+        self.result = FitResult(not stopped, "stopped" if stopped else "converged")
+        self.calibration = calibration
+
+
+def test_a_fold_that_did_not_converge_is_named_and_counts(scene):
+    found = held_out(scene.data, lambda data: Fit(data, scene.calibration))
+    fold = next(k for k, views in enumerate(found.folds) if 0 in views)
+    assert found.unconverged == ((fold, "stopped"),)
+    assert np.isfinite(found.deviations.px).all()
+
+
+def test_parts_of_one_fit_are_scored_from_the_same_refits(scene):
+    far = scene.calibration.target_scale * 1.01
+    worse = type(scene.calibration).eye_in_hand(
+        scene.calibration.camera,
+        scene.calibration.camera_from_tool,
+        scene.calibration.base_from_world,
+        far,
+    )
+    fits = refit(scene.data, lambda _: {"good": scene.calibration, "bad": worse})
+    good = score(fits, scene.data, lambda fit, _: fit["good"]).deviations
+    bad = score(fits, scene.data, lambda fit, _: fit["bad"]).deviations
+    assert good.rms == deviations(scene.calibration, scene.data).rms
+    assert bad.rms == deviations(worse, scene.data).rms > good.rms
 
 
 def test_too_little_to_hold_out(scene):
@@ -76,4 +109,3 @@ def test_too_little_to_hold_out(scene):
     few = scene.data.select(range(3))
     with pytest.raises(ValueError, match="at least 4 usable views, found 3"):
         held_out(few, lambda _: scene.calibration)
-    assert jnp.isfinite(few.points).all()

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from smartview_jax.evaluation import (
+    Method,
+    compare,
+    count_rejected,
+    deviations,
+    held_out,
+    rejected_by,
+    standard_methods,
+)
+from smartview_jax.simulation import paper_points, random_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return random_scene(0, views=8, points=paper_points((0.0,))[::4])
+
+
+class Fit:
+    def __init__(self, calibration, rejected=()):
+        self.calibration = calibration
+        self.rejected = rejected
+
+
+def test_a_row_holds_what_the_method_did_alone(scene):
+    calls = []
+
+    def fitter(data):
+        calls.append(data)
+        return Fit(scene.calibration, (("3", 5, "far off"), ("4", None, "no points")))
+
+    said = []
+    methods = {"first": fitter, "again": Method(fitter, lambda fit, _: fit.calibration)}
+    first, again = compare(scene.data, methods, progress=said.append)
+    assert len(calls) == 6  # all views, then five folds; methods with one fitter share them
+    assert said[0] == "first"
+    assert "first: fold 5 of 5" in said
+    assert first.fitted.rms == deviations(scene.calibration, scene.data).rms
+    assert first.held_out.folds == held_out(scene.data, fitter).folds
+    assert count_rejected(first.rejected) == (1, 1)
+    assert again.rejected is None
+    np.testing.assert_array_equal(first.held_out.deviations.px, again.held_out.deviations.px)
+
+
+def test_a_method_that_fails_says_why_and_the_others_go_on(scene):
+    def fails(_):
+        raise ValueError("cannot")
+
+    bad, good = compare(scene.data, {"bad": fails, "good": lambda _: scene.calibration})
+    assert (bad.fitted, bad.held_out, bad.failure) == (None, None, "cannot")
+    assert good.failure is None
+
+
+def test_what_the_staged_fit_rejected_counts_for_the_joint_fit_too():
+    class Both:
+        staged = Fit(None, (("1", 7, "gate of Step 2"), ("2", 1, "gate of Step 2")))
+        rejected = (("1", 7, "gate of the joint fit"), ("5", None, "masked"), ("5", 3, "far off"))
+
+    found = rejected_by(Both())
+    assert [item.reason for item in found if item.view == "1"] == ["gate of Step 2"]
+    assert count_rejected(found) == (2, 1)
+    assert rejected_by(object()) is None
+
+
+def test_the_standard_methods_are_the_papers_and_the_joint_fit():
+    methods = standard_methods("pinhole")
+    for name in ("staged", "staged, no distortion", "linear interpolation", "joint"):
+        assert name in methods
+    assert methods["staged"].fitter is methods["joint"].fitter

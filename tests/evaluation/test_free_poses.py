@@ -1,0 +1,50 @@
+import cv2
+import numpy as np
+import pytest
+
+from smartview_jax import Calibration, Camera
+from smartview_jax.cameras import Pinhole
+from smartview_jax.evaluation import deviations, free_pose_deviations
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A robot so noisy that the chain misses by many pixels; a camera without distortion."""
+    truth = paper_calibration()
+    camera = Camera(2133.0, 2133.0, 322.0, 238.0, Pinhole(), image_size=(640, 480))
+    truth = Calibration.eye_in_hand(camera, truth.camera_from_tool, truth.base_from_world)
+    return random_scene(
+        0, 6, paper_points((0.0, 0.02)), truth, translation_noise=1e-3, rotation_noise=2e-3
+    )
+
+
+def test_every_view_gets_the_pose_that_opencv_finds(scene):
+    data, camera = scene.data, scene.calibration.camera
+    found = free_pose_deviations(scene.calibration, data)
+    assert deviations(scene.calibration, data).rms > 20.0 * found.rms
+    matrix = np.array([[2133.0, 0.0, 322.0], [0.0, 2133.0, 238.0], [0.0, 0.0, 1.0]])
+    for view in range(data.view_count):
+        seen = np.asarray(data.visible)[view]
+        points, pixels = np.asarray(data.points)[view, seen], np.asarray(data.pixels)[view, seen]
+        _, rvec, tvec = cv2.solvePnP(points, pixels, matrix, None)
+        rvec, tvec = cv2.solvePnPRefineLM(
+            points, pixels, matrix, None, rvec, tvec, (cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        )
+        left = pixels - cv2.projectPoints(points, rvec, tvec, matrix, None)[0][:, 0]
+        expected = np.linalg.norm(left, axis=1)
+        np.testing.assert_allclose(found.px[view, seen], expected, atol=1e-4)
+    assert camera.image_size == data.image_size
+
+
+def test_a_view_without_points_stays_finite_and_empty(scene):
+    pixels = np.array(scene.data.pixels)
+    pixels[1] = np.nan
+    data = type(scene.data).from_arrays(
+        scene.data.points, pixels, scene.data.base_from_tool, scene.data.image_size
+    )
+    found = free_pose_deviations(scene.calibration, data)
+    assert np.isnan(found.px[1]).all()
+    assert found.unpredicted == 0
+    everything = free_pose_deviations(scene.calibration, scene.data)
+    np.testing.assert_allclose(found.px[2:], everything.px[2:])
