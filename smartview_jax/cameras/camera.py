@@ -53,8 +53,8 @@ class Camera(eqx.Module):
         """
         plane, valid = self.lens.distort(points)
         # NaN is put in last: as a factor it would make the derivatives of masked points NaN too.
-        plane = jnp.where(valid[..., None], plane, 0.0)
-        pixels = plane * self._focal(plane.ndim) + self._centre(plane.ndim)
+        x, y = jnp.where(valid, plane[..., 0], 0.0), jnp.where(valid, plane[..., 1], 0.0)
+        pixels = jnp.stack([self.alpha_u * x + self.u0, self.alpha_v * y + self.v0], axis=-1)
         return jnp.where(valid[..., None], pixels, jnp.nan), valid
 
     def unproject(

@@ -56,9 +56,11 @@ class AbstractPerspectiveLens(AbstractLens):
         in_front = points[..., 2] > 0.0
         # The inner `where` keeps the derivatives of masked points finite.
         depth = jnp.where(in_front, points[..., 2], 1.0)
-        distorted, valid = self.distort_normalised(points[..., :2] / depth[..., None])
+        ideal = jnp.stack([points[..., 0] / depth, points[..., 1] / depth], axis=-1)
+        distorted, valid = self.distort_normalised(ideal)
         valid = valid & in_front
-        return jnp.where(valid[..., None], distorted, jnp.nan), valid
+        x, y = (jnp.where(valid, distorted[..., k], jnp.nan) for k in (0, 1))
+        return jnp.stack([x, y], axis=-1), valid
 
     def undistort(
         self, plane: Float[Array, "*batch 2"]
