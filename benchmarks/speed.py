@@ -12,11 +12,14 @@ import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from scipy.optimize import least_squares
 
 import smartview_jax as sv
-from smartview_jax.joint.fit import _problem
-from smartview_jax.joint.solver import linearise, solve
+from smartview_jax.joint.build import build_problem
+from smartview_jax.joint.parameters import Step
+from smartview_jax.joint.problem import JointProblem
+from smartview_jax.joint.solver import solve
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.staged import kalman_filter
 
@@ -37,11 +40,11 @@ def run(smoke: bool = False) -> bool:
             "Step 2, cv2.calibrateCamera": lambda d=data, s=start: _opencv(d, s),
         }
         _print(name, timed, smoke)
-        problem, _, _ = _problem(data, start, "trusted", None, (), (), {})
+        problem = build_problem(data, start).problem
         costs = {}
 
         def ours(problem=problem, costs=costs):
-            costs["ours"] = solve(problem).costs[-1]
+            costs["ours"] = solve(problem)[0].costs[-1]
 
         def scipys(problem=problem, costs=costs):
             costs["scipy"] = _scipy(problem)
@@ -95,13 +98,24 @@ def _opencv(data: sv.Dataset, start: sv.Calibration) -> float:
     return cv2.calibrateCamera(points, pixels, data.image_size, matrix, None, flags=flags)[0]
 
 
-def _scipy(problem) -> float:
+def _scipy(problem: JointProblem) -> float:
     found = least_squares(
-        lambda z: np.asarray(linearise(problem, jnp.asarray(z))[0]),
+        lambda z: np.asarray(_dense(problem, jnp.asarray(z))),
         np.zeros(len(problem.free)),
-        jac=lambda z: np.asarray(linearise(problem, jnp.asarray(z))[1]),  # pyright: ignore[reportArgumentType]
+        jac=lambda z: np.asarray(_jacobian(problem, jnp.asarray(z))),  # pyright: ignore[reportArgumentType]
+        x_scale="jac",
         xtol=1e-12,
         ftol=1e-12,
         gtol=1e-12,
     )
     return float(found.cost)
+
+
+@jax.jit
+def _dense(problem: JointProblem, z: jax.Array) -> jax.Array:
+    return ravel_pytree(problem.residuals(Step(z, jnp.zeros((0, 6)))))[0]
+
+
+@jax.jit
+def _jacobian(problem: JointProblem, z: jax.Array) -> jax.Array:
+    return jax.jacfwd(lambda z: _dense(problem, z))(z)

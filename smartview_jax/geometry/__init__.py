@@ -14,6 +14,7 @@ from .pose_codecs import pose_codec as pose_codec
 from .rigid import PoseLike as PoseLike
 from .rigid import as_se3 as as_se3
 from .rigid import check_rigid as check_rigid
+from .rigid import exp_jacobian as exp_jacobian
 from .rigid import mean_pose as mean_pose
 from .rigid import nearest_rotation as nearest_rotation
 from .rigid import rotation_angle as rotation_angle

@@ -113,3 +113,16 @@ def mean_pose(poses: SE3, weights: Float[Array, "poses"] | None = None) -> SE3:
     share = weights / jnp.sum(weights)
     rotation = nearest_rotation(jnp.einsum("i,ijk->jk", share, poses.rotation().as_matrix()))
     return SE3.from_rotation_and_translation(SO3.from_matrix(rotation), share @ poses.translation())
+
+
+def exp_jacobian(tangent: Float[Array, "6"]) -> Float[Array, "6 6"]:
+    """Left Jacobian J of `SE3.exp`: `exp(tangent + d) = exp(J d) @ exp(tangent)` for small d.
+
+    Its last three rows and columns are the left Jacobian of `SO3.exp`.
+    """
+    start = SE3.exp(tangent).translation()
+    moved = jax.jacfwd(lambda t: SE3.exp(t).translation())(tangent)
+    # `t = V v`: the derivative by v is V, which is the Jacobian of the rotation as well.
+    V = moved[:, :3]
+    upper = jnp.concatenate([V, moved[:, 3:] + jnp.cross(start[None], V.T).T], axis=1)
+    return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((3, 3)), V], axis=1)])

@@ -14,4 +14,5 @@ from .observability import Observability as Observability
 from .parameters import parameter_names as parameter_names
 from .priors import Prior as Prior
 from .problem import JointProblem as JointProblem
+from .solver import StructuredLM as StructuredLM
 from .solver import optimum as optimum

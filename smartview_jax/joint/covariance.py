@@ -1,30 +1,67 @@
-"""Covariance of the fitted parameters, from the Jacobian at the optimum."""
+"""Covariance of the fitted parameters, from the normal equations at the optimum."""
 
 import numpy as np
+from jaxtyping import Float
+
+NULL = 3e-7
+"""Singular value, of a Jacobian with unit columns, under which a direction is not seen at all.
+
+Normal equations in double precision resolve singular values down to about 1e-8.
+"""
+
+
+class UnitColumns:
+    """The Jacobian of the shared parameters, with unit columns, by its singular values.
+
+    Attributes:
+        lengths: of the columns; one where a column is zero.
+        singular: values, largest first; 1 is as good as it gets.
+        directions: a row each.
+    """
+
+    def __init__(self, reduced: Float[np.ndarray, "n n"], lengths: Float[np.ndarray, "n"]):
+        """From `J^T J` with the views' own numbers eliminated, and its columns' lengths before."""
+        self.lengths = np.where(lengths > 0.0, lengths, 1.0)
+        values, vectors = np.linalg.eigh(reduced / np.outer(self.lengths, self.lengths))
+        self.singular = np.sqrt(np.maximum(values, 0.0))[::-1]
+        self.directions = vectors.T[::-1]
 
 
 def covariance(
-    jacobian: np.ndarray, scale: np.ndarray, variance_factor: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the free parameters in their own units, and their standard deviations.
+    columns: UnitColumns, variance_factor: float
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+    """Covariance of the shared parameters that are free, and their standard deviations.
 
     `variance_factor (J^T J)^-1`. A parameter that takes part in a direction the data do not see
     has an infinite standard deviation; the covariance of the others is that of the directions seen.
 
     Args:
-        jacobian: `(rows, free)` of the whitened residuals with respect to scaled parameters.
-        scale: `(free,)` size of one unit of each.
+        columns: of the Jacobian at the optimum.
         variance_factor: by which the assumed variances are wrong: 1 where they are known.
     """
-    lengths = np.linalg.norm(jacobian, axis=0)
-    lengths = np.where(lengths > 0.0, lengths, 1.0)
-    triangle = np.linalg.qr(jacobian / lengths, mode="r")
-    _, singular, Vt = np.linalg.svd(triangle)
-    seen = singular > 1e-7
-    inverse = np.where(seen, 1.0 / np.where(seen, singular, 1.0), 0.0)
-    own = scale / lengths
-    root = (Vt.T * inverse) * own[:, None]
+    seen = columns.singular > NULL
+    inverse = np.where(seen, 1.0 / np.where(seen, columns.singular, 1.0), 0.0)
+    root = (columns.directions.T * inverse) * (1.0 / columns.lengths)[:, None]
     full = variance_factor * root @ root.T
     std = np.sqrt(np.diag(full))
-    open_part = np.abs(Vt[~seen]).max(axis=0, initial=0.0) > 1e-6
+    open_part = np.abs(columns.directions[~seen]).max(axis=0, initial=0.0) > 1e-6
     return full, np.where(open_part, np.inf, std)
+
+
+def own_std(
+    own_inverse: Float[np.ndarray, "views 6 6"],
+    gain: Float[np.ndarray, "views 6 n"],
+    shared_covariance: Float[np.ndarray, "n n"],
+    variance_factor: float,
+) -> Float[np.ndarray, "views 6"]:
+    """Standard deviations of each view's own numbers.
+
+    Args:
+        own_inverse: of each view's own block.
+        gain: that times its border with the shared parameters.
+        shared_covariance: as `covariance` has it.
+        variance_factor: as in `covariance`.
+    """
+    alone = variance_factor * np.diagonal(own_inverse, axis1=1, axis2=2)
+    through_shared = np.einsum("vki,ij,vkj->vk", gain, shared_covariance, gain)
+    return np.sqrt(alone + through_shared)

@@ -7,20 +7,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..cameras import AbstractLens, start_lens
+from ..cameras import AbstractLens
 from ..dataset import Dataset, Observations
 from ..staged import FitResult
-from .covariance import covariance
-from .losses import AbstractLoss, loss_by_name
+from .build import Built, build_problem
+from .covariance import UnitColumns, covariance, own_std
+from .losses import AbstractLoss
 from .noise import Noise
 from .observability import Observability, observability
-from .parameters import Parameters, parameter_names, select
+from .parameters import Step
 from .priors import Prior
-from .problem import JointProblem, valid_at_start
-from .solver import Solution, linearise, solve
+from .problem import JointProblem, NormalEquations
+from .schur import BlockArrow, eliminate
+from .solver import Solution, solve
 
 GATE = 2.0 * np.log(1e4)
 """Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
@@ -31,8 +34,10 @@ class JointFit(eqx.Module):
 
     Attributes:
         calibration: camera, hand-eye, world (and target scale, if free).
-        covariance: of the free parameters, in the order of `parameter_names`, own units.
-        std: standard deviation by name; infinite where the data do not tell.
+        covariance: of the free parameters that all views share, in the order of
+            `parameter_names`, own units.
+        std: standard deviation by name, of pose corrections too; infinite where the data do not
+            tell.
         noise: as assumed; None where the robot was trusted.
         pixel_sigma: of u and of v, px: as given, or from the residuals' degrees of freedom.
         residuals: measured minus predicted through the chain *without* pose corrections, px.
@@ -40,7 +45,7 @@ class JointFit(eqx.Module):
         rejected: view id, point index (None for a whole view), reason.
         pose_corrections: per view, translation (m) then rotation (rad), at the tool.
         observability: what the data cannot tell.
-        parameter_names: of the free parameters.
+        parameter_names: of the free parameters that all views share.
         start: where the fit began.
         solution: iterations and costs.
         result: whether it converged.
@@ -94,160 +99,69 @@ def fit_joint(
             cannot be projected at all.
     """
     say = progress or (lambda _: None)
-    if not (noise == "trusted" or isinstance(noise, Noise)):
-        raise ValueError(
-            f'noise is "trusted" or a Noise(pixel, translation, rotation); found {noise!r}'
-        )
-    if start.mount != data.mount:
-        raise ValueError(f"the start is {start.mount}, the data {data.mount}")
-    if lens is not None:
-        camera = eqx.tree_at(lambda c: c.lens, start.camera, start_lens(lens, start.camera.lens))
-        start = eqx.tree_at(lambda c: c.camera, start, camera)
-    priors = dict(priors or {})
-    views = data.usable_views()
-    if len(views) < 3 and not priors:
-        raise ValueError(
-            f"a joint fit needs at least 3 views with 4 points each, or priors; found {len(views)}"
-        )
-    problem, names, lost = _problem(data, start, noise, loss_by_name(loss), fixed, free, priors)
-    say(f"joint fit: {len(problem.free)} parameters, {data.observation_count} observations")
-    solution = solve(problem, solver)
-    return _assemble(data, problem, solution, names, noise, lost)
-
-
-def _problem(
-    data: Dataset,
-    start: Calibration,
-    noise: str | Noise,
-    loss: AbstractLoss | None,
-    fixed: Sequence[str],
-    free: Sequence[str],
-    priors: Mapping[str, Prior],
-) -> tuple[JointProblem, tuple[str, ...], np.ndarray]:
-    corrected = data.view_ids if isinstance(noise, Noise) else ()
-    names = parameter_names(start, corrected)
-    parameters = Parameters(start)
-    moves = ~select(names, ("target_scale",)) | select(names, free)
-    moves &= ~select(names, fixed)
-    index = tuple(int(k) for k in np.flatnonzero(moves))
-
-    mean, weight = _priors(names, parameters, priors)
-    sigma = 1.0
-    if isinstance(noise, Noise):
-        sigma = noise.pixel
-        shared = parameters.shared_size
-        deviations = np.repeat([noise.translation, noise.rotation], 3)
-        weight[shared:] = np.tile(1.0 / deviations, len(corrected))
-    problem = JointProblem(
-        parameters,
-        data.observations,
-        jnp.asarray(sigma),
-        index,
-        jnp.asarray(mean),
-        jnp.asarray(weight),
-        jnp.ones(len(index)),
-        loss,
-    )
-    lost = np.asarray(data.visible & ~valid_at_start(problem))
-    _refuse_blind_views(data, lost)
-    visible = data.visible & ~jnp.asarray(lost)
-    problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
-    _, J = linearise(problem, jnp.zeros(len(index)))
-    lengths = np.linalg.norm(np.asarray(J), axis=0)
-    scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
-    return eqx.tree_at(lambda p: p.scale, problem, jnp.asarray(scale)), names, lost
-
-
-def _priors(
-    names: tuple[str, ...], parameters: Parameters, priors: Mapping[str, Prior]
-) -> tuple[np.ndarray, np.ndarray]:
-    values = np.asarray(parameters.values())
-    mean = np.concatenate([values, np.zeros(len(names) - len(values))])
-    weight = np.zeros(len(names))
-    for path, prior in priors.items():
-        chosen = select(names, (path,))
-        turning = [names[k] for k in np.flatnonzero(chosen) if ".rotation." in names[k]]
-        if prior.mean is not None and turning:
-            raise ValueError(f"prior on {path!r}: a rotation's prior is about the start; no mean")
-        weight[chosen] = 1.0 / prior.std
-        if prior.mean is not None:
-            mean[chosen] = prior.mean
-    return mean, weight
-
-
-def _refuse_blind_views(data: Dataset, lost: np.ndarray) -> None:
-    seen = np.asarray(data.visible).sum(axis=1)
-    blind = [data.view_ids[k] for k in range(len(seen)) if seen[k] > 0 and lost[k].sum() == seen[k]]
-    if blind:
-        raise ValueError(
-            f"start: every point of view {', '.join(blind)} lies behind the camera or outside the "
-            f"lens's domain; start nearer to the truth (fit_staged), or check the poses"
-        )
+    built = build_problem(data, start, lens, noise, loss, fixed, free, priors)
+    count = len(built.names) + len(built.own_names)
+    say(f"joint fit: {count} parameters, {data.observation_count} observations")
+    solution, equations = solve(built.problem, solver)
+    return _assemble(data, built, solution, equations)
 
 
 def _assemble(
-    data: Dataset,
-    problem: JointProblem,
-    solution: Solution,
-    names: tuple[str, ...],
-    noise: str | Noise,
-    lost: np.ndarray,
+    data: Dataset, built: Built, solution: Solution, equations: NormalEquations
 ) -> JointFit:
-    calibration, corrections, whitened, chained = _at_solution(problem, solution.z)
-    J, scale = np.asarray(linearise(problem, solution.z)[1]), np.asarray(problem.scale)
+    problem = built.problem
+    at_solution = _at_solution(problem, solution.z, equations.matrix)
+    calibration, corrections, whitened, chained, parts, own_inverse = at_solution
     visible = np.asarray(problem.observations.visible)
-    known = isinstance(noise, Noise)
-    factor, sigma = _variance(np.asarray(whitened), visible, len(problem.free), problem, known)
-    free_names = tuple(names[k] for k in problem.free)
-    full, std = covariance(J, scale, factor)
+    size = np.sum(np.asarray(whitened) ** 2, axis=-1)[visible]
+    factor = 1.0 if built.noise else _variance_factor(size, built)
 
-    size = np.sum(np.asarray(whitened) ** 2, axis=-1)
-    spread = (
-        _robust_variance(size[visible]) if not known else max(1.0, _robust_variance(size[visible]))
-    )
-    inliers = visible & (size <= GATE * spread)
+    lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
+    columns = UnitColumns(np.asarray(parts.reduced), lengths)
+    full, std = covariance(columns, factor)
+    own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
+    own = own[np.asarray(problem.own_free)]
+
+    spread = _robust_variance(size)
+    limit = GATE * (max(1.0, spread) if built.noise else spread)
+    inliers = visible & (np.sum(np.asarray(whitened) ** 2, axis=-1) <= limit)
+    names = (*built.names, *built.own_names)
     return JointFit(
         calibration=calibration,
         covariance=full,
-        pixel_sigma=sigma,
+        pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
         residuals=chained,
         inliers=jnp.asarray(inliers),
-        pose_corrections=_all_views(corrections, data.view_count),
+        pose_corrections=corrections if len(corrections) else jnp.zeros((data.view_count, 6)),
         start=problem.parameters.start,
         solution=solution,
-        std={name: float(value) for name, value in zip(free_names, std, strict=True)},
-        noise=noise if isinstance(noise, Noise) else None,
-        rejected=_rejected(data, visible & ~inliers, lost),
-        observability=observability(J, scale, free_names, calibration),
-        parameter_names=free_names,
+        std=dict(zip(names, map(float, (*std, *own)), strict=True)),
+        noise=built.noise,
+        rejected=_rejected(data, visible & ~inliers, built.lost),
+        observability=observability(columns, built.names, calibration),
+        parameter_names=built.names,
         result=_result(solution, calibration),
     )
 
 
 @eqx.filter_jit
-def _at_solution(problem: JointProblem, z: Float[Array, "free"]) -> tuple:
+def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     calibration, corrections = problem.calibration(z)
     observations: Observations = problem.observations
     chained = observations.residuals(
         *calibration.project(observations.base_from_tool, observations.points)
     )
-    return calibration, corrections, problem.whitened(z), chained
+    parts = eliminate(matrix)
+    eye = jnp.broadcast_to(jnp.eye(6)[None], matrix.own.shape)
+    own_inverse = cho_solve((parts.own_factor, False), eye)
+    return calibration, corrections, problem.whitened(z), chained, parts, own_inverse
 
 
-def _all_views(corrections: Array, views: int) -> Float[Array, "views 6"]:
-    return corrections if len(corrections) else jnp.zeros((views, 6))
-
-
-def _variance(
-    whitened: np.ndarray, visible: np.ndarray, free: int, problem: JointProblem, known: bool
-) -> tuple[float, float]:
-    """Factor on the assumed variances, and the pixel sigma."""
-    sigma = float(problem.pixel_sigma)
-    if known:
-        return 1.0, sigma
-    dof = max(2 * int(visible.sum()) - free + int(np.count_nonzero(problem.prior_weight)), 1)
-    factor = float(np.sum(whitened[visible] ** 2)) / dof
-    return factor, sigma * float(np.sqrt(factor))
+def _variance_factor(square: Float[np.ndarray, "seen"], built: Built) -> float:
+    """By how much the assumed variance of a pixel is wrong, from all residuals."""
+    priors = sum(int(jnp.count_nonzero(w)) for w in built.problem.prior_weight)
+    dof = max(2 * len(square) - len(built.names) - len(built.own_names) + priors, 1)
+    return float(np.sum(square)) / dof
 
 
 def _robust_variance(square: np.ndarray) -> float:

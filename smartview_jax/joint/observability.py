@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..calibration import Calibration
+from .covariance import NULL, UnitColumns
 
-NULL = 1e-7
-"""Singular value, of a Jacobian with unit columns, under which a direction is not seen at all."""
 WEAK = 1e-3
-"""And the one under which it is reported as weak."""
+"""Singular value, of a Jacobian with unit columns, under which a direction is reported as weak."""
 
 
 class Direction(NamedTuple):
@@ -45,22 +44,17 @@ class Observability(NamedTuple):
 
 
 def observability(
-    jacobian: np.ndarray, scale: np.ndarray, names: tuple[str, ...], calibration: Calibration
+    columns: UnitColumns, names: tuple[str, ...], calibration: Calibration
 ) -> Observability:
     """Rank and null directions of a fit.
 
     Args:
-        jacobian: `(rows, free)` with respect to scaled parameters.
-        scale: `(free,)` size of one unit of each, in its own unit.
+        columns: of the Jacobian at the optimum.
         names: of the free parameters.
         calibration: where the Jacobian was taken.
     """
-    lengths = np.linalg.norm(jacobian, axis=0)
-    unseen = lengths == 0.0
-    unit = jacobian / np.where(unseen, 1.0, lengths)
-    triangle = np.linalg.qr(unit, mode="r")
-    _, singular, Vt = np.linalg.svd(triangle)
-    own = scale / np.where(unseen, 1.0, lengths)
+    singular, Vt = columns.singular, columns.directions
+    own = 1.0 / columns.lengths
 
     def direction(k: int) -> Direction:
         order = np.argsort(-np.abs(Vt[k]))

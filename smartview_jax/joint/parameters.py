@@ -10,6 +10,7 @@ rotations, which turn by a rotation vector about the axes of the target frame
 
 import difflib
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -74,8 +75,20 @@ def _unknown(path: str, names: Sequence[str]) -> str:
     return f"no parameter is called {path!r}; {hint}"
 
 
+class Step(NamedTuple):
+    """A change of the parameters, or any vector of their shape.
+
+    Attributes:
+        shared: of the numbers that all views share.
+        corrections: of each view's own six; no views where there are none.
+    """
+
+    shared: Float[Array, "shared"]
+    corrections: Float[Array, "views 6"]
+
+
 class Parameters(eqx.Module):
-    """The numbers of a calibration, and of its pose corrections, as one flat step from a start."""
+    """The numbers of a calibration, as a flat vector, and how steps from a start change them."""
 
     start: Calibration
 
@@ -102,20 +115,18 @@ class Parameters(eqx.Module):
             ]
         )
 
-    def moved(
-        self, step: Float[Array, "parameters"]
-    ) -> tuple[Calibration, Float[Array, "views 6"]]:
+    def moved(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
         """The calibration a step away from the start, and the pose corrections."""
-        n, shared = self.camera_size, self.shared_size
+        n, shared = self.camera_size, step.shared
         numbers, rebuild = ravel_pytree(self.start.camera)
         calibration = Calibration(
-            rebuild(numbers + step[:n]),
-            _moved_transform(self.start.camera_from_mount, step[n : n + 6]),
-            _moved_transform(self.start.holder_from_world, step[n + 6 : n + 12]),
+            rebuild(numbers + shared[:n]),
+            _moved_transform(self.start.camera_from_mount, shared[n : n + 6]),
+            _moved_transform(self.start.holder_from_world, shared[n + 6 : n + 12]),
             self.start.mount,
-            self.start.target_scale + step[n + 12],
+            self.start.target_scale + shared[n + 12],
         )
-        return calibration, step[shared:].reshape(-1, 6)
+        return calibration, step.corrections
 
 
 def _moved_transform(start: SE3, step: Float[Array, "6"]) -> SE3:

@@ -1,23 +1,29 @@
-"""The joint fit as a least-squares problem: a residual vector, a pure function of pytrees.
+"""The joint fit as a least-squares problem: residuals, or normal equations; pure functions.
 
-Any optimistix least-squares solver can be set on `residuals`. The step is in units in which every
-column of the Jacobian at the start has length one, so one unit of a parameter changes the cost by
-about one half: solvers that treat all parameters alike then do so rightly.
+Any optimistix least-squares solver can be set on `residuals`; `normal_equations` is the same
+problem in the structured form that the library's own solver uses.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..dataset import Observations
+from .blocks import FAR_OFF, linearise_views
+from .chain import Chain, linearise_chain
 from .losses import AbstractLoss
-from .parameters import Parameters
+from .parameters import Parameters, Step
+from .schur import BlockArrow
 
-FAR_OFF = 1e3
-"""Whitened residual of a point that cannot be projected: never cheaper than one that can."""
+
+class NormalEquations(eqx.Module):
+    """Cost, gradient and Gauss-Newton matrix at a step."""
+
+    cost: Float[Array, ""]
+    gradient: Step
+    matrix: BlockArrow
 
 
 class JointProblem(eqx.Module):
@@ -27,10 +33,12 @@ class JointProblem(eqx.Module):
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
         pixel_sigma: of u and of v, px.
-        free: indices of the parameters that may move.
-        prior_mean, prior_weight: of every parameter's value, and one over its standard deviation;
-            weight zero is no prior.
-        scale: length of one unit of step, for every free parameter.
+        free: indices of the shared parameters that may move.
+        own_free: which of each view's own six may move; no views where there are none.
+        prior_mean: of every parameter's value.
+        prior_weight: one over its standard deviation; zero is no prior.
+        scale: length of one unit of step, of the shared parameters that are free and of each view's
+            own; for solvers that treat all parameters alike.
         loss: None is least squares.
     """
 
@@ -38,21 +46,28 @@ class JointProblem(eqx.Module):
     observations: Observations
     pixel_sigma: Float[Array, ""]
     free: tuple[int, ...] = eqx.field(static=True)
-    prior_mean: Float[Array, "parameters"]
-    prior_weight: Float[Array, "parameters"]
-    scale: Float[Array, "free"]
+    own_free: Bool[Array, "corrected 6"]
+    prior_mean: Step
+    prior_weight: Step
+    scale: Step
     loss: AbstractLoss | None
 
-    def step(self, z: Float[Array, "free"]) -> Float[Array, "parameters"]:
-        """All parameters' step from the scaled step of the free ones."""
-        nothing = jnp.zeros(self.prior_mean.shape)
-        return nothing.at[jnp.array(self.free, dtype=int)].set(z * self.scale)
+    def start(self) -> Step:
+        """The step that changes nothing."""
+        return Step(jnp.zeros(len(self.free)), jnp.zeros(self.own_free.shape))
 
-    def calibration(self, z: Float[Array, "free"]) -> tuple[Calibration, Float[Array, "views 6"]]:
+    def step(self, z: Step) -> Step:
+        """The step of all parameters, in their own units, from the scaled one of the free ones."""
+        shared = jnp.zeros(self.parameters.shared_size)
+        shared = shared.at[jnp.array(self.free, dtype=int)].set(z.shared * self.scale.shared)
+        own = jnp.where(self.own_free, z.corrections * self.scale.corrections, 0.0)
+        return Step(shared, own)
+
+    def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Calibration and pose corrections at a scaled step."""
         return self.parameters.moved(self.step(z))
 
-    def whitened(self, z: Float[Array, "free"]) -> Float[Array, "views points 2"]:
+    def whitened(self, z: Step) -> Float[Array, "views points 2"]:
         """Measured minus predicted over sigma, before any loss; zero where not visible."""
         calibration, corrections = self.calibration(z)
         poses = self.observations.base_from_tool
@@ -63,21 +78,77 @@ class JointProblem(eqx.Module):
         lost = self.observations.visible & ~valid
         return jnp.where(lost[..., None], FAR_OFF, residual)
 
-    def residuals(self, z: Float[Array, "free"], _: None = None) -> Float[Array, "rows"]:
-        """Observations, then priors; half its squared length is the cost."""
+    def residuals(self, z: Step, _: None = None) -> tuple[Array, Array, Array]:
+        """Of observations, and of both kinds of priors; half their squared length is the cost."""
         observed = self.whitened(z)
         if self.loss is not None:
             observed = self.loss.whiten(observed)
-        value = self._values() + self.step(z)
-        priors = (value - self.prior_mean) * self.prior_weight
-        return jnp.concatenate([observed.ravel(), priors])
+        return observed, *self._prior_residuals(self.step(z))
 
-    def jacobian(self, z: Float[Array, "free"]) -> Float[Array, "rows free"]:
-        return jax.jacfwd(self.residuals)(z)
+    def normal_equations(self, z: Step) -> NormalEquations:
+        """The same problem, linearised; robust losses by iterative reweighting."""
+        step = self.step(z)
+        chain = linearise_chain(self.parameters, step, self.observations.base_from_tool)
+        calibration, _ = self.parameters.moved(step)
+        views = linearise_views(
+            calibration.camera,
+            chain.camera_from_world,
+            self.observations,
+            calibration.target_scale,
+            self.pixel_sigma,
+            self.loss,
+        )
+        return self._with_priors(step, *self._through_chain(chain, views), jnp.sum(views.cost))
 
-    def _values(self) -> Float[Array, "parameters"]:
-        shared = self.parameters.values()
-        return jnp.concatenate([shared, jnp.zeros(len(self.prior_mean) - len(shared))])
+    def _through_chain(self, chain: Chain, views) -> tuple[Step, BlockArrow]:
+        """Gradient and matrix of the observations alone, by the free parameters in their units."""
+        n = self.parameters.camera_size
+        count = len(views.cost)
+        # How the camera's numbers and each view's twist follow from the shared parameters.
+        camera = jnp.broadcast_to(jnp.eye(n, n + 13)[None], (count, n, n + 13))
+        twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
+        shared = jnp.concatenate([camera, twist], axis=1)[:, :, jnp.array(self.free, dtype=int)]
+        shared = shared * self.scale.shared[None, None]
+        gram_shared = views.gram @ shared
+        matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)
+        gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
+
+        moves = jnp.where(self.own_free, self.scale.corrections, 0.0)
+        own = chain.by_own * moves[:, None, :]
+        seen = slice(count if len(own) else 0)
+        own_transposed = jnp.swapaxes(own, 1, 2)
+        border = own_transposed @ gram_shared[seen, n:]
+        corner = own_transposed @ views.gram[seen, n:, n:] @ own
+        own_gradient = jnp.einsum("vki,vk->vi", own, views.gradient[seen, n:])
+        return Step(gradient, own_gradient), BlockArrow(matrix, border, corner)
+
+    def _with_priors(
+        self, step: Step, gradient: Step, matrix: BlockArrow, cost: Float[Array, ""]
+    ) -> NormalEquations:
+        chosen = jnp.array(self.free, dtype=int)
+        residual, own_residual = self._prior_residuals(step)
+        weight = self.prior_weight.shared[chosen] * self.scale.shared
+        # A correction that is held has no column: a one keeps its equation solvable.
+        own_weight = jnp.where(self.own_free, self.prior_weight.corrections, 0.0)
+        own_weight = own_weight * self.scale.corrections
+        diagonal = jnp.where(self.own_free, own_weight**2, 1.0)
+        return NormalEquations(
+            cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(own_residual**2)),
+            Step(
+                gradient.shared + weight * residual[chosen],
+                gradient.corrections + own_weight * own_residual,
+            ),
+            BlockArrow(
+                matrix.shared + jnp.diag(weight**2),
+                matrix.border,
+                matrix.own + jnp.eye(6)[None] * diagonal[:, None],
+            ),
+        )
+
+    def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
+        shared = self.parameters.values() + step.shared - self.prior_mean.shared
+        own = step.corrections - self.prior_mean.corrections
+        return shared * self.prior_weight.shared, own * self.prior_weight.corrections
 
 
 def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:

@@ -1,0 +1,134 @@
+"""From a user's words to a problem: lens, noise, what is free, what is held, what is known."""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..calibration import Calibration
+from ..cameras import AbstractLens, start_lens
+from ..dataset import Dataset
+from .losses import AbstractLoss, loss_by_name
+from .noise import Noise
+from .parameters import Parameters, Step, parameter_names, select
+from .priors import Prior
+from .problem import JointProblem, valid_at_start
+
+
+class Built(eqx.Module):
+    """A problem, and what its numbers are called.
+
+    Attributes:
+        problem: in the parameters' own units.
+        names: of the free shared parameters.
+        own_names: of the views' own that are free, in order.
+        noise: as assumed; None where the robot is trusted.
+        lost: points that were seen but cannot be projected at the start; left out.
+    """
+
+    problem: JointProblem
+    names: tuple[str, ...] = eqx.field(static=True)
+    own_names: tuple[str, ...] = eqx.field(static=True)
+    noise: Noise | None = eqx.field(static=True)
+    lost: Bool[np.ndarray, "views points"]
+
+
+def build_problem(
+    data: Dataset,
+    start: Calibration,
+    lens: str | AbstractLens | None = None,
+    noise: str | Noise = "trusted",
+    loss: str | AbstractLoss | None = None,
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> Built:
+    """The least-squares problem that `fit_joint` solves; arguments and errors as there."""
+    if not (noise == "trusted" or isinstance(noise, Noise)):
+        raise ValueError(
+            f'noise is "trusted" or a Noise(pixel, translation, rotation); found {noise!r}'
+        )
+    if start.mount != data.mount:
+        raise ValueError(f"the start is {start.mount}, the data {data.mount}")
+    if lens is not None:
+        camera = eqx.tree_at(lambda c: c.lens, start.camera, start_lens(lens, start.camera.lens))
+        start = eqx.tree_at(lambda c: c.camera, start, camera)
+    priors = dict(priors or {})
+    views = data.usable_views()
+    if len(views) < 3 and not priors:
+        raise ValueError(
+            f"a joint fit needs at least 3 views with 4 points each, or priors; found {len(views)}"
+        )
+
+    known = noise if isinstance(noise, Noise) else None
+    parameters = Parameters(start)
+    count = parameters.shared_size
+    names = parameter_names(start, data.view_ids if known else ())
+    moves = ~select(names, ("target_scale",)) | select(names, free)
+    moves &= ~select(names, fixed)
+    mean, weight = _priors(names, parameters, priors, known)
+    problem = JointProblem(
+        parameters,
+        data.observations,
+        jnp.asarray(known.pixel if known else 1.0),
+        tuple(int(k) for k in np.flatnonzero(moves[:count])),
+        jnp.asarray(moves[count:].reshape(-1, 6)),
+        _as_step(mean, count),
+        _as_step(weight, count),
+        Step(jnp.ones(int(moves[:count].sum())), jnp.ones((len(names[count:]) // 6, 6))),
+        loss_by_name(loss),
+    )
+    lost = np.asarray(data.visible & ~_valid(problem))
+    _refuse_blind_views(data, lost)
+    visible = data.visible & ~jnp.asarray(lost)
+    problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
+    return Built(
+        problem,
+        tuple(names[k] for k in problem.free),
+        tuple(names[count + k] for k in np.flatnonzero(moves[count:])),
+        known,
+        lost,
+    )
+
+
+def _priors(
+    names: tuple[str, ...],
+    parameters: Parameters,
+    priors: Mapping[str, Prior],
+    noise: Noise | None,
+) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
+    """Mean and weight of every parameter; a weight of zero is no prior."""
+    values = np.asarray(parameters.values())
+    mean = np.concatenate([values, np.zeros(len(names) - len(values))])
+    weight = np.zeros(len(names))
+    if noise is not None:
+        deviations = np.repeat([noise.translation, noise.rotation], 3)
+        weight[len(values) :] = np.tile(1.0 / deviations, (len(names) - len(values)) // 6)
+    for path, prior in priors.items():
+        chosen = select(names, (path,))
+        turning = [names[k] for k in np.flatnonzero(chosen) if ".rotation." in names[k]]
+        if prior.mean is not None and turning:
+            raise ValueError(f"prior on {path!r}: a rotation's prior is about the start; no mean")
+        weight[chosen] = 1.0 / prior.std
+        if prior.mean is not None:
+            mean[chosen] = prior.mean
+    return mean, weight
+
+
+def _as_step(numbers: Float[np.ndarray, "parameters"], shared: int) -> Step:
+    return Step(jnp.asarray(numbers[:shared]), jnp.asarray(numbers[shared:].reshape(-1, 6)))
+
+
+_valid = eqx.filter_jit(valid_at_start)
+
+
+def _refuse_blind_views(data: Dataset, lost: Bool[np.ndarray, "views points"]) -> None:
+    seen = np.asarray(data.visible).sum(axis=1)
+    blind = [data.view_ids[k] for k in range(len(seen)) if seen[k] > 0 and lost[k].sum() == seen[k]]
+    if blind:
+        raise ValueError(
+            f"start: every point of view {', '.join(blind)} lies behind the camera or outside the "
+            f"lens's domain; start nearer to the truth (fit_staged), or check the poses"
+        )

@@ -1,0 +1,92 @@
+"""From views to parameters: how far each number turns and shifts each view's camera.
+
+Every parameter but the camera's acts on the pixels through `camera_from_world` of each view. Here
+is the derivative of those poses by the transforms, the target's scale and the views' own
+corrections, once for all estimators; `blocks.py` has what a twist of a view does to its pixels.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxlie import SE3
+from jaxtyping import Array, Float
+
+from ..calibration import Calibration
+from ..geometry import exp_jacobian
+from .parameters import Parameters, Step
+
+
+class Chain(eqx.Module):
+    """Poses of the camera in every view, and their derivatives as twists in the camera frame.
+
+    Attributes:
+        camera_from_world: `(views)`.
+        by_shared: by both transforms' translation and rotation step, and the target's scale.
+        by_own: by each view's own correction; no views where there are none.
+    """
+
+    camera_from_world: SE3
+    by_shared: Float[Array, "views 6 13"]
+    by_own: Float[Array, "corrected 6 6"]
+
+
+def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> Chain:
+    """The chain a step away from the start; see `Chain`."""
+    calibration, corrections = parameters.moved(step)
+    by_mount, by_holder = _transform_jacobians(parameters, step)
+    eye_in_hand = calibration.mount == "eye_in_hand"
+
+    # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
+    identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, base_from_tool.wxyz_xyz.shape))
+    before, after = (
+        (identity, base_from_tool.inverse()) if eye_in_hand else (base_from_tool, identity)
+    )
+    signed = corrections if eye_in_hand else -corrections
+    camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])
+    holder_from_world = SE3(calibration.holder_from_world.wxyz_xyz[None])
+    camera_from_correction = camera_from_mount @ before
+    camera_from_holder = (
+        camera_from_correction @ SE3.exp(signed) @ after
+        if len(corrections)
+        else camera_from_correction @ after
+    )
+    camera_from_world = camera_from_holder @ holder_from_world
+
+    views = base_from_tool.get_batch_axes()[0]
+    # Pixels do not change where all distances from the camera do: a larger target seen from where
+    # it is looks as the same target, nearer by the same factor.
+    nearer = -camera_from_world.translation() / calibration.target_scale
+    by_scale = jnp.concatenate([nearer, jnp.zeros((views, 3))], axis=1)[..., None]
+    by_shared = jnp.concatenate(
+        [
+            jnp.broadcast_to(by_mount[None], (views, 6, 6)),
+            camera_from_holder.adjoint() @ by_holder[None],
+            by_scale,
+        ],
+        axis=2,
+    )
+    by_own = jnp.zeros((0, 6, 6))
+    if len(corrections):
+        inner = jax.vmap(exp_jacobian)(signed)
+        inner = inner if eye_in_hand else -inner
+        by_own = camera_from_correction.adjoint() @ inner
+    return Chain(camera_from_world, by_shared, by_own)
+
+
+def _transform_jacobians(
+    parameters: Parameters, step: Step
+) -> tuple[Float[Array, "6 6"], Float[Array, "6 6"]]:
+    """Left twist of each transform by its own step (see `Parameters.moved`)."""
+    n = parameters.camera_size
+    calibration: Calibration = parameters.moved(step)[0]
+
+    def jacobian(moved: SE3, step: Float[Array, "6"]) -> Float[Array, "6 6"]:
+        turn = exp_jacobian(step.at[:3].set(0.0))[3:, 3:]
+        shift = jnp.cross(moved.translation()[None], turn.T).T
+        upper = jnp.concatenate([jnp.eye(3), shift], axis=1)
+        return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((3, 3)), turn], axis=1)])
+
+    return (
+        jacobian(calibration.camera_from_mount, step.shared[n : n + 6]),
+        jacobian(calibration.holder_from_world, step.shared[n + 6 : n + 12]),
+    )

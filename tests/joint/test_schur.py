@@ -1,0 +1,72 @@
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from smartview_jax.joint.parameters import Step
+from smartview_jax.joint.schur import BlockArrow, SchurCholesky, eliminate
+
+
+def arrow(views, shared=7, seed=0):
+    """What a least-squares problem of this shape gives."""
+    rng = np.random.default_rng(seed)
+    blocks = [rng.normal(size=(20, shared + 6)) for _ in range(max(views, 1))]
+    grams = np.stack([J.T @ J for J in blocks])
+    own = grams[:views, shared:, shared:]
+    return BlockArrow(
+        jnp.asarray(grams[:, :shared, :shared].sum(axis=0)),
+        jnp.asarray(grams[:views, shared:, :shared]),
+        jnp.asarray(own),
+    )
+
+
+def vector(views, shared=7):
+    rng = np.random.default_rng(1)
+    return Step(jnp.asarray(rng.normal(size=shared)), jnp.asarray(rng.normal(size=(views, 6))))
+
+
+@pytest.mark.parametrize("views", [0, 1, 5])
+@pytest.mark.parametrize("damping", [0.0, 1e-6, 1.0, 1e6])
+def test_it_solves_what_a_dense_solver_solves(views, damping):
+    operator, right = arrow(views), vector(views)
+    damped = operator + damping * lx.IdentityLinearOperator(operator.in_structure())
+    for form in (damped, lx.TaggedLinearOperator(damped, lx.positive_semidefinite_tag)):
+        found = lx.linear_solve(form, right, SchurCholesky()).value
+        dense = operator.as_matrix() + damping * jnp.eye(7 + 6 * views)
+        wanted = np.linalg.solve(dense, ravel_pytree(right)[0])
+        np.testing.assert_allclose(ravel_pytree(found)[0], wanted, rtol=1e-10, atol=1e-12)
+
+
+def test_it_is_the_matrix_it_says():
+    operator, x = arrow(4), vector(4)
+    dense = operator.as_matrix()
+    np.testing.assert_allclose(dense, dense.T)
+    np.testing.assert_allclose(
+        ravel_pytree(operator.mv(x))[0], dense @ ravel_pytree(x)[0], rtol=1e-12
+    )
+    np.testing.assert_allclose(ravel_pytree(operator.diagonal())[0], np.diag(dense))
+    units = ravel_pytree(x)[0]
+    np.testing.assert_allclose(
+        operator.scaled(x).as_matrix(), dense * np.outer(units, units), rtol=1e-12
+    )
+
+
+def test_the_reduced_matrix_holds_the_marginal_covariance():
+    operator = arrow(3)
+    covariance = np.linalg.inv(operator.as_matrix())[:7, :7]
+    np.testing.assert_allclose(np.linalg.inv(eliminate(operator).reduced), covariance, rtol=1e-9)
+
+
+def test_batches_of_systems_by_vmap():
+    many = jax.tree.map(lambda *x: jnp.stack(x), *(arrow(3, seed=k) for k in range(4)))
+    right = vector(3)
+    together = jax.vmap(lambda a: lx.linear_solve(a, right, SchurCholesky()).value)(many)
+    alone = lx.linear_solve(arrow(3, seed=2), right, SchurCholesky()).value
+    np.testing.assert_allclose(together.corrections[2], alone.corrections, rtol=1e-10)
+
+
+def test_other_operators_are_refused():
+    with pytest.raises(ValueError, match="solves a BlockArrow, damped or not; found Diagonal"):
+        SchurCholesky().init(lx.DiagonalLinearOperator(jnp.ones(3)), {})
