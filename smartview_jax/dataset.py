@@ -10,7 +10,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from .calibration import mount_frames
+from .calibration import Calibration, mount_frames
 from .geometry import PoseLike, as_se3, check_rigid
 
 
@@ -35,6 +35,15 @@ class Observations(eqx.Module):
         """Measured minus predicted, px; zero where a point was not seen or not predicted."""
         used = (self.visible & valid)[..., None]
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
+
+
+@eqx.filter_jit
+def chain_residuals(
+    calibration: Calibration, observations: Observations
+) -> Float[Array, "views points 2"]:
+    """Measured minus predicted by the reported poses, px; zero where not seen."""
+    predicted = calibration.project(observations.base_from_tool, observations.points)
+    return observations.residuals(*predicted)
 
 
 class Dataset(eqx.Module):

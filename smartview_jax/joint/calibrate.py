@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import equinox as eqx
 
 from ..cameras import AbstractLens, Camera
-from ..dataset import Dataset
+from ..dataset import Dataset, chain_residuals
 from ..staged import StagedFit, fit_staged
 from .fit import JointFit, fit_joint
 from .rehearsal import rehearse
@@ -58,8 +58,6 @@ def calibrate(
     trusted = eqx.tree_at(lambda d: d.visible, data, data.visible & staged.inliers)
     joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)
     # The report is on everything that was seen, outliers too.
-    everything = data.observations.residuals(
-        *joint.calibration.project(data.base_from_tool, data.points)
-    )
+    everything = chain_residuals(joint.calibration, data.observations)
     joint = eqx.tree_at(lambda f: f.residuals, joint, everything)
     return CalibrationFit(staged, joint)

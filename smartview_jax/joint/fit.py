@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..dataset import Dataset, Observations
+from ..dataset import Dataset, chain_residuals
 from ..staged import FitResult
 from .build import Built, build_problem
 from .covariance import UnitColumns, covariance, own_std
@@ -111,7 +111,7 @@ def _assemble(
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
-    calibration, corrections, whitened, chained, parts, own_inverse = at_solution
+    calibration, corrections, whitened, parts, own_inverse = at_solution
     visible = np.asarray(problem.observations.visible)
     size = np.sum(np.asarray(whitened) ** 2, axis=-1)[visible]
     factor = 1.0 if built.noise else _variance_factor(size, built)
@@ -130,7 +130,7 @@ def _assemble(
         calibration=calibration,
         covariance=full,
         pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
-        residuals=chained,
+        residuals=chain_residuals(calibration, problem.observations),
         inliers=jnp.asarray(inliers),
         pose_corrections=corrections if len(corrections) else jnp.zeros((data.view_count, 6)),
         start=problem.parameters.start,
@@ -147,19 +147,15 @@ def _assemble(
 @eqx.filter_jit
 def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     calibration, corrections = problem.calibration(z)
-    observations: Observations = problem.observations
-    chained = observations.residuals(
-        *calibration.project(observations.base_from_tool, observations.points)
-    )
     parts = eliminate(matrix)
     eye = jnp.broadcast_to(jnp.eye(6)[None], matrix.own.shape)
     own_inverse = cho_solve((parts.own_factor, False), eye)
-    return calibration, corrections, problem.whitened(z), chained, parts, own_inverse
+    return calibration, corrections, problem.whitened(z), parts, own_inverse
 
 
 def _variance_factor(square: Float[np.ndarray, "seen"], built: Built) -> float:
     """By how much the assumed variance of a pixel is wrong, from all residuals."""
-    priors = sum(int(jnp.count_nonzero(w)) for w in built.problem.prior_weight)
+    priors = sum(np.count_nonzero(np.asarray(w)) for w in built.problem.prior_weight)
     dof = max(2 * len(square) - len(built.names) - len(built.own_names) + priors, 1)
     return float(np.sum(square)) / dof
 
@@ -185,7 +181,7 @@ def _rejected(
 
 
 def _result(solution: Solution, calibration: Calibration) -> FitResult:
-    finite = all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(calibration))
+    finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(calibration))
     if not finite:
         return FitResult(False, "the fit diverged: its parameters are not finite")
     if solution.converged:

@@ -101,7 +101,8 @@ def _implausible(base_from_tool: SE3, camera_from_world: SE3, used: np.ndarray) 
         (base_from_tool, "the tool is reported {:.0f} m from the base"),
         (camera_from_world, "the target seems to be {:.0f} m from the camera"),
     ):
-        distance = float(np.median(np.linalg.norm(np.asarray(poses.translation())[used], axis=1)))
+        places = np.asarray(poses.wxyz_xyz)[used, 4:]
+        distance = float(np.median(np.linalg.norm(places, axis=1)))
         if distance > REACH:
             found.append(f"{what.format(distance)}: millimetres where metres are expected?")
     return found

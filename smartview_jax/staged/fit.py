@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
-from ..dataset import Dataset, Observations
+from ..dataset import Dataset, Observations, chain_residuals
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
@@ -142,7 +142,7 @@ def fit_staged(
         step1,
         step2,
         step3,
-        data.observations.residuals(*calibration.project(data.base_from_tool, data.points)),
+        chain_residuals(calibration, data.observations),
         inliers,
         _rejected(data, views, np.asarray(inliers), minimum)
         + tuple((ids[view], None, text) for view, text in report.suspicious_views),
@@ -168,15 +168,15 @@ def _step_one(
     numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
     common = Camera(*numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=image_size)
     # A view that took a longer lens for itself stood farther off than the common lens says.
-    depth = step1.camera_from_world.wxyz_xyz[:, 6] * common.alpha_u / step1.intrinsics.alpha_u
-    poses = SE3(step1.camera_from_world.wxyz_xyz.at[:, 6].set(depth))
-    return step1, common, _safe(poses, used), step1.used
+    poses = np.array(step1.camera_from_world.wxyz_xyz)
+    poses[:, 6] *= numbers[0] / np.asarray(step1.intrinsics.alpha_u)
+    return step1, common, _safe(SE3(jnp.asarray(poses)), used), step1.used
 
 
 def _safe(poses: SE3, used: np.ndarray) -> SE3:
     """Any finite pose for the views that are not used."""
-    anywhere = SE3.from_translation(jnp.array([0.0, 0.0, 1.0])).wxyz_xyz
-    return SE3(jnp.where(jnp.asarray(used)[:, None], poses.wxyz_xyz, anywhere[None]))
+    ahead = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    return SE3(jnp.asarray(np.where(used[:, None], np.asarray(poses.wxyz_xyz), ahead)))
 
 
 def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:

@@ -131,9 +131,7 @@ def kalman_filter(
             converged, message = True, f"settled after {passes} passes"
             break
     sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
-    residuals = _residuals(observations, *point)
-    count = jnp.maximum(jnp.sum(inliers.astype(float)), 1.0)
-    rms = jnp.sqrt(jnp.sum(jnp.where(inliers[..., None], residuals, 0.0) ** 2) / count)
+    rms = _rms(observations, point, inliers)
     if not bool(jnp.isfinite(rms)):
         converged, message = False, "the filter diverged: its state is not finite"
     return KalmanResult(*point, covariance, inliers, sigma, rms, passes, converged, message)
@@ -145,6 +143,12 @@ class _Pass(NamedTuple):
     inliers: Array
     movement: Array  # largest change of the state, in its own standard deviations
     cost_before: Array  # mean robust cost at the linearisation point, px
+
+
+@eqx.filter_jit
+def _rms(observations: Observations, point: tuple[Camera, SE3], inliers: Array) -> Array:
+    residuals = jnp.where(inliers[..., None], _residuals(observations, *point), 0.0)
+    return jnp.sqrt(jnp.sum(residuals**2) / jnp.maximum(jnp.sum(inliers.astype(float)), 1.0))
 
 
 def _residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:

@@ -91,12 +91,13 @@ def calibrate_views(
     usable = np.array([not problem for problem in problems]) & np.isfinite(np.asarray(found.rms))
     frontal = usable & ~(np.asarray(alpha_std) < _DETERMINED)
     if frontal.any():
-        held = _hold_alpha(start, _median(found, usable, frontal), frontal, centre)
+        median = _median(found, usable, frontal)
+        held = _hold_alpha(start, median, jnp.asarray(frontal), jnp.asarray(centre))
         free[:, :4] = False
         again = _calibrate_all(
             _only(observations, frontal), held, jnp.asarray(free), jnp.asarray(flat)
         )
-        found = _where(frontal, again, found)
+        found = _where(jnp.asarray(frontal), again, found)
     starts = tuple(
         NONE if not ok else MEDIAN if far else PLANAR if plane else LINEAR
         for ok, far, plane in zip(usable, frontal, flat, strict=True)
@@ -165,9 +166,10 @@ def _only(observations: Observations, views: np.ndarray) -> Observations:
     return eqx.tree_at(lambda o: o.visible, observations, visible)
 
 
-def _where(views: np.ndarray, one: Found, other: Found) -> Found:
+@jax.jit
+def _where(views: Array, one: Found, other: Found) -> Found:
     def pick(a, b):
-        return jnp.where(jnp.asarray(views).reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
+        return jnp.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
 
     return jax.tree.map(pick, one, other)
 
@@ -179,12 +181,12 @@ def _median(found: Found, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics
         # Where no view is oblique the least uncertain ones must do.
         alpha_std = np.asarray(found.alpha_std)
         trusted = usable & (alpha_std <= np.median(alpha_std[usable]))
-    return jax.tree.map(lambda x: np.median(np.asarray(x)[trusted]), found.intrinsics)
+    return jax.tree.map(lambda x: jnp.asarray(np.median(np.asarray(x)[trusted])), found.intrinsics)
 
 
-def _hold_alpha(start: Start, median: Intrinsics, frontal: np.ndarray, centre: np.ndarray) -> Start:
+@jax.jit
+def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) -> Start:
     """The start with the median intrinsics in frontal views, at the depth that fits them."""
-    chosen = jnp.asarray(frontal)
     ratio = median.alpha_u / start.intrinsics.alpha_u
     held = Intrinsics(median.alpha_u, median.alpha_u, centre[0], centre[1], median.k1)
     intrinsics = jax.tree.map(
