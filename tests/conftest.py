@@ -1,4 +1,8 @@
 import functools
+import os
+
+# The tests write nothing outside their own folders.
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "0"
 
 import jax
 import jaxlie

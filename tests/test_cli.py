@@ -2,6 +2,7 @@ import re
 import shutil
 import sys
 
+import jax
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -115,6 +116,21 @@ def test_poses_the_wrong_way_round_are_named(tmp_path):
     assert run.exit_code == 2
     assert "when every one is inverted" in run.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_compiled_is_kept_where_the_user_says(tmp_path, monkeypatch):
+    before = jax.config.jax_compilation_cache_dir
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    try:
+        RUNNER.invoke(app, ["export", str(tmp_path / "none.yaml"), "--to", "ros"])
+        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "smartview_jax")
+        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "mine"))
+        jax.config.update("jax_compilation_cache_dir", None)
+        RUNNER.invoke(app, ["export", str(tmp_path / "none.yaml"), "--to", "ros"])
+        assert jax.config.jax_compilation_cache_dir is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
 
 
 def test_version():

@@ -1,0 +1,118 @@
+"""The joint fit beside other libraries: each in a process of its own, interleaved, one table.
+
+Peers that are not installed are reported as missing. Ceres in C++ is compiled here where `g++` and
+its headers are found (Debian: libceres-dev).
+"""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from .peers.problem import SIZES, make
+
+HERE = Path(__file__).parent
+ROUNDS = 2
+AGREE = 1e-9
+"""Relative difference of final costs that counts as the same optimum."""
+
+SLOW = {"scipy": "ab", "pyceres": "abc"}
+"""Problems that a peer is asked for; the others would take minutes or are not written for it."""
+
+
+def run(smoke: bool = False) -> bool:
+    """Print the table; True where all peers reach the same cost."""
+    sizes = {"a": (5, 200, False), "d": (8, 100, True)} if smoke else SIZES
+    with tempfile.TemporaryDirectory() as folder:
+        peers = _peers(Path(folder))
+        print(
+            f"{'problem':9}{'peer':22}{'seconds':>10}{'ratio':>8}{'MB':>7}{'steps':>7}{'cold':>7}"
+        )
+        same = [_problem(name, sizes[name], Path(folder), peers, smoke) for name in sizes]
+    return all(same)
+
+
+def _problem(
+    name: str, size: tuple[int, int, bool], folder: Path, peers: dict[str, Callable], smoke: bool
+) -> bool:
+    path = folder / f"{name}.f64"
+    make(*size).save(path)
+    results: dict[str, list[dict]] = {}
+    repeats = 2 if smoke else max(3, 100_000 // (size[0] * size[1]))
+    for _ in range(1 if smoke else ROUNDS):
+        for peer, command in peers.items():
+            if name in SLOW.get(peer, name) and not (size[2] and peer in SLOW):
+                results.setdefault(peer, []).append(_measured(command(path, repeats)))
+    path.unlink()
+    base = _median(results["smartview_jax"], "seconds")
+    for peer, found in results.items():
+        seconds = _median(found, "seconds")
+        print(
+            f"{name:9}{peer:22}{seconds:10.4f}{seconds / base:8.2f}{_median(found, 'peak_mb'):7.0f}"
+            f"{_median(found, 'iterations'):7.0f}{_median(found, 'cold'):7.2f}"
+        )
+    same = {peer: found for peer, found in results.items() if peer != "  its paper's lens"}
+    costs = [found[-1]["cost"] for found in same.values()]
+    gap = max(costs) / min(costs) - 1.0
+    print(f"{name:9}costs differ by {gap:.1e} of their value")
+    return gap < AGREE
+
+
+def _peers(folder: Path) -> dict[str, Callable[[Path, int], list[str]]]:
+    def python(module: str, *more: str) -> Callable[[Path, int], list[str]]:
+        start = [sys.executable, "-m", f"benchmarks.peers.{module}"]
+        return lambda path, repeats: [*start, str(path), str(repeats), *more]
+
+    found = {
+        "smartview_jax": python("smartview", "forward"),
+        "  its paper's lens": python("smartview", "radial"),
+    }
+    for name, module, package in (
+        ("scipy", "scipy_trf", "scipy"),
+        ("pyceres", "pyceres_lm", "pyceres"),
+    ):
+        if importlib.util.find_spec(package) is None:
+            print(f"missing: {name}")
+        else:
+            found[name] = python(module)
+    program = _compiled(folder)
+    if program is None:
+        print("missing: Ceres in C++ (g++ and libceres-dev)")
+    else:
+        for threads in (1, 2):
+            found[f"Ceres C++, {threads} thread{'s'[: threads - 1]}"] = (
+                lambda path, repeats, t=threads: [program, str(path), str(repeats), str(t)]
+            )
+    return found
+
+
+def _compiled(folder: Path) -> str | None:
+    if shutil.which("g++") is None:
+        return None
+    program = folder / "ceres_native"
+    source = HERE / "peers" / "ceres_native.cpp"
+    flags = ["-O3", "-march=native", "-std=c++17", "-I/usr/include/eigen3"]
+    libraries = ["-lceres", "-lglog", "-lgflags", "-pthread"]
+    done = subprocess.run(
+        ["g++", *flags, str(source), "-o", str(program), *libraries], capture_output=True
+    )
+    return str(program) if done.returncode == 0 else None
+
+
+def _measured(command: list[str]) -> dict:
+    environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "0"}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=HERE.parent, env=environment)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def _median(found: list[dict], key: str) -> float:
+    return float(np.median(np.concatenate([np.atleast_1d(one[key]) for one in found])))

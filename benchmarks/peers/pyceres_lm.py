@@ -1,0 +1,67 @@
+"""Ceres from Python: one cost function a view, with the analytic Jacobian in NumPy."""
+
+import sys
+import time
+from pathlib import Path
+
+START = time.perf_counter()
+
+import numpy as np  # noqa: E402
+import pyceres  # noqa: E402  # pyright: ignore[reportMissingImports]
+
+from . import problem as peer  # noqa: E402
+from .result import report  # noqa: E402
+
+
+class Cost(pyceres.CostFunction):
+    """One view."""
+
+    def __init__(self, view: peer.View, count: int):
+        super().__init__()
+        self.view = view
+        self.set_num_residuals(2 * count)
+        self.set_parameter_block_sizes([5, 6, 6])
+
+    def Evaluate(self, parameters, residuals, jacobians):  # noqa: N802
+        r, J = self.view(*parameters)
+        residuals[:] = r
+        if jacobians is not None:
+            for block, columns in zip(jacobians, np.split(J, [5, 11], axis=1), strict=True):
+                if block is not None:
+                    block[:] = columns.ravel()
+        return True
+
+
+def main(path: Path, repeats: int) -> None:
+    """Time one fit."""
+    data = peer.load(path)
+    count = data.pixels.shape[1]
+
+    def fit():
+        blocks = [data.camera.copy(), np.zeros(6), np.zeros(6)]
+        problem = pyceres.Problem()
+        costs = [Cost(peer.View(data, k), count) for k in range(len(data.pixels))]
+        for cost in costs:
+            problem.add_residual_block(cost, None, blocks)
+        options = pyceres.SolverOptions()
+        options.linear_solver_type = pyceres.LinearSolverType.DENSE_NORMAL_CHOLESKY
+        options.function_tolerance = 1e-12
+        options.num_threads = 1
+        options.logging_type = pyceres.LoggingType.SILENT
+        summary = pyceres.SolverSummary()
+        pyceres.solve(options, problem, summary)
+        return summary
+
+    summary = fit()
+    cold = time.perf_counter() - START
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        summary = fit()
+        seconds.append(time.perf_counter() - began)
+    steps = summary.num_successful_steps + summary.num_unsuccessful_steps
+    report(seconds, float(summary.final_cost), int(steps), cold)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,67 @@
+"""This library."""
+
+import sys
+import time
+from pathlib import Path
+
+START = time.perf_counter()
+
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import smartview_jax as sv  # noqa: E402
+from smartview_jax.cameras import AbstractPerspectiveLens, implicit_inverse  # noqa: E402
+from smartview_jax.joint.build import build_problem  # noqa: E402
+from smartview_jax.joint.solver import solve  # noqa: E402
+
+from . import problem as peer  # noqa: E402
+from .result import report  # noqa: E402
+
+
+class ForwardRadial(AbstractPerspectiveLens):
+    """OpenCV's k1 alone, as a user would write a lens of his own."""
+
+    k1: jax.Array
+
+    def distort_normalised(self, ideal):
+        x, y = ideal[..., 0], ideal[..., 1]
+        ratio = 1.0 + self.k1 * (x * x + y * y)
+        return jnp.stack([x * ratio, y * ratio], axis=-1), 3.0 * ratio > 2.0
+
+    def undistort_normalised(self, distorted):
+        return implicit_inverse(lambda x: self.distort_normalised(x)[0], distorted, distorted)
+
+
+def _matrix(pose: np.ndarray) -> np.ndarray:
+    return np.concatenate([pose, np.broadcast_to([[0.0, 0, 0, 1]], (*pose.shape[:-2], 1, 4))], -2)
+
+
+def main(path: Path, repeats: int, lens: str) -> None:
+    """Time one fit, cold and warm."""
+    data = peer.load(path)
+    base_from_tool = np.linalg.inv(_matrix(data.tool_from_base))
+    observed = sv.Dataset.from_arrays(data.points, data.pixels, base_from_tool, (640, 480))
+    own = ForwardRadial(jnp.asarray(data.camera[4]))
+    model = own if lens == "forward" else sv.cameras.Radial(0.0)
+    alpha_u, alpha_v, u0, v0, _ = data.camera
+    camera = sv.Camera(alpha_u, alpha_v, u0, v0, model, (640, 480))
+    start = sv.Calibration.eye_in_hand(
+        camera, _matrix(data.camera_from_tool), _matrix(data.base_from_world)
+    )
+    noise = sv.Noise(peer.PIXEL, peer.TRANSLATION, peer.ROTATION) if data.corrected else "trusted"
+    built = build_problem(observed, start, noise=noise).problem
+    whitened = 1.0 if data.corrected else peer.PIXEL**-2
+    solution, _ = solve(built)
+    cold = time.perf_counter() - START
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        solution, equations = solve(built)
+        jax.block_until_ready(equations)
+        seconds.append(time.perf_counter() - began)
+    report(seconds, solution.costs[-1] * whitened, solution.steps, cold)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
