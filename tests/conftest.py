@@ -4,8 +4,10 @@ import os
 # The tests write nothing outside their own folders.
 os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "0"
 
+import equinox as eqx
 import jax
 import jaxlie
+import pytest
 
 # The strictest JAX: silent promotion of types or ranks is an error here.
 jax.config.update("jax_enable_x64", True)
@@ -35,3 +37,11 @@ def _tolerant(function):
 
 for _group in (jaxlie.SE3, jaxlie.SO3):
     _allow_promotion_inside(_group)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _programs_are_let_go():
+    """What a module compiled ends with it: thousands of programs exhaust the memory maps."""
+    yield
+    jax.clear_caches()
+    eqx.clear_caches()
