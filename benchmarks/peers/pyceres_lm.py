@@ -10,7 +10,7 @@ import numpy as np  # noqa: E402
 import pyceres  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 from . import problem as peer  # noqa: E402
-from .result import report  # noqa: E402
+from .result import report, timed  # noqa: E402
 
 
 class Cost(pyceres.CostFunction):
@@ -52,13 +52,7 @@ def main(path: Path, repeats: int) -> None:
         pyceres.solve(options, problem, summary)
         return summary
 
-    summary = fit()
-    cold = time.perf_counter() - START
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        summary = fit()
-        seconds.append(time.perf_counter() - began)
+    summary, seconds, cold = timed(fit, repeats, START)
     steps = summary.num_successful_steps + summary.num_unsuccessful_steps
     report(seconds, float(summary.final_cost), int(steps), cold)
 

@@ -2,6 +2,23 @@
 
 import json
 import resource
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+Found = TypeVar("Found")
+
+
+def timed(fit: Callable[[], Found], repeats: int, start: float) -> tuple[Found, list[float], float]:
+    """What a fit found, seconds of each repeat, and of the first answer since the process began."""
+    found = fit()
+    cold = time.perf_counter() - start
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        found = fit()
+        seconds.append(time.perf_counter() - began)
+    return found, seconds, cold
 
 
 def report(seconds: list[float], cost: float, iterations: int, cold: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np  # noqa: E402
 from scipy.optimize import least_squares  # noqa: E402
 
 from . import problem as peer  # noqa: E402
-from .result import report  # noqa: E402
+from .result import report, timed  # noqa: E402
 
 
 def main(path: Path, repeats: int) -> None:
@@ -33,13 +33,7 @@ def main(path: Path, repeats: int) -> None:
             gtol=1e-12,
         )
 
-    found = fit()
-    cold = time.perf_counter() - START
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        found = fit()
-        seconds.append(time.perf_counter() - began)
+    found, seconds, cold = timed(fit, repeats, START)
     report(seconds, float(found.cost), int(found.nfev), cold)
 
 

@@ -16,7 +16,7 @@ from smartview_jax.joint.build import build_problem  # noqa: E402
 from smartview_jax.joint.solver import solve  # noqa: E402
 
 from . import problem as peer  # noqa: E402
-from .result import report  # noqa: E402
+from .result import report, timed  # noqa: E402
 
 
 class ForwardRadial(AbstractPerspectiveLens):
@@ -52,14 +52,9 @@ def main(path: Path, repeats: int, lens: str) -> None:
     noise = sv.Noise(peer.PIXEL, peer.TRANSLATION, peer.ROTATION) if data.corrected else "trusted"
     built = build_problem(observed, start, noise=noise).problem
     whitened = 1.0 if data.corrected else peer.PIXEL**-2
-    solution, _ = solve(built)
-    cold = time.perf_counter() - START
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        solution, equations = solve(built)
-        jax.block_until_ready(equations)
-        seconds.append(time.perf_counter() - began)
+    (solution, _), seconds, cold = timed(
+        lambda: jax.block_until_ready(solve(built)), repeats, START
+    )
     report(seconds, solution.costs[-1] * whitened, solution.steps, cold)
 
 

@@ -124,5 +124,5 @@ def exp_jacobian(tangent: Float[Array, "6"]) -> Float[Array, "6 6"]:
     moved = jax.jacfwd(lambda t: SE3.exp(t).translation())(tangent)
     # `t = V v`: the derivative by v is V, which is the Jacobian of the rotation as well.
     V = moved[:, :3]
-    upper = jnp.concatenate([V, moved[:, 3:] + jnp.cross(start[None], V.T).T], axis=1)
-    return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((3, 3)), V], axis=1)])
+    shift = moved[:, 3:] + jnp.cross(start[None], V.T).T
+    return jnp.block([[V, shift], [jnp.zeros((3, 3)), V]])

@@ -64,8 +64,9 @@ def linearise_views(
         pixel_sigma: of u and of v, px.
         loss: its weights make the normal equations those of iteratively reweighted least squares.
     """
+    views = len(observations.visible)
     points, pixels, visible = _chunked(observations)
-    views, chunks = points.shape[:2]
+    chunks = len(points) // views
 
     def chunk(part: tuple) -> tuple[Array, Array, Array]:
         rotation, translation, points, pixels, visible = part
@@ -73,34 +74,22 @@ def linearise_views(
         along_u, along_v, cost = _columns(camera, in_camera, pixels.T, visible, pixel_sigma, loss)
         return along_u @ along_u.T, along_v @ along_v.T, cost
 
-    def view(part: tuple) -> tuple[Array, Array, Array]:
-        rotation, translation, *rest = part
-        if chunks == 1:
-            return chunk((rotation, translation, *(x[0] for x in rest)))
-
-        def add(total: tuple, few: tuple) -> tuple[tuple, None]:
-            return jax.tree.map(jnp.add, total, chunk((rotation, translation, *few))), None
-
-        first = tuple(x[0] for x in rest)
-        shapes = jax.eval_shape(chunk, (rotation, translation, *first))
-        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-        return jax.lax.scan(add, nothing, tuple(rest))[0]
-
-    rotations = camera_from_world.rotation().as_matrix()
-    translations = camera_from_world.translation()
-    gram_u, gram_v, cost = jax.lax.map(view, (rotations, translations, points, pixels, visible))
-    return _assembled(gram_u, gram_v, cost, views)
+    rotations = jnp.repeat(camera_from_world.rotation().as_matrix(), chunks, axis=0)
+    translations = jnp.repeat(camera_from_world.translation(), chunks, axis=0)
+    sums = jax.lax.map(chunk, (rotations, translations, points, pixels, visible))
+    gram_u, gram_v, cost = (x.reshape(views, chunks, *x.shape[1:]).sum(axis=1) for x in sums)
+    return _assembled(gram_u, gram_v, cost)
 
 
 def _chunked(observations: Observations) -> tuple[Array, Array, Array]:
-    """Points, pixels, visibility as `(views, chunks, points, ...)`, padded with unseen points."""
+    """Points, pixels, visibility as `(views * chunks, points, ...)`, padded with unseen points."""
     views, count = observations.visible.shape
     chunks = max(1, -(-count // CHUNK))
     padding = chunks * -(-count // chunks) - count
 
     def split(x: Array) -> Array:
         wide = jnp.pad(x, ((0, 0), (0, padding), *((0, 0),) * (x.ndim - 2))) if padding else x
-        return wide.reshape(views, chunks, -1, *x.shape[2:])
+        return wide.reshape(views * chunks, -1, *x.shape[2:])
 
     return split(observations.points), split(observations.pixels), split(observations.visible)
 
@@ -225,10 +214,9 @@ def _assembled(
     gram_u: Float[Array, "views rows rows"],
     gram_v: Float[Array, "views rows rows"],
     cost: Float[Array, "views"],
-    views: int,
 ) -> ViewBlocks:
     """Both directions' products in one order of columns: alpha_u, alpha_v, u0, v0, lens, twist."""
-    rows = gram_u.shape[-1]
+    views, rows = gram_u.shape[:2]
     size = rows + 2
     shared = range(4, size)
     whole = jnp.zeros((views, size * size))

@@ -80,7 +80,7 @@ def build_problem(
         Step(jnp.ones(int(moves[:count].sum())), jnp.ones((len(names[count:]) // 6, 6))),
         loss_by_name(loss),
     )
-    lost = np.asarray(data.visible & ~_valid(problem))
+    lost = np.asarray(data.visible & ~valid_at_start(problem))
     _refuse_blind_views(data, lost)
     visible = data.visible & ~jnp.asarray(lost)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
@@ -119,9 +119,6 @@ def _priors(
 
 def _as_step(numbers: Float[np.ndarray, "parameters"], shared: int) -> Step:
     return Step(jnp.asarray(numbers[:shared]), jnp.asarray(numbers[shared:].reshape(-1, 6)))
-
-
-_valid = eqx.filter_jit(valid_at_start)
 
 
 def _refuse_blind_views(data: Dataset, lost: Bool[np.ndarray, "views points"]) -> None:

@@ -20,11 +20,13 @@ class Chain(eqx.Module):
     """Poses of the camera in every view, and their derivatives as twists in the camera frame.
 
     Attributes:
+        calibration: the step away from the start.
         camera_from_world: `(views)`.
         by_shared: by both transforms' translation and rotation step, and the target's scale.
         by_own: by each view's own correction; no views where there are none.
     """
 
+    calibration: Calibration
     camera_from_world: SE3
     by_shared: Float[Array, "views 6 13"]
     by_own: Float[Array, "corrected 6 6"]
@@ -33,7 +35,9 @@ class Chain(eqx.Module):
 def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> Chain:
     """The chain a step away from the start; see `Chain`."""
     calibration, corrections = parameters.moved(step)
-    by_mount, by_holder = _transform_jacobians(parameters, step)
+    n = parameters.camera_size
+    by_mount = _by_own_step(calibration.camera_from_mount, step.shared[n : n + 6])
+    by_holder = _by_own_step(calibration.holder_from_world, step.shared[n + 6 : n + 12])
     eye_in_hand = calibration.mount == "eye_in_hand"
 
     # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
@@ -70,23 +74,11 @@ def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> 
         inner = jax.vmap(exp_jacobian)(signed)
         inner = inner if eye_in_hand else -inner
         by_own = camera_from_correction.adjoint() @ inner
-    return Chain(camera_from_world, by_shared, by_own)
+    return Chain(calibration, camera_from_world, by_shared, by_own)
 
 
-def _transform_jacobians(
-    parameters: Parameters, step: Step
-) -> tuple[Float[Array, "6 6"], Float[Array, "6 6"]]:
-    """Left twist of each transform by its own step (see `Parameters.moved`)."""
-    n = parameters.camera_size
-    calibration: Calibration = parameters.moved(step)[0]
-
-    def jacobian(moved: SE3, step: Float[Array, "6"]) -> Float[Array, "6 6"]:
-        turn = exp_jacobian(step.at[:3].set(0.0))[3:, 3:]
-        shift = jnp.cross(moved.translation()[None], turn.T).T
-        upper = jnp.concatenate([jnp.eye(3), shift], axis=1)
-        return jnp.concatenate([upper, jnp.concatenate([jnp.zeros((3, 3)), turn], axis=1)])
-
-    return (
-        jacobian(calibration.camera_from_mount, step.shared[n : n + 6]),
-        jacobian(calibration.holder_from_world, step.shared[n + 6 : n + 12]),
-    )
+def _by_own_step(moved: SE3, step: Float[Array, "6"]) -> Float[Array, "6 6"]:
+    """Left twist of a transform by the step that moved it (see `Parameters.moved`)."""
+    turn = exp_jacobian(step.at[:3].set(0.0))[3:, 3:]
+    shift = jnp.cross(moved.translation()[None], turn.T).T
+    return jnp.block([[jnp.eye(3), shift], [jnp.zeros((3, 3)), turn]])

@@ -113,7 +113,8 @@ def _assemble(
     at_solution = _at_solution(problem, solution.z, equations.matrix)
     calibration, corrections, whitened, parts, own_inverse = at_solution
     visible = np.asarray(problem.observations.visible)
-    size = np.sum(np.asarray(whitened) ** 2, axis=-1)[visible]
+    square = np.sum(np.asarray(whitened) ** 2, axis=-1)
+    size = square[visible]
     factor = 1.0 if built.noise else _variance_factor(size, built)
 
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
@@ -124,7 +125,7 @@ def _assemble(
 
     spread = _robust_variance(size)
     limit = GATE * (max(1.0, spread) if built.noise else spread)
-    inliers = visible & (np.sum(np.asarray(whitened) ** 2, axis=-1) <= limit)
+    inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
     return JointFit(
         calibration=calibration,

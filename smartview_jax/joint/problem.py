@@ -7,11 +7,11 @@ problem in the structured form that the library's own solver uses.
 import equinox as eqx
 import jax.numpy as jnp
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..dataset import Observations
-from .blocks import FAR_OFF, linearise_views
+from .blocks import FAR_OFF, ViewBlocks, linearise_views
 from .chain import Chain, linearise_chain
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
@@ -52,6 +52,10 @@ class JointProblem(eqx.Module):
     scale: Step
     loss: AbstractLoss | None
 
+    @property
+    def _chosen(self) -> Int[Array, "free"]:
+        return jnp.array(self.free, dtype=int)
+
     def start(self) -> Step:
         """The step that changes nothing."""
         return Step(jnp.zeros(len(self.free)), jnp.zeros(self.own_free.shape))
@@ -59,7 +63,7 @@ class JointProblem(eqx.Module):
     def step(self, z: Step) -> Step:
         """The step of all parameters, in their own units, from the scaled one of the free ones."""
         shared = jnp.zeros(self.parameters.shared_size)
-        shared = shared.at[jnp.array(self.free, dtype=int)].set(z.shared * self.scale.shared)
+        shared = shared.at[self._chosen].set(z.shared * self.scale.shared)
         own = jnp.where(self.own_free, z.corrections * self.scale.corrections, 0.0)
         return Step(shared, own)
 
@@ -89,25 +93,24 @@ class JointProblem(eqx.Module):
         """The same problem, linearised; robust losses by iterative reweighting."""
         step = self.step(z)
         chain = linearise_chain(self.parameters, step, self.observations.base_from_tool)
-        calibration, _ = self.parameters.moved(step)
         views = linearise_views(
-            calibration.camera,
+            chain.calibration.camera,
             chain.camera_from_world,
             self.observations,
-            calibration.target_scale,
+            chain.calibration.target_scale,
             self.pixel_sigma,
             self.loss,
         )
         return self._with_priors(step, *self._through_chain(chain, views), jnp.sum(views.cost))
 
-    def _through_chain(self, chain: Chain, views) -> tuple[Step, BlockArrow]:
+    def _through_chain(self, chain: Chain, views: ViewBlocks) -> tuple[Step, BlockArrow]:
         """Gradient and matrix of the observations alone, by the free parameters in their units."""
-        n = self.parameters.camera_size
+        n, size = self.parameters.camera_size, self.parameters.shared_size
         count = len(views.cost)
         # How the camera's numbers and each view's twist follow from the shared parameters.
-        camera = jnp.broadcast_to(jnp.eye(n, n + 13)[None], (count, n, n + 13))
+        camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
         twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
-        shared = jnp.concatenate([camera, twist], axis=1)[:, :, jnp.array(self.free, dtype=int)]
+        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self._chosen]
         shared = shared * self.scale.shared[None, None]
         gram_shared = views.gram @ shared
         matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)
@@ -125,7 +128,7 @@ class JointProblem(eqx.Module):
     def _with_priors(
         self, step: Step, gradient: Step, matrix: BlockArrow, cost: Float[Array, ""]
     ) -> NormalEquations:
-        chosen = jnp.array(self.free, dtype=int)
+        chosen = self._chosen
         residual, own_residual = self._prior_residuals(step)
         weight = self.prior_weight.shared[chosen] * self.scale.shared
         # A correction that is held has no column: a one keeps its equation solvable.
@@ -151,6 +154,7 @@ class JointProblem(eqx.Module):
         return shared * self.prior_weight.shared, own * self.prior_weight.corrections
 
 
+@eqx.filter_jit
 def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
     """Which points the start can project at all."""
     return problem.parameters.start.project(

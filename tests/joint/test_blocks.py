@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from jaxlie import SE3
+from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior
 from smartview_jax.cameras import AbstractPerspectiveLens
@@ -42,17 +42,6 @@ def scene():
     return eqx.tree_at(lambda s: (s.data.visible, s.data.pixels), scene, (visible, pixels))
 
 
-def start_of(scene):
-    calibration = scene.calibration
-    step = 1e-3 * np.random.default_rng(7).normal(size=(2, 6))
-    return Calibration(
-        calibration.camera,
-        SE3.exp(jnp.asarray(step[0])) @ calibration.camera_from_mount,
-        SE3.exp(jnp.asarray(step[1])) @ calibration.holder_from_world,
-        calibration.mount,
-    )
-
-
 def dense_and_structured(problem, size=1e-3):
     """Cost, gradient and Gauss-Newton matrix by `jacfwd`, then ours, at a random step."""
     _, unravel = ravel_pytree(problem.start())
@@ -85,13 +74,13 @@ LENSES = ["pinhole", "radial", "weng", "opencv4", "opencv8", "fisheye", Division
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens if isinstance(lens, str) else "own")
 def test_every_lens(scene, lens):
-    problem = build_problem(scene.data, start_of(scene), lens=lens).problem
+    problem = build_problem(scene.data, nudged(scene.calibration), lens=lens).problem
     assert_same(*dense_and_structured(problem))
 
 
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
 def test_corrections_scale_and_priors(scene, mount):
-    data, start = scene.data, start_of(scene)
+    data, start = scene.data, nudged(scene.calibration)
     if mount == "eye_to_hand":
         start = Calibration(start.camera, start.camera_from_mount, start.holder_from_world, mount)
         data = type(data).from_arrays(
@@ -111,7 +100,7 @@ def test_corrections_scale_and_priors(scene, mount):
 
 def test_lost_points_cost_what_they_should(scene):
     """A target half of which is behind the camera; they count, but pull at nothing."""
-    problem = build_problem(scene.data, start_of(scene)).problem
+    problem = build_problem(scene.data, nudged(scene.calibration)).problem
     behind = problem.observations.points.at[:, ::2, 2].add(1.0)
     problem = eqx.tree_at(lambda p: p.observations.points, problem, behind)
     dense, structured = dense_and_structured(problem)
@@ -120,7 +109,7 @@ def test_lost_points_cost_what_they_should(scene):
 
 
 def test_chunks_change_nothing(scene, monkeypatch):
-    problem = build_problem(scene.data, start_of(scene)).problem
+    problem = build_problem(scene.data, nudged(scene.calibration)).problem
     whole = problem.normal_equations(problem.start())
     monkeypatch.setattr(blocks, "CHUNK", 5)
     parts = problem.normal_equations(problem.start())
@@ -131,7 +120,9 @@ def test_chunks_change_nothing(scene, monkeypatch):
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "geman_mcclure", "student_t"])
 def test_robust_losses_have_the_right_cost_and_gradient(scene, loss):
-    problem = build_problem(scene.data, start_of(scene), loss=loss, noise=Noise(20.0, 1.0, 1.0))
+    problem = build_problem(
+        scene.data, nudged(scene.calibration), loss=loss, noise=Noise(20.0, 1.0, 1.0)
+    )
     dense, structured = dense_and_structured(problem.problem)
     np.testing.assert_allclose(structured[0], dense[0], rtol=1e-10)
     unit = 1.0 / np.sqrt(np.diag(dense[2]))

@@ -9,6 +9,7 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3
 from scipy.optimize import least_squares
 from shared_data import shared_pairs
+from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior, calibrate, fit_joint
 from smartview_jax.cameras import Camera, OpenCV4
@@ -18,16 +19,6 @@ from smartview_jax.joint.build import build_problem
 from smartview_jax.simulation import paper_points, random_scene
 
 POINTS = paper_points((0.0, 0.02))[::4]
-
-
-def nudged(calibration, size=1e-3):
-    step = size * np.random.default_rng(7).normal(size=(2, 6))
-    return Calibration(
-        calibration.camera,
-        SE3.exp(jnp.asarray(step[0])) @ calibration.camera_from_mount,
-        SE3.exp(jnp.asarray(step[1])) @ calibration.holder_from_world,
-        calibration.mount,
-    )
 
 
 def flattened(problem):
