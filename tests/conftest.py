@@ -3,6 +3,8 @@ import os
 
 # The tests write nothing outside their own folders.
 os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "0"
+# Most of their time is XLA's, which compiles for speed what is run once on little data.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import equinox as eqx
 import jax

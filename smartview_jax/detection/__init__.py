@@ -3,6 +3,7 @@
 from .detect import detect as detect
 from .detect import read_picture as read_picture
 from .detection import Detection as Detection
+from .detection import nothing_found as nothing_found
 from .markers import charuco_board as charuco_board
 from .markers import dictionary_by_name as dictionary_by_name
 from .ordering import consistent_ordering as consistent_ordering

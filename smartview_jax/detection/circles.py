@@ -1,5 +1,6 @@
 """Circle grids, by OpenCV's blob detector and grid finder."""
 
+import itertools
 from collections.abc import Sequence
 
 import cv2
@@ -11,6 +12,11 @@ from .detection import Detection, found, nothing_found
 _SMALLEST_BLOBS = (25.0, 10.0, 60.0, 150.0, 400.0)
 """Least areas to try, px^2: specks must go, and how large a speck is depends on the picture."""
 
+_ROUNDNESS = (0.8, 0.4)
+"""Least circularities to try. Thresholds amid the paper's noise let specks grow onto a circle and
+shift its centre by half a pixel, but then it is not round; circles seen from the side are not
+either."""
+
 
 def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
     """Circle centres of a whole grid, in the target's order.
@@ -21,8 +27,9 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
     """
     count = target.rows * target.columns
     most = 0
-    for area in _SMALLEST_BLOBS:
-        detector = cv2.SimpleBlobDetector.create(_blob_parameters(area, target, image.shape))
+    for area, roundness in itertools.product(_SMALLEST_BLOBS, _ROUNDNESS):
+        parameters = _blob_parameters(area, roundness, target, image.shape)
+        detector = cv2.SimpleBlobDetector.create(parameters)
         blobs = detector.detect(image)
         most = max(most, len(blobs))
         if len(blobs) < count:
@@ -41,7 +48,7 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
 
 
 def _blob_parameters(
-    area: float, target: CircleGrid, shape: tuple[int, ...]
+    area: float, roundness: float, target: CircleGrid, shape: tuple[int, ...]
 ) -> cv2.SimpleBlobDetector.Params:
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minThreshold, parameters.maxThreshold = 20, 220
@@ -54,7 +61,8 @@ def _blob_parameters(
     parameters.minArea = area
     # A circle is at most half the pitch wide, and the grid fits the picture.
     parameters.maxArea = 0.8 * shape[0] * shape[1] / (target.rows * target.columns)
-    parameters.filterByCircularity = False
+    parameters.filterByCircularity = True
+    parameters.minCircularity = roundness
     parameters.filterByInertia = False
     parameters.filterByConvexity = True
     parameters.minConvexity = 0.9

@@ -40,7 +40,7 @@ def consistent_ordering(
     best, lowest = None, np.inf
     for first in range(min(len(shown), 4)):
         chosen, cost = _from_reference(candidates, robot, first)
-        if cost < lowest:
+        if best is None or cost < lowest:
             best, lowest = chosen, cost
     answer[shown] = best
     return answer

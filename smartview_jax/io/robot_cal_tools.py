@@ -8,10 +8,10 @@ import numpy as np
 import yaml
 
 from ..dataset import Dataset
-from ..detection import detect, read_picture
 from ..files import read_yaml
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
+from .pictures import from_pictures
 
 DATA_FILE = "cal_data.yaml"
 _POSE_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -35,34 +35,16 @@ def import_robot_cal_tools(
         progress: told what is being done.
     """
     folder = Path(folder)
-    say = progress or (lambda _: None)
     entries = _entries(folder / DATA_FILE)
-    target = _target(folder / "target.yaml")
     views = [Path(image).stem for image, _ in entries]
     rows = np.stack([_pose(folder / pose) for _, pose in entries])
-    pictures = [folder / image for image, _ in entries]
-
-    detections = []
-    for view, picture in zip(views, pictures, strict=True):
-        say(f"looking for the target: view {view}")
-        detections.append(detect(read_picture(picture), target))
-    first = read_picture(pictures[0])
-    masked = [
-        (view, found.reason)
-        for view, found in zip(views, detections, strict=True)
-        if found.reason is not None
-    ]
-    return Dataset.from_arrays(
-        target.points,
-        np.stack([found.pixels for found in detections]),
+    return from_pictures(
+        {view: [folder / image] for view, (image, _) in zip(views, entries, strict=True)},
         pose_codec("quaternion_xyzw").decode(rows, labels=views),
-        (first.shape[1], first.shape[0]),
-        view_ids=views,
-        mount=mount,
+        _target(folder / "target.yaml"),
+        mount,
         bad_views=bad_views,
-        masked_views=masked,
-        pictures=pictures,
-        target=target,
+        progress=progress,
     )
 
 

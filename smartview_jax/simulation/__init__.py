@@ -1,5 +1,7 @@
 """Scenes with known truth: geometry, noise and rendered pictures."""
 
+from .render import render as render
+from .render import write_pictures as write_pictures
 from .scenes import Scene as Scene
 from .scenes import look_at as look_at
 from .scenes import paper_calibration as paper_calibration

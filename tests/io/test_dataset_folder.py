@@ -100,6 +100,17 @@ def test_a_missing_picture_is_an_error_or_a_masked_view(folder):
     assert "no such picture" in data.masked_views[0][1]
 
 
+def test_a_pose_that_is_none_is_an_error_or_a_masked_view(folder):
+    edit(folder / "poses.csv", "\n1,0.5752203716195865", "\n1,nan")
+    with pytest.raises(ValueError, match=r"poses\.csv: .*row 1 contains NaN"):
+        load_dataset(folder)
+    data = load_dataset(folder, bad_views="mask")
+    assert data.view_ids == ("0", "1", "2", "3")
+    assert data.masked_views == (("1", "quaternion_xyzw: row 1 contains NaN or infinity"),)
+    assert np.asarray(data.visible).any(axis=1).tolist() == [True, False, True, True]
+    assert np.isfinite(data.base_from_tool.wxyz_xyz).all()
+
+
 def test_a_picture_that_cannot_be_read_is_named(folder):
     (folder / "images/1.png").write_bytes(b"")
     with pytest.raises(ValueError, match=r"1\.png: not a picture"):
@@ -131,7 +142,7 @@ CASES = {
     "target": ("dataset.yaml", "circle_grid", "cube", "target.kind is one of"),
     "size": ("dataset.yaml", "[640, 480]", "[640]", "camera.image_size: expected"),
     "other size": ("dataset.yaml", "[640, 480]", "[800, 600]", "expected 800 x 600 px, found 640"),
-    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 17", "found in none of 4 pictures"),
+    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 17", "found in none of 4 views"),
     "pattern": ("dataset.yaml", "{view}", "view", "expected a name with {view}"),
 }
 

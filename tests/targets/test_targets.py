@@ -84,6 +84,14 @@ def test_points_lie_where_they_should():
             {"kind": "charuco", "squares_x": 5, "squares_y": 7, "square": 0.1, "marker": 0.2},
             "marker: expected less than the square",
         ),
+        (
+            {"kind": "tag_grid", "rows": 1, "columns": 1, "size": 0.1, "dictionary": "DICT_9X9"},
+            "dictionary is one of .*found 'DICT_9X9'",
+        ),
+        (
+            {"kind": "tag_grid", "rows": 1, "columns": 1, "size": 0.1, "first_id": 587},
+            "has 587 markers, 0 to 586; the target needs one with number 587",
+        ),
     ],
 )
 def test_wrong_descriptions_are_named(content, message):

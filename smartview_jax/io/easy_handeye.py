@@ -1,0 +1,91 @@
+"""Samples of easy_handeye2: pairs of a robot pose and a camera pose, without pictures."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+
+from ..calibration import mount_frames
+from ..files import dump_yaml, read_yaml, write_atomically
+from ..geometry import pose_codec
+
+_CODEC = pose_codec("quaternion_xyzw")
+_NUMBERS = tuple(("translation", k) for k in "xyz") + tuple(("rotation", k) for k in "xyzw")
+
+
+class PoseSamples(NamedTuple):
+    """Poses of robot and camera that belong together, `(samples)` each.
+
+    There are no pixels in them, so they go to the hand-eye step alone:
+    `solve_hand_eye(samples.mount_from_holder, samples.camera_from_world)`.
+
+    Attributes:
+        base_from_tool: what the robot reported.
+        camera_from_world: what a tracker made of its marker.
+        mount: where the camera is.
+    """
+
+    base_from_tool: SE3
+    camera_from_world: SE3
+    mount: str
+
+    @property
+    def mount_from_holder(self) -> SE3:
+        """The robot's part of the chain, between the camera's mount and the target's holder."""
+        in_hand = mount_frames(self.mount)[0] == "tool"
+        return self.base_from_tool.inverse() if in_hand else self.base_from_tool
+
+
+def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSamples:
+    """A `.samples` file of easy_handeye2.
+
+    Args:
+        path: of the file.
+        mount: as the samples were taken (`calibration_type`); the file does not say. For a camera
+            beside the arm easy_handeye stores the robot's pose inverted, which is undone here.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: no samples, or one without its transforms; named by its number from 0.
+    """
+    mount_frames(mount)
+    samples = read_yaml(path).get("samples")
+    if not isinstance(samples, list) or not samples:
+        raise ValueError(f"{path}: samples: expected a list, found {samples!r}")
+    robot = _decoded(path, samples, "robot")
+    tracking = _decoded(path, samples, "tracking")
+    in_hand = mount_frames(mount)[0] == "tool"
+    return PoseSamples(robot if in_hand else robot.inverse(), tracking, mount)
+
+
+def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
+    """The inverse of `read_easy_handeye`."""
+    in_hand = mount_frames(samples.mount)[0] == "tool"
+    robot = samples.base_from_tool if in_hand else samples.base_from_tool.inverse()
+    pairs = zip(_CODEC.encode(robot), _CODEC.encode(samples.camera_from_world), strict=True)
+    content = [{"robot": _message(r), "tracking": _message(t)} for r, t in pairs]
+    write_atomically(path, dump_yaml({"samples": content}))
+
+
+def _decoded(path: str | Path, samples: list[Any], which: str) -> SE3:
+    rows = []
+    for number, sample in enumerate(samples):
+        try:
+            rows.append([float(sample[which][part][k]) for part, k in _NUMBERS])
+        except (KeyError, TypeError, ValueError):
+            raise ValueError(
+                f"{path}: sample {number}: {which}: expected translation x, y, z and rotation "
+                f"x, y, z, w"
+            ) from None
+    try:
+        return _CODEC.decode(np.array(rows))
+    except ValueError as error:
+        raise ValueError(f"{path}: {which}: {error}") from error
+
+
+def _message(row: np.ndarray) -> dict[str, dict[str, float]]:
+    message: dict[str, dict[str, float]] = {"translation": {}, "rotation": {}}
+    for (part, k), number in zip(_NUMBERS, row, strict=True):
+        message[part][k] = float(number)
+    return message

@@ -1,0 +1,207 @@
+"""From picture files and robot poses to a data set: where every importer of pictures ends."""
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
+
+from ..calibration import mount_frames
+from ..dataset import Dataset
+from ..detection import Detection, consistent_ordering, detect, nothing_found, read_picture
+from ..geometry import PoseLike, as_se3
+from ..targets import AbstractTarget, StackedTarget
+from .detections import read_stamped, write_detections
+
+
+def from_pictures(
+    pictures: Mapping[str, Sequence[Path]],
+    base_from_tool: PoseLike,
+    target: AbstractTarget,
+    mount: str = "eye_in_hand",
+    image_size: tuple[int, int] | None = None,
+    bad_views: str = "raise",
+    masked: Mapping[str, str] | None = None,
+    progress: Callable[[str], None] | None = None,
+    cache: Path | None = None,
+) -> Dataset:
+    """A data set from pictures: the target is looked for in each.
+
+    Args:
+        pictures: by view id, one file, or one for each height of a `StackedTarget`.
+        base_from_tool: `(views)` robot poses, in the order of `pictures`.
+        target: what the pictures show.
+        mount: where the camera is.
+        image_size: that every picture must have; by default the first one's.
+        bad_views: `"raise"` an error for a picture that cannot be read, or `"mask"` its view.
+        masked: views already known to be unusable, with the reason.
+        progress: told what is being done.
+        cache: a `detections.csv` to read if it is of these pictures, or else to write.
+
+    Raises:
+        FileNotFoundError: a picture is missing.
+        ValueError: a picture cannot be read or has another size, or none of them shows the target.
+    """
+    views, poses = list(pictures), as_se3(base_from_tool)
+    mount_frames(mount)
+    if image_size is None:
+        image_size = _size_of_first(pictures)
+    found = _find(pictures, target, image_size, bad_views, progress, cache)
+    unseen = {
+        view: detection.reason or "no point of the target was seen"
+        for view, detection in found.items()
+        if not detection.visible.any()
+    }
+    if len(unseen) == len(views):
+        raise ValueError(
+            f"{next(iter(pictures.values()))[0].parent}: the target was found in none of "
+            f"{len(views)} views ({next(iter(unseen.values()))}): is it a {target!r}?"
+        )
+    pixels = np.stack([found[view].pixels for view in views])
+    return Dataset.from_arrays(
+        target.points,
+        _in_one_order(pixels, target, poses, mount, image_size),
+        poses,
+        image_size,
+        view_ids=views,
+        mount=mount,
+        bad_views=bad_views,
+        masked_views=list({**unseen, **(masked or {})}.items()),
+        pictures=[pictures[view][0] for view in views],
+        target=target,
+    )
+
+
+def numbered_pictures(
+    folder: Path, pattern: str, numbers: Sequence[int], poses: Path
+) -> dict[str, list[Path]]:
+    """One picture a number, by view id, and none besides.
+
+    Args:
+        folder: the pattern starts here.
+        pattern: with `{view}`, formatted by the number.
+        numbers: of the views.
+        poses: where their poses are, for the message.
+
+    Raises:
+        ValueError: a pattern without `{view}`, or pictures without a pose.
+    """
+    if "{view" not in pattern:
+        raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
+    files = {str(number): [folder / pattern.format(view=number)] for number in numbers}
+    refuse_strays(files, folder / re.sub(r"{view[^}]*}", "*", pattern), poses)
+    return files
+
+
+def refuse_strays(pictures: Mapping[str, Sequence[Path]], pattern: Path, poses: Path) -> None:
+    """Raise a ValueError that names the pictures of a pattern which no pose belongs to."""
+    known = {path for paths in pictures.values() for path in paths}
+    parent = pattern.parent
+    strays = sorted(p.name for p in parent.glob(pattern.name) if p not in known)
+    if strays:
+        raise ValueError(
+            f"{poses}: no pose for the picture {', '.join(strays[:5])} of {parent}: "
+            f"a row is missing, or a picture too many"
+        )
+
+
+def _size_of_first(pictures: Mapping[str, Sequence[Path]]) -> tuple[int, int]:
+    """Of the first picture that can be read; the error of the first where none can."""
+    problem: Exception | None = None
+    for path in (path for paths in pictures.values() for path in paths):
+        try:
+            rows, columns = read_picture(path).shape
+            return columns, rows
+        except (FileNotFoundError, ValueError) as error:
+            problem = problem or error
+    raise problem or ValueError("pictures: expected at least one view")
+
+
+def _find(
+    pictures: Mapping[str, Sequence[Path]],
+    target: AbstractTarget,
+    image_size: tuple[int, int],
+    bad_views: str,
+    progress: Callable[[str], None] | None,
+    cache: Path | None,
+) -> dict[str, Detection]:
+    say = progress or (lambda _: None)
+    stamp = "" if cache is None else _fingerprint(pictures, target)
+    if cache is not None:
+        known = read_stamped(cache, stamp, list(pictures), len(target.points))
+        if known is not None:
+            say(f"detections of {len(pictures)} views from {cache.name}")
+            return {
+                view: Detection(where, np.asarray(np.isfinite(where).all(axis=1)), None)
+                for view, where in zip(pictures, known, strict=True)
+            }
+    found = {}
+    for number, (view, paths) in enumerate(pictures.items(), start=1):
+        say(f"looking for the target: view {view} ({number} of {len(pictures)})")
+        try:
+            found[view] = _detect_view(paths, target, image_size)
+        except (FileNotFoundError, ValueError) as error:
+            if bad_views != "mask":
+                raise
+            found[view] = nothing_found(len(target.points), str(error))
+    if cache is not None:
+        try:
+            pixels = np.stack([detection.pixels for detection in found.values()])
+            write_detections(cache, list(found), pixels, stamp)
+        except OSError as error:
+            say(f"detections are not kept: {error}")
+    return found
+
+
+def _detect_view(
+    paths: Sequence[Path], target: AbstractTarget, image_size: tuple[int, int]
+) -> Detection:
+    board = target.board if isinstance(target, StackedTarget) else target
+    parts = [detect(read_picture(path, image_size), board) for path in paths]
+    reasons = [part.reason for part in parts if part.reason]
+    return Detection(
+        np.concatenate([part.pixels for part in parts]),
+        np.concatenate([part.visible for part in parts]),
+        "; ".join(reasons) or None,
+    )
+
+
+def _in_one_order(
+    pixels: Float[np.ndarray, "views points 2"],
+    target: AbstractTarget,
+    poses: SE3,
+    mount: str,
+    image_size: tuple[int, int],
+) -> Float[np.ndarray, "views points 2"]:
+    """Points numbered alike in every picture, also where the pattern itself does not tell."""
+    board = target.board if isinstance(target, StackedTarget) else target
+    symmetries = board.symmetries
+    if len(symmetries) == 1:
+        return pixels
+    # Every picture is ordered by itself: at another height the detector may begin elsewhere.
+    flat = pixels.reshape(-1, len(board.points), 2)
+    mount_from_holder = poses.inverse() if mount == "eye_in_hand" else poses
+    turns = np.asarray(mount_from_holder.rotation().as_matrix())
+    chosen = consistent_ordering(
+        flat,
+        np.asarray(np.isfinite(flat).all(axis=-1)),
+        board.points,
+        symmetries,
+        np.repeat(turns, len(flat) // len(pixels), axis=0),
+        image_size,
+    )
+    ordered = [where[symmetries[k]] for where, k in zip(flat, chosen, strict=True)]
+    return np.stack(ordered).reshape(pixels.shape)
+
+
+def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
+    """Changes with the target's description and with any picture."""
+    digest = hashlib.sha256(repr(target).encode())
+    for view, paths in pictures.items():
+        digest.update(view.encode())
+        for path in paths:
+            digest.update(path.read_bytes() if path.is_file() else b"missing")
+    return digest.hexdigest()[:16]

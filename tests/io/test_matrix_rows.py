@@ -1,0 +1,77 @@
+import shutil
+
+import numpy as np
+import pytest
+from shared_data import shared_data
+
+from smartview_jax.io import import_matrix_rows, import_pairs, read_matrix_rows, write_matrix_rows
+from smartview_jax.targets import Chessboard
+
+
+def test_matrices_on_lines():
+    folder = shared_data("tampere_kuka_2")
+    table = np.genfromtxt(folder / "poses.csv", delimiter=",", skip_header=1)
+    poses = read_matrix_rows(folder / "RobotPosesVec.txt", "m")
+    np.testing.assert_allclose(poses.as_matrix(), table[:, 1:].reshape(-1, 4, 4), atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_what_is_written_is_read(tmp_path, unit):
+    poses = read_matrix_rows(shared_data("tampere_kuka_2") / "RobotPosesVec.txt", "m")
+    write_matrix_rows(tmp_path / "poses.txt", poses, unit)
+    again = read_matrix_rows(tmp_path / "poses.txt", unit)
+    np.testing.assert_allclose(again.as_matrix(), poses.as_matrix(), atol=1e-14)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Four views of a real set, as its authors keep them."""
+    original = shared_data("tampere_kuka_2")
+    lines = (original / "RobotPosesVec.txt").read_text().splitlines()
+    (tmp_path / "poses.txt").write_text("\n".join(lines[:4]) + "\n")
+    (tmp_path / "images").mkdir()
+    for view in range(4):
+        shutil.copy(original / f"images/{view:03d}.png", tmp_path / "images")
+    return tmp_path
+
+
+def test_lines_and_numbered_pictures_are_a_data_set(folder):
+    target = Chessboard(17, 24, 0.015)
+    data = import_matrix_rows(folder / "poses.txt", "m", "images/{view:03d}.png", target)
+    original = shared_data("tampere_kuka_2")
+    known = import_pairs(original / "poses.csv", original / "corners.csv", (1920, 1200))
+    assert data.view_ids == ("0", "1", "2", "3")
+    assert data.image_size == (1920, 1200)
+    gap = np.asarray(data.pixels - known.pixels[:4])
+    assert np.sqrt(np.mean(np.sum(gap**2, axis=-1))) < 0.05
+    np.testing.assert_allclose(
+        data.base_from_tool.as_matrix(), known.base_from_tool.as_matrix()[:4], atol=1e-6
+    )
+
+
+def test_pictures_and_lines_must_match(folder):
+    target = Chessboard(17, 24, 0.015)
+    shutil.copy(folder / "images/003.png", folder / "images/009.png")
+    with pytest.raises(ValueError, match=r"poses\.txt: no pose for the picture 009\.png"):
+        import_matrix_rows(folder / "poses.txt", "m", "images/{view:03d}.png", target)
+    (folder / "images/009.png").unlink()
+    (folder / "images/000.png").unlink()
+    with pytest.raises(FileNotFoundError, match=r"004\.png: no such picture"):
+        import_matrix_rows(folder / "poses.txt", "m", "images/{view:03d}.png", target, first=1)
+    with pytest.raises(ValueError, match=r"expected a name with \{view\}"):
+        import_matrix_rows(folder / "poses.txt", "m", "images/0.png", target)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2 3\n", "line 1 has 3 numbers, not 16"),
+        ("a b\n", "line 1 is not a row of numbers"),
+        ("# nothing\n", "no poses"),
+        (" ".join(map(str, np.diag([1, 1, -1, 1]).ravel())), "row 1: .*mirrored"),
+    ],
+)
+def test_wrong_lines_are_named(tmp_path, text, message):
+    (tmp_path / "poses.txt").write_text(text)
+    with pytest.raises(ValueError, match=rf"poses\.txt: .*{message}"):
+        read_matrix_rows(tmp_path / "poses.txt", "m")

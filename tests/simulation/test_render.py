@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from jaxlie import SE3, SO3
+
+import smartview_jax as sv
+from smartview_jax.detection import detect
+from smartview_jax.io import load_dataset
+from smartview_jax.simulation import (
+    look_at,
+    paper_calibration,
+    paper_viewpoints,
+    render,
+    write_pictures,
+)
+from smartview_jax.targets import Charuco, Chessboard, CircleGrid, StackedTarget, TagGrid
+
+TARGETS = [
+    CircleGrid(6, 7, 0.006),
+    CircleGrid(6, 7, 0.006, light_on_dark=True),
+    CircleGrid(6, 7, 0.006, origin_mark=True),
+    CircleGrid(9, 4, 0.004, asymmetric=True),
+    CircleGrid(9, 4, 0.004, asymmetric=True, light_on_dark=True),
+    Chessboard(6, 7, 0.006),
+    Charuco(7, 6, 0.006, 0.0045, "DICT_4X4_50"),
+    Charuco(7, 6, 0.006, 0.0045, "DICT_4X4_50", legacy=True),
+    TagGrid(2, 3, 0.012, 0.004, first_id=3),
+    TagGrid(2, 3, 0.012, 0.004, "DICT_5X5_100"),
+]
+
+
+def facing(target, tilt=0.2, roll=0.3):
+    """`camera_from_world` that sees the front of a target from a corner's direction."""
+    centre = target.points.mean(axis=0)
+    away = SO3.identity() if target.y_up else SO3.from_x_radians(np.pi)
+    turn = SE3.from_rotation(away)
+    flipped = np.asarray(turn @ centre)
+    return look_at(flipped, 0.2, tilt, 0.7, roll) @ turn
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=repr)
+def test_a_detector_finds_the_points_where_the_calibration_puts_them(target):
+    """Pattern, lens and frame conventions at once: everything but the detector is ours."""
+    truth = paper_calibration()
+    pose = truth.command_for(facing(target))
+    found = detect(render(truth, pose, target, samples=3), target)
+    assert found.reason is None
+    assert found.visible.mean() > 0.9
+    known = np.asarray(truth.project(pose, target.points)[0])
+    gaps = [np.abs(found.pixels - known[order])[found.visible].max() for order in target.symmetries]
+    # OpenCV refines the corners of tags and boards less well than it finds circles.
+    assert min(gaps) < (0.3 if isinstance(target, TagGrid | Charuco) else 0.12)
+
+
+def test_from_behind_there_is_nothing_to_see():
+    truth = paper_calibration()
+    target = TagGrid(1, 1, 0.02)
+    behind = truth.command_for(look_at(np.zeros(3), 0.2, np.pi, 0.0))
+    assert np.ptp(render(truth, behind, target, noise=0.0)) == 0
+
+
+def test_the_papers_board_at_five_heights_from_pictures_to_a_calibration(tmp_path):
+    """Its grid is plain, so every height of every view may come in either order."""
+    truth = paper_calibration()
+    target = StackedTarget(CircleGrid(6, 7, 0.005), (0.0, 0.005, 0.01, 0.015, 0.02))
+    # A board whose own y points down is turned to y up: its points lie at negative y.
+    shift = SE3.from_translation(np.array([0.003, 0.0275, 0.0]))
+    poses = truth.command_for(paper_viewpoints(np.random.default_rng(1)) @ shift)
+    folder = write_pictures(tmp_path / "paper", truth, poses, target, samples=2)
+    assert len(list((folder / "images").iterdir())) == 25
+    data = load_dataset(folder)
+    assert data.view_count == 5
+    assert data.observation_count == 5 * 5 * 42
+    predicted = np.asarray(truth.project(poses, target.points)[0])
+    gaps = [
+        np.abs(np.asarray(data.pixels) - predicted[:, order]).max() for order in target.symmetries
+    ]
+    assert min(gaps) < 0.25
+    staged = sv.fit_staged(data)
+    assert staged.result.converged
+    seen = np.linalg.norm(np.asarray(staged.residuals), axis=-1)[np.asarray(data.visible)]
+    assert np.sqrt(np.mean(seen**2)) < 0.2
+    focal = float(staged.calibration.camera.alpha_u)
+    assert focal == pytest.approx(float(truth.camera.alpha_u), rel=0.02)
+
+
+def test_pictures_of_several_heights_need_their_number(tmp_path):
+    truth = paper_calibration()
+    target = StackedTarget(CircleGrid(3, 3, 0.006), (0.0, 0.01))
+    pose = truth.command_for(look_at(np.array([0.006, -0.006, 0.0]), 0.2, 0.1, 0.0))
+    folder = write_pictures(tmp_path, truth, SE3(pose.wxyz_xyz[None]), target, samples=1)
+    text = (folder / "dataset.yaml").read_text()
+    (folder / "dataset.yaml").write_text(text.replace("_{height}", ""))
+    with pytest.raises(ValueError, match=r"2 heights need \{height\}"):
+        load_dataset(folder)
+    (folder / "dataset.yaml").write_text(text)
+    (folder / "images/0_1.png").unlink()
+    with pytest.raises(FileNotFoundError, match=r"0_1\.png"):
+        load_dataset(folder)
