@@ -6,6 +6,7 @@ mistakes that people make are tried in turn: poses given inverted, millimetres f
 the wrong unit or convention, pictures paired with the wrong poses.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -27,7 +28,7 @@ class ConventionReport(NamedTuple):
         suspicious_views: view index and sentence, for views that fit the others badly.
         angle_mismatch: median difference of the rotation angles, rad.
         length_ratio: camera motion over robot motion; 1 where the data do not contradict it.
-        misfit: median rotation left over by the best hand-eye transform, rad.
+        misfit: median rotation and translation left over by the best hand-eye transform, rad, m.
         misfit_inverted: the same with every pose inverted.
     """
 
@@ -35,8 +36,8 @@ class ConventionReport(NamedTuple):
     suspicious_views: tuple[tuple[int, str], ...]
     angle_mismatch: float
     length_ratio: float
-    misfit: float
-    misfit_inverted: float
+    misfit: tuple[float, float]
+    misfit_inverted: tuple[float, float]
 
 
 ANGLE_TOLERANCE = np.deg2rad(4.0)
@@ -63,9 +64,10 @@ def check_conventions(
     angles, as_given, inverted = (
         np.asarray(x) for x in _compare(given, given.inverse(), camera_from_world, weights)
     )
-    ratio = float(as_given[1])
+    ratio = float(as_given[2])
     mismatch = float(np.nanmedian(angles))
-    misfit, misfit_inverted = float(as_given[0]), float(inverted[0])
+    misfit = (float(as_given[0]), float(as_given[1]))
+    misfit_inverted = (float(inverted[0]), float(inverted[1]))
 
     problems = []
     if mismatch > ANGLE_TOLERANCE:
@@ -74,10 +76,11 @@ def check_conventions(
             f"{np.rad2deg(mismatch):.1f} degrees (median): the poses' angles are in another unit "
             f"(degrees?) or convention than stated, or the pictures are paired with wrong poses"
         )
-    elif misfit > ANGLE_TOLERANCE and misfit_inverted < 0.3 * misfit:
+    elif _better_inverted(misfit, misfit_inverted):
         problems.append(
-            f"the poses fit the pictures when every one is inverted (rotation left over "
-            f"{np.rad2deg(misfit_inverted):.2f} instead of {np.rad2deg(misfit):.2f} degrees): they "
+            f"the poses fit the pictures when every one is inverted (left over "
+            f"{np.rad2deg(misfit_inverted[0]):.2f} instead of {np.rad2deg(misfit[0]):.2f} degrees, "
+            f"{1e3 * misfit_inverted[1]:.1f} instead of {1e3 * misfit[1]:.1f} mm): they "
             f"were given as tool_from_base where base_from_tool is expected, or the camera is "
             f"{'beside the arm (eye_to_hand)' if in_hand else 'on the hand (eye_in_hand)'}"
         )
@@ -88,6 +91,17 @@ def check_conventions(
     return ConventionReport(
         tuple(problems), _suspicious(angles), mismatch, ratio, misfit, misfit_inverted
     )
+
+
+_SLACK = math.radians(0.5)
+"""By how much rotations may fit worse where translations fit far better, rad."""
+
+
+def _better_inverted(given: tuple[float, float], inverted: tuple[float, float]) -> bool:
+    """By rotation, or, where all turns are about nearly one axis, by translation."""
+    by_rotation = given[0] > ANGLE_TOLERANCE and inverted[0] < 0.3 * given[0]
+    by_translation = inverted[1] < 0.1 * given[1] and inverted[0] < given[0] + _SLACK
+    return by_rotation or by_translation
 
 
 REACH = 30.0
@@ -139,7 +153,7 @@ def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
 @jax.jit
 def _compare(
     given: SE3, inverted: SE3, camera_from_world: SE3, weights: Array
-) -> tuple[Float[Array, "views views"], Float[Array, "2"], Float[Array, "2"]]:
+) -> tuple[Float[Array, "views views"], Float[Array, "3"], Float[Array, "3"]]:
     return (
         _angle_differences(given, camera_from_world, weights),
         *jax.vmap(lambda robot: _closure(SE3(robot), camera_from_world, weights))(
@@ -159,14 +173,16 @@ def _angle_differences(mount_from_holder: SE3, camera_from_world: SE3, weights: 
     return jnp.where(unused, jnp.nan, gap)
 
 
-def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> Float[Array, "2"]:
-    """Median rotation left over by the best hand-eye rotation, and the ratio of lengths."""
+def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> Float[Array, "3"]:
+    """Rotation and translation left over by the best hand-eye transform (medians), length ratio."""
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     hand_eye, _ = park_martin(mount_from_holder, camera_from_world, weights)
     R = hand_eye.rotation()
     expected = R @ B.rotation() @ R.inverse()
     angle = rotation_angle(A.rotation().inverse() @ expected)
-    left_over = jnp.nanmedian(jnp.where(w > 0.0, angle, jnp.nan))
+    gap = (A @ hand_eye).translation() - (hand_eye @ B).translation()
+    left_over = jnp.stack([angle, jnp.linalg.norm(gap, axis=-1)])
+    left_over = jnp.nanmedian(jnp.where(w[None] > 0.0, left_over, jnp.nan), axis=1)
     # Along its own axis a screw motion advances equally far in every frame, whatever the hand-eye
     # transform: d_A = s d_B. An orbit about the target has no advance, and then nothing is said.
     d_A, d_B = _advance(A) * w, _advance(B) * w
@@ -176,7 +192,7 @@ def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> 
         together**2 > _CORRELATED * squares[0] * squares[1]
     )
     ratio = jnp.abs(together) / jnp.where(telling, squares[1], 1.0)
-    return jnp.stack([left_over, jnp.where(telling, ratio, 1.0)])
+    return jnp.append(left_over, jnp.where(telling, ratio, 1.0))
 
 
 _CORRELATED = 0.9

@@ -1,10 +1,16 @@
+import json
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3, SO3
+from shared_data import shared_data
 
+from smartview_jax.cameras import Camera, OpenCV4
+from smartview_jax.io import import_pairs
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import check_conventions
+from smartview_jax.staged.weng import locate_views
 
 VIEWS = 12
 
@@ -30,6 +36,25 @@ def test_good_data_raise_no_suspicion(poses):
 
 def test_inverted_poses_are_named(poses):
     robot, seen = poses
+    (problem,) = check_conventions(robot.inverse(), seen, "eye_in_hand").problems
+    assert "given as tool_from_base where base_from_tool is expected" in problem
+
+
+@pytest.mark.parametrize(
+    ("name", "prefix"),
+    [("koide_charuco", "20230920_"), ("tampere_synthetic", "cs1_"), ("tampere_synthetic", "cs2_")],
+)
+def test_inverted_poses_of_nearly_one_axis_are_named(name, prefix):
+    """There the rotations alone fit either way."""
+    folder = shared_data(name)
+    reference = json.loads((folder / f"{prefix}measured.json").read_text())
+    size = tuple(reference["image_size"])
+    files = (folder / f"{prefix}poses.csv", folder / f"{prefix}corners.csv")
+    data = import_pairs(*files, size)
+    fx, fy, cx, cy, *distortion = reference["K"]
+    seen, _, _ = locate_views(data.observations, Camera(fx, fy, cx, cy, OpenCV4(*distortion), size))
+    robot = data.base_from_tool
+    assert check_conventions(robot, seen, "eye_in_hand").problems == ()
     (problem,) = check_conventions(robot.inverse(), seen, "eye_in_hand").problems
     assert "given as tool_from_base where base_from_tool is expected" in problem
 
@@ -77,4 +102,4 @@ def test_a_hidden_view_is_not_asked(poses):
     wrong = SE3(robot.wxyz_xyz.at[5].set(robot.wxyz_xyz[6]))
     weights = jnp.ones(VIEWS).at[5].set(0.0)
     assert check_conventions(wrong, seen, "eye_in_hand", weights).suspicious_views == ()
-    assert np.isfinite(check_conventions(wrong, seen, "eye_in_hand", weights).misfit)
+    assert np.isfinite(check_conventions(wrong, seen, "eye_in_hand", weights).misfit).all()
