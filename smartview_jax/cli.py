@@ -21,11 +21,22 @@ app = typer.Typer(
     help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
 )
 
+
+class BadViews(StrEnum):
+    """What to do about a view whose picture or pose is wrong."""
+
+    RAISE = "raise"
+    MASK = "mask"
+
+
 DatasetArgument = Annotated[
     Path | None, typer.Argument(help="Data-set folder; the sample of the package if not given.")
 ]
 LensOption = Annotated[
     str, typer.Option(help="pinhole, radial, weng, opencv4, opencv5, opencv8 or fisheye.")
+]
+BadViewsOption = Annotated[
+    BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
 ]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
 
@@ -72,6 +83,7 @@ def calibrate(
     held_out: Annotated[
         bool, typer.Option(help="Also refit without some views and predict those.")
     ] = True,
+    bad_views: BadViewsOption = BadViews.RAISE,
     debug: DebugOption = False,
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html."""
@@ -80,7 +92,7 @@ def calibrate(
         from .report import summaries, write_page
 
         with _progress() as say:
-            data, name = _load(dataset, say)
+            data, name = _load(dataset, bad_views, say)
             fit = fit_both(data, lens, progress=say)
             unseen = _held_out(data, lens, say) if held_out else {}
             write_page(out / "report.html", fit, data, unseen, f"Calibration of {name}", say)
@@ -94,7 +106,10 @@ def calibrate(
 
 @app.command()
 def compare(
-    dataset: DatasetArgument = None, lens: LensOption = "radial", debug: DebugOption = False
+    dataset: DatasetArgument = None,
+    lens: LensOption = "radial",
+    bad_views: BadViewsOption = BadViews.RAISE,
+    debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
     with _errors(debug):
@@ -103,7 +118,7 @@ def compare(
         from .report import COMPARED, compared, remarks
 
         with _progress() as say:
-            data, name = _load(dataset, say)
+            data, name = _load(dataset, bad_views, say)
             rows = compare_methods(data, standard_methods(lens), progress=say)
         table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
         for column in COMPARED:
@@ -153,13 +168,15 @@ def export(
         typer.echo(text, nl=False)
 
 
-def _load(dataset: Path | None, say: Callable[[str], None]) -> "tuple[Dataset, str]":
+def _load(
+    dataset: Path | None, bad_views: str, say: Callable[[str], None]
+) -> "tuple[Dataset, str]":
     from .io import load_dataset, sample_folder
 
     if dataset is None:
         say("no data set given: the sample of the package")
         return load_dataset(sample_folder(), progress=say, keep_detections=False), "the sample"
-    return load_dataset(dataset, progress=say), dataset.resolve().name
+    return load_dataset(dataset, bad_views, progress=say), dataset.resolve().name
 
 
 def _held_out(data: "Dataset", lens: str, say: Callable[[str], None]) -> "dict[str, HeldOut]":

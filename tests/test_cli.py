@@ -118,6 +118,24 @@ def test_poses_the_wrong_way_round_are_named(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_bad_view_is_an_error_or_masked_as_the_user_says(tmp_path, monkeypatch):
+    folder = tmp_path / "data"
+    shutil.copytree(sample_folder(), folder)
+    (folder / "images/3.png").write_bytes(b"no picture")
+    run = RUNNER.invoke(app, ["compare", str(folder)])
+    assert run.exit_code == 2
+    assert "3.png: not a picture that can be read" in run.stderr
+    seen = []
+    monkeypatch.setattr(
+        sys.modules["smartview_jax.evaluation"],
+        "compare",
+        lambda data, *_, **__: seen.append(data) or [],
+    )
+    run = RUNNER.invoke(app, ["compare", str(folder), "--bad-views", "mask"])
+    assert run.exit_code == 0, run.output
+    assert [view for view, _ in seen[0].masked_views] == ["3"]
+
+
 def test_what_is_compiled_is_kept_where_the_user_says(tmp_path, monkeypatch):
     before = jax.config.jax_compilation_cache_dir
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -9,6 +9,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from ..calibration import Calibration
 from ..dataset import Dataset
+from ..targets import StackedTarget
 from .tables import Summary
 
 # Okabe and Ito's colours, which stay apart for colour-blind readers.
@@ -29,15 +30,17 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
     Args:
         data: what was seen.
         view: index of the view.
-        picture: grey, `(h, w)`.
+        picture: grey, `(h, w)`; of a `StackedTarget`, at its first height.
         calibration: whose predictions to draw.
     """
+    target = data.target
+    shown = slice(len(target.board.points) if isinstance(target, StackedTarget) else None)
     figure, axes = _figure(7.5, 5.8)
     axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
     predicted, valid = calibration.project(data.base_from_tool, data.points)
-    u, v = np.asarray(predicted)[view][np.asarray(valid)[view]].T
+    u, v = np.asarray(predicted)[view, shown][np.asarray(valid)[view, shown]].T
     axes.plot(u, v, "+", color=RED, markersize=9, markeredgewidth=1.2, label="predicted")
-    seen = np.asarray(data.pixels)[view][np.asarray(data.visible)[view]]
+    seen = np.asarray(data.pixels)[view, shown][np.asarray(data.visible)[view, shown]]
     axes.plot(*seen.T, ".", color=BLUE, markersize=3, label="measured")
     margin = 0.12 * float(np.ptp(seen, axis=0).max())
     low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+from matplotlib.quiver import Quiver
+
+from smartview_jax.evaluation import deviations
+from smartview_jax.report import Summary, plots
+from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.targets import CircleGrid, StackedTarget
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return random_scene(1, views=6, outlier_fraction=0.05)
+
+
+@pytest.fixture(scope="module")
+def rows(scene):
+    fitted = deviations(scene.calibration, scene.data)
+    return [Summary("staged", fitted, None), Summary("joint", fitted, None)]
+
+
+def drawn(axes, label):
+    (line,) = (line for line in axes.lines if line.get_label() == label)
+    return np.stack(line.get_data(), axis=-1)
+
+
+def test_cross_bars_stand_where_the_calibration_predicts(scene):
+    picture = np.zeros((480, 640), np.uint8)
+    (axes,) = plots.cross_bars(scene.data, 2, picture, scene.calibration).axes
+    predicted, _ = scene.calibration.project(scene.data.base_from_tool, scene.data.points)
+    np.testing.assert_array_equal(drawn(axes, "predicted"), predicted[2])
+    seen = np.asarray(scene.data.visible[2])
+    np.testing.assert_array_equal(drawn(axes, "measured"), np.asarray(scene.data.pixels[2])[seen])
+    # As a picture is looked at: v grows downwards.
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]
+
+
+def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
+    target = StackedTarget(CircleGrid(3, 3, 0.01), (0.0, 0.01))
+    data = random_scene(1, views=3, points=target.points).data
+    object.__setattr__(data, "target", target)
+    (axes,) = plots.cross_bars(data, 0, np.zeros((480, 640), np.uint8), paper_calibration()).axes
+    assert len(drawn(axes, "predicted")) == 9
+
+
+def test_the_histogram_counts_every_point_below_its_limit(rows):
+    (axes,) = plots.deviation_histogram(rows).axes
+    values = rows[0].fitted.px[np.isfinite(rows[0].fitted.px)]
+    bars = sum(bar.get_height() for bar in axes.containers[0])
+    assert bars == np.sum(values <= np.percentile(values, 99.5))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["staged", "joint"]
+    assert axes.lines[0].get_xdata()[0] == pytest.approx(values.mean())
+
+
+def test_arrows_point_from_the_prediction_to_the_measurement(scene):
+    predicted, _ = scene.calibration.project(scene.data.base_from_tool, scene.data.points)
+    residuals = np.asarray(scene.data.pixels - predicted)
+    axes = plots.residual_vectors(scene.data, residuals).axes[0]
+    (arrows,) = (child for child in axes.get_children() if isinstance(child, Quiver))
+    seen = np.asarray(scene.data.visible)
+    gain = float(axes.get_title().split()[2])
+    for where, vector in zip(arrows.XY, np.stack([arrows.U, arrows.V], axis=-1), strict=True):
+        nearest = np.argmin(np.linalg.norm(np.asarray(scene.data.pixels)[seen] - where, axis=1))
+        # The title's gain is rounded.
+        np.testing.assert_allclose(vector, gain * residuals[seen][nearest], rtol=0.5 / gain + 1e-9)
+
+
+def test_bars_are_the_rms_of_each_view(scene, rows):
+    (axes,) = plots.view_errors(scene.data, rows).axes
+    heights = [bar.get_height() for bar in axes.containers[1]]
+    np.testing.assert_allclose(heights, rows[1].fitted.per_view)
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == list(scene.data.view_ids)
+
+
+def test_cameras_stand_where_the_chain_puts_them(scene):
+    (axes,) = plots.views_in_space(scene.data, scene.calibration).axes
+    poses = scene.calibration.camera_from_world(scene.data.base_from_tool)
+    centres = poses.inverse().translation()
+    labels = [text for text in axes.texts if text.get_text().strip() in scene.data.view_ids]
+    places = np.array([text.get_position_3d() for text in labels])
+    np.testing.assert_allclose(places, centres, atol=1e-12)
