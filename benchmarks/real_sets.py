@@ -46,7 +46,8 @@ def run(smoke: bool = False) -> bool:
     return all(rows)
 
 
-def _row(folder: str, prefix: str) -> bool:
+def load(folder: str, prefix: str) -> tuple[sv.Dataset, dict]:
+    """A real set from its tables, and its reference figures."""
     path = SHARED / folder
     reference = json.loads((path / f"{prefix}measured.json").read_text())
     data = sv.io.import_pairs(
@@ -54,6 +55,11 @@ def _row(folder: str, prefix: str) -> bool:
         path / f"{prefix}corners.csv",
         image_size=tuple(reference["image_size"]),
     )
+    return data, reference
+
+
+def _row(folder: str, prefix: str) -> bool:
+    data, reference = load(folder, prefix)
     began = time.perf_counter()
     staged = sv.fit_staged(data)
     joint = sv.fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")

@@ -2,6 +2,9 @@
 
 from .calibrate import CalibrationFit as CalibrationFit
 from .calibrate import calibrate as calibrate
+from .camera_fit import CameraFit as CameraFit
+from .camera_fit import batch_filter as batch_filter
+from .camera_fit import fit_camera as fit_camera
 from .fit import JointFit as JointFit
 from .fit import fit_joint as fit_joint
 from .losses import AbstractLoss as AbstractLoss

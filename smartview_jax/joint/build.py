@@ -69,6 +69,10 @@ def build_problem(
     moves = ~select(names, ("target_scale",)) | select(names, free)
     moves &= ~select(names, fixed)
     mean, weight = _priors(names, parameters, priors, known)
+    if known is not None:
+        # A view that shows too little to place it keeps its pose, unless a prior says where it is.
+        placed = np.isin(np.arange(data.view_count), views).repeat(6)
+        moves[count:] &= placed | (weight[count:] > 0.0)
     problem = JointProblem(
         parameters,
         data.observations,

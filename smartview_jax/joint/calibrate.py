@@ -7,9 +7,13 @@ import equinox as eqx
 
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, chain_residuals
-from ..staged import StagedFit, fit_staged
+from ..staged import StagedFit, fit_staged, kalman_filter
+from .camera_fit import batch_filter
 from .fit import JointFit, fit_joint
 from .rehearsal import rehearse
+
+STEP2 = {"kalman": kalman_filter, "batch": batch_filter}
+"""Ways of fitting one camera to all views."""
 
 
 class CalibrationFit(eqx.Module):
@@ -34,6 +38,7 @@ def calibrate(
     lens: str | AbstractLens = "radial",
     *,
     camera: Camera | None = None,
+    step2: str = "kalman",
     progress: Callable[[str], None] | None = None,
     **joint_options,
 ) -> CalibrationFit:
@@ -43,17 +48,20 @@ def calibrate(
         data: at least three views with six visible points each.
         lens: of both fits.
         camera: a camera that is known and held in both.
+        step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
         progress: told what is being done.
         joint_options: passed on to `fit_joint`.
 
     Raises:
         ValueError: as `fit_staged` and `fit_joint` do.
     """
+    if step2 not in STEP2:
+        raise ValueError(f"step2 is one of {', '.join(STEP2)}; found {step2!r}")
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
     with ThreadPoolExecutor(max_workers=1) as background:
         rehearsal = background.submit(rehearse, data, lens, camera, joint_options)
-        staged = fit_staged(data, lens, camera=camera, progress=progress)
+        staged = fit_staged(data, lens, camera=camera, step2=STEP2[step2], progress=progress)
         rehearsal.exception()  # waits; what is wrong with the data the real run will say
     trusted = eqx.tree_at(lambda d: d.visible, data, data.visible & staged.inliers)
     joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)

@@ -115,7 +115,8 @@ def _assemble(
     visible = np.asarray(problem.observations.visible)
     square = np.sum(np.asarray(whitened) ** 2, axis=-1)
     size = square[visible]
-    factor = 1.0 if built.noise else _variance_factor(size, built)
+    known = built.noise is not None and built.noise.bounds_poses
+    factor = 1.0 if known else _variance_factor(size, built)
 
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     columns = UnitColumns(np.asarray(parts.reduced), lengths)
@@ -124,7 +125,7 @@ def _assemble(
     own = own[np.asarray(problem.own_free)]
 
     spread = _robust_variance(size)
-    limit = GATE * (max(1.0, spread) if built.noise else spread)
+    limit = GATE * (max(1.0, spread) if known else spread)
     inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
     return JointFit(

@@ -1,7 +1,7 @@
 """The paper's pipeline, Steps 1, 2 and 3, as one call."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from ..dataset import Dataset, Observations, chain_residuals
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
-from .kalman import KalmanResult, kalman_filter
+from .kalman import kalman_filter
 from .weng import ViewCalibrations, calibrate_views, locate_views
 
 MINIMUM_POINTS = 6
@@ -27,6 +27,26 @@ class FitResult(NamedTuple):
 
     converged: bool
     message: str
+
+
+@runtime_checkable
+class CommonCamera(Protocol):
+    """What Step 2 answers: a `KalmanResult`, or the batch fit's answer."""
+
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def camera_from_world(self) -> SE3: ...
+    @property
+    def inliers(self) -> Bool[Array, "views points"]: ...
+    @property
+    def pixel_sigma(self) -> Float[Array, ""] | float: ...
+    @property
+    def rms(self) -> Float[Array, ""] | float: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def message(self) -> str: ...
 
 
 class StagedFit(eqx.Module):
@@ -47,7 +67,7 @@ class StagedFit(eqx.Module):
 
     calibration: Calibration
     step1: ViewCalibrations | None
-    step2: KalmanResult
+    step2: CommonCamera
     step3: HandEyeResult
     residuals: Float[Array, "views points 2"]
     inliers: Bool[Array, "views points"]
@@ -74,6 +94,7 @@ def fit_staged(
     pixel_sigma: float | None = None,
     gate_probability: float = 0.9999,
     conventions: str = "raise",
+    step2: Callable[..., CommonCamera] = kalman_filter,
     progress: Callable[[str], None] | None = None,
 ) -> StagedFit:
     """Calibrate in three steps: each view (Weng), all views (Kalman), hand-eye (BFGS).
@@ -88,6 +109,7 @@ def fit_staged(
         gate_probability: share of good measurements that the outlier gate lets pass.
         conventions: `"raise"` an error where robot and camera motion contradict each other, or
             `"report"` it in the result.
+        step2: the paper's filter, or another with its arguments, such as `joint.batch_filter`.
         progress: told what is being done.
 
     Raises:
@@ -113,7 +135,7 @@ def fit_staged(
         observations, data.image_size, used, lens, camera
     )
     say("Step 2: one camera for all views")
-    step2 = kalman_filter(
+    common = step2(
         observations,
         start_camera,
         start_poses,
@@ -123,24 +145,24 @@ def fit_staged(
         hold_camera=camera is not None,
         progress=progress,
     )
-    report = check_conventions(data.base_from_tool, step2.camera_from_world, data.mount, weights)
+    report = check_conventions(data.base_from_tool, common.camera_from_world, data.mount, weights)
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
     in_hand = data.mount == "eye_in_hand"
     mount_from_holder = data.base_from_tool.inverse() if in_hand else data.base_from_tool
     step3 = solve_hand_eye(
-        mount_from_holder, step2.camera_from_world, weights, rough_translation, length_scale
+        mount_from_holder, common.camera_from_world, weights, rough_translation, length_scale
     )
     calibration = Calibration(
-        step2.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
+        common.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )
-    inliers = step2.inliers
+    inliers = common.inliers
     ids = data.view_ids
     return StagedFit(
         calibration,
         step1,
-        step2,
+        common,
         step3,
         chain_residuals(calibration, data.observations),
         inliers,
@@ -148,7 +170,7 @@ def fit_staged(
         + tuple((ids[view], None, text) for view, text in report.suspicious_views),
         tuple(int(view) for view in views),
         report,
-        _result(step2, step3, calibration),
+        _result(common, step3, calibration),
     )
 
 
@@ -227,7 +249,7 @@ def _rejected(
     return tuple(whole + points)
 
 
-def _result(step2: KalmanResult, step3: HandEyeResult, calibration: Calibration) -> FitResult:
+def _result(step2: CommonCamera, step3: HandEyeResult, calibration: Calibration) -> FitResult:
     finite = all(
         np.isfinite(np.asarray(pose.wxyz_xyz)).all()
         for pose in (calibration.camera_from_mount, calibration.holder_from_world)

@@ -35,7 +35,7 @@ _SETTLED = 3.0
 """Movement of the state, in its own sigmas, under which the gate begins to work. Before, a whole
 view whose pose is still off would look like outliers."""
 
-_SIGMA_FLOOR = 1e-3
+SIGMA_FLOOR = 1e-3
 """Smallest pixel sigma that is believed, px; noise-free data would make it zero."""
 
 
@@ -168,7 +168,7 @@ def _pixel_sigma(
     if given is not None:
         return jnp.asarray(given, dtype=float)
     size = jnp.where(inliers[..., None], _residuals(observations, *point), jnp.nan)
-    return jnp.maximum(MAD_TO_SIGMA * jnp.nanmedian(jnp.abs(size)), _SIGMA_FLOOR)
+    return jnp.maximum(MAD_TO_SIGMA * jnp.nanmedian(jnp.abs(size)), SIGMA_FLOOR)
 
 
 def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, Array]:

@@ -1,0 +1,185 @@
+"""The camera alone, with a free pose a view: Step 2 as one batch, on the joint fit's machinery.
+
+It is the joint problem with both transforms held, each view's start in the place of the robot's
+report, and pose corrections without a prior. No robot takes part.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration
+from ..cameras import AbstractLens, Camera
+from ..dataset import Dataset, Observations
+from ..geometry import transform_points
+from ..staged import FitResult
+from ..staged.kalman import MAD_TO_SIGMA, SIGMA_FLOOR
+from .fit import fit_joint
+from .losses import AbstractLoss
+from .noise import Noise
+from .priors import Prior
+from .solver import Solution
+
+ROUNDS = 10
+"""Fits at most, each without what the one before called outliers."""
+
+
+class CameraFit(eqx.Module):
+    """What fits the pixels best if every view may stand where it likes.
+
+    Attributes:
+        camera: intrinsics and lens.
+        camera_from_world: one pose a view; the start's where a view shows too little.
+        covariance: of the camera's free numbers, in the order of `parameter_names`.
+        std: of those by name, and of every view's pose (`pose_corrections.<view>...`).
+        parameter_names: `camera.alpha_u` and so on.
+        residuals: measured minus predicted, px; zero where not seen.
+        inliers: the observations used.
+        pixel_sigma: of u and of v, px: as given, or from the residuals' degrees of freedom.
+        solution: iterations and costs.
+        result: whether it converged.
+    """
+
+    camera: Camera
+    camera_from_world: SE3
+    covariance: Float[np.ndarray, "free free"]
+    std: dict[str, float]
+    parameter_names: tuple[str, ...] = eqx.field(static=True)
+    residuals: Float[Array, "views points 2"]
+    inliers: Bool[Array, "views points"]
+    pixel_sigma: float = eqx.field(static=True)
+    solution: Solution
+    result: FitResult = eqx.field(static=True)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square deviation of the observations used, px."""
+        square = np.sum(np.asarray(self.residuals) ** 2, axis=-1)[np.asarray(self.inliers)]
+        return float(np.sqrt(np.mean(square)))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last fit did."""
+        return self.result.converged
+
+    @property
+    def message(self) -> str:
+        """What happened, in words."""
+        return self.result.message
+
+
+def fit_camera(
+    data: Dataset,
+    camera: Camera,
+    camera_from_world: SE3,
+    lens: str | AbstractLens | None = None,
+    loss: str | AbstractLoss | None = None,
+    fixed: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    solver: optx.AbstractLeastSquaresSolver | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> CameraFit:
+    """Fit a camera, and one free pose a view, to all pixels; the robot's poses are not used.
+
+    Args:
+        data: at least three views with four visible points each.
+        camera, camera_from_world: where to start, one pose a view, as Step 1 finds them.
+        lens: another model than the camera's own.
+        loss, fixed, priors, solver, progress: as in `fit_joint`.
+
+    Raises:
+        ValueError: as `fit_joint` does.
+    """
+    still = Calibration(camera, SE3.identity(), SE3.identity(), "eye_in_hand")
+    placed = dataclasses.replace(
+        data, base_from_tool=camera_from_world.inverse(), mount="eye_in_hand"
+    )
+    fit = fit_joint(
+        placed,
+        still,
+        lens,
+        Noise(1.0, np.inf, np.inf),
+        loss,
+        (*still.transform_names, *fixed),
+        priors=priors,
+        solver=solver,
+        progress=progress,
+    )
+    poses = SE3.exp(fit.pose_corrections) @ camera_from_world
+    return CameraFit(
+        camera=fit.calibration.camera,
+        camera_from_world=poses,
+        covariance=fit.covariance,
+        std=fit.std,
+        parameter_names=fit.parameter_names,
+        residuals=_residuals(data.observations, fit.calibration.camera, poses),
+        inliers=data.visible,
+        pixel_sigma=fit.pixel_sigma,
+        solution=fit.solution,
+        result=fit.result,
+    )
+
+
+def batch_filter(
+    observations: Observations,
+    start_camera: Camera,
+    start_camera_from_world: SE3,
+    start_inliers: Bool[Array, "views points"] | None = None,
+    pixel_sigma: float | None = None,
+    gate_probability: float = 0.9999,
+    hold_camera: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> CameraFit:
+    """`kalman_filter`'s job in batches: fit, set outliers aside, fit again.
+
+    A few times as fast on small data, a hundred times on large. The arguments are those of
+    `kalman_filter`, and so are the answer's `camera`, `camera_from_world`, `inliers`,
+    `pixel_sigma`, `rms`, `converged` and `message`.
+    """
+    gate = -2.0 * np.log1p(-gate_probability)
+    visible = np.asarray(observations.visible)
+    inliers = visible if start_inliers is None else visible & np.asarray(start_inliers)
+    ids = tuple(map(str, range(len(visible))))
+    data = Dataset(
+        observations.points,
+        observations.pixels,
+        observations.visible,
+        observations.base_from_tool,
+        ids,
+        start_camera.image_size,
+    )
+    point = (start_camera, start_camera_from_world)
+    fixed = ("camera",) if hold_camera else ()
+    number = 0
+    while True:
+        number += 1
+        used = eqx.tree_at(lambda d: d.visible, data, jnp.asarray(inliers))
+        fit = fit_camera(used, *point, fixed=fixed)
+        residuals = _residuals(observations, fit.camera, fit.camera_from_world)
+        size = np.asarray(residuals)
+        sigma = MAD_TO_SIGMA * float(np.median(np.abs(size[inliers])))
+        sigma = max(sigma, SIGMA_FLOOR) if pixel_sigma is None else pixel_sigma
+        kept = visible & (np.sum(size**2, axis=-1) <= gate * sigma**2)
+        settled = bool((kept == inliers).all())
+        if progress is not None:
+            progress(f"batch {number}: sigma {sigma:.3f} px, {np.sum(visible & ~kept)} set aside")
+        if settled or number == ROUNDS:
+            break
+        point, inliers = (fit.camera, fit.camera_from_world), kept
+    result = fit.result if settled else FitResult(False, "the outliers kept changing")
+    return dataclasses.replace(fit, residuals=residuals, result=result)
+
+
+@eqx.filter_jit
+def _residuals(
+    observations: Observations, camera: Camera, camera_from_world: SE3
+) -> Float[Array, "views points 2"]:
+    return observations.residuals(
+        *camera.project(transform_points(camera_from_world, observations.points))
+    )
