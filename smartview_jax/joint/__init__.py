@@ -12,6 +12,8 @@ from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure
 from .losses import Huber as Huber
 from .losses import StudentT as StudentT
+from .many import ManyFits as ManyFits
+from .many import fit_many as fit_many
 from .noise import Noise as Noise
 from .observability import Observability as Observability
 from .parameters import parameter_names as parameter_names

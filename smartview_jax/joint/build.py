@@ -52,9 +52,7 @@ def build_problem(
         )
     if start.mount != data.mount:
         raise ValueError(f"the start is {start.mount}, the data {data.mount}")
-    if lens is not None:
-        camera = eqx.tree_at(lambda c: c.lens, start.camera, start_lens(lens, start.camera.lens))
-        start = eqx.tree_at(lambda c: c.camera, start, camera)
+    start = with_lens(start, lens)
     priors = dict(priors or {})
     views = data.usable_views()
     if len(views) < 3 and not priors:
@@ -68,7 +66,7 @@ def build_problem(
     names = parameter_names(start, data.view_ids if known else ())
     moves = ~select(names, ("target_scale",)) | select(names, free)
     moves &= ~select(names, fixed)
-    mean, weight = _priors(names, parameters, priors, known)
+    mean, weight = _priors(names, count, priors, known)
     if known is not None:
         # A view that shows too little to place it keeps its pose, unless a prior says where it is.
         placed = np.isin(np.arange(data.view_count), views).repeat(6)
@@ -97,19 +95,24 @@ def build_problem(
     )
 
 
+def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
+    """The start with another lens that begins like its own; None keeps its own."""
+    if lens is None:
+        return start
+    return eqx.tree_at(lambda c: c.camera.lens, start, start_lens(lens, start.camera.lens))
+
+
 def _priors(
     names: tuple[str, ...],
-    parameters: Parameters,
+    shared: int,
     priors: Mapping[str, Prior],
     noise: Noise | None,
 ) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
-    """Mean and weight of every parameter; a weight of zero is no prior."""
-    values = np.asarray(parameters.values())
-    mean = np.concatenate([values, np.zeros(len(names) - len(values))])
-    weight = np.zeros(len(names))
+    """Mean (NaN: the start's own) and weight of every parameter; a weight of zero is no prior."""
+    mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
     if noise is not None:
         deviations = np.repeat([noise.translation, noise.rotation], 3)
-        weight[len(values) :] = np.tile(1.0 / deviations, (len(names) - len(values)) // 6)
+        weight[shared:] = np.tile(1.0 / deviations, (len(names) - shared) // 6)
     for path, prior in priors.items():
         chosen = select(names, (path,))
         turning = [names[k] for k in np.flatnonzero(chosen) if ".rotation." in names[k]]

@@ -1,6 +1,7 @@
 """The joint fit: every observation through the whole chain at once."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,6 +24,7 @@ from .parameters import Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
+from .sharding import solve_on
 from .solver import Solution, solve
 
 GATE = 2.0 * np.log(1e4)
@@ -77,6 +79,7 @@ def fit_joint(
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     solver: optx.AbstractLeastSquaresSolver | None = None,
+    devices: Sequence[Any] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> JointFit:
     """Fit camera, hand-eye and world (and more, if asked) to all pixels at once.
@@ -92,6 +95,8 @@ def fit_joint(
         free: paths to free that are held by default: `"target_scale"`.
         priors: a `Prior` by path.
         solver: any optimistix least-squares solver.
+        devices: to deal the views out to, such as `jax.devices()`, also those of other processes;
+            by default the fit runs on one.
         progress: told what is being done.
 
     Raises:
@@ -102,7 +107,10 @@ def fit_joint(
     built = build_problem(data, start, lens, noise, loss, fixed, free, priors)
     count = len(built.names) + len(built.own_names)
     say(f"joint fit: {count} parameters, {data.observation_count} observations")
-    solution, equations = solve(built.problem, solver)
+    if devices is None:
+        solution, equations = solve(built.problem, solver)
+    else:
+        solution, equations = solve_on(devices, built.problem, solver)
     return _assemble(data, built, solution, equations)
 
 

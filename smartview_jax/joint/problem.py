@@ -5,7 +5,10 @@ problem in the structured form that the library's own solver uses.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
@@ -16,6 +19,9 @@ from .chain import Chain, linearise_chain
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
 from .schur import BlockArrow
+
+VIEWS = "views"
+"""Name of the mesh axis along which views are dealt out to devices."""
 
 
 class NormalEquations(eqx.Module):
@@ -35,11 +41,12 @@ class JointProblem(eqx.Module):
         pixel_sigma: of u and of v, px.
         free: indices of the shared parameters that may move.
         own_free: which of each view's own six may move; no views where there are none.
-        prior_mean: of every parameter's value.
+        prior_mean: of every parameter's value; NaN where it is the start's.
         prior_weight: one over its standard deviation; zero is no prior.
         scale: length of one unit of step, of the shared parameters that are free and of each view's
             own; for solvers that treat all parameters alike.
         loss: None is least squares.
+        mesh: the devices that the views are dealt out to; None is one device.
     """
 
     parameters: Parameters
@@ -51,6 +58,7 @@ class JointProblem(eqx.Module):
     prior_weight: Step
     scale: Step
     loss: AbstractLoss | None
+    mesh: Mesh | None = eqx.field(static=True, default=None)
 
     @property
     def _chosen(self) -> Int[Array, "free"]:
@@ -93,15 +101,30 @@ class JointProblem(eqx.Module):
         """The same problem, linearised; robust losses by iterative reweighting."""
         step = self.step(z)
         chain = linearise_chain(self.parameters, step, self.observations.base_from_tool)
-        views = linearise_views(
-            chain.calibration.camera,
+        views = self._linearised(chain)
+        return self._with_priors(step, *self._through_chain(chain, views), jnp.sum(views.cost))
+
+    def _linearised(self, chain: Chain) -> ViewBlocks:
+        """Every view's normal equations, each on the device that holds the view."""
+
+        def blocks(camera, poses, observations, target_scale, pixel_sigma):
+            return linearise_views(
+                camera, poses, observations, target_scale, pixel_sigma, self.loss
+            )
+
+        if self.mesh is not None:
+            per_view = (P(), P(VIEWS), P(VIEWS), P(), P())
+            blocks = jax.shard_map(
+                blocks, mesh=self.mesh, in_specs=per_view, out_specs=P(VIEWS), check_vma=False
+            )
+        calibration = chain.calibration
+        return blocks(
+            calibration.camera,
             chain.camera_from_world,
             self.observations,
-            chain.calibration.target_scale,
+            calibration.target_scale,
             self.pixel_sigma,
-            self.loss,
         )
-        return self._with_priors(step, *self._through_chain(chain, views), jnp.sum(views.cost))
 
     def _through_chain(self, chain: Chain, views: ViewBlocks) -> tuple[Step, BlockArrow]:
         """Gradient and matrix of the observations alone, by the free parameters in their units."""
@@ -149,8 +172,9 @@ class JointProblem(eqx.Module):
         )
 
     def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
-        shared = self.parameters.values() + step.shared - self.prior_mean.shared
-        own = step.corrections - self.prior_mean.corrections
+        values, mean = self.parameters.values(), self.prior_mean.shared
+        shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
+        own = step.corrections - jnp.nan_to_num(self.prior_mean.corrections)
         return shared * self.prior_weight.shared, own * self.prior_weight.corrections
 
 

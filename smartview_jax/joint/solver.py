@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jax.sharding import NamedSharding
+from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
 from .parameters import Step
@@ -28,6 +30,8 @@ UNIT = 1e4
 
 MOST_REJECTIONS = 25
 """Steps in a row that may raise the cost before a fit gives up."""
+
+MAXIMUM_STEPS = 200
 
 NEXT_TO_NOTHING = 1e-8
 """Share of its cost that a fit may still be short of to count as converged."""
@@ -199,7 +203,7 @@ class Solution(NamedTuple):
 def solve(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,
-    maximum_steps: int = 200,
+    maximum_steps: int = MAXIMUM_STEPS,
 ) -> tuple[Solution, NormalEquations]:
     """Minimise a problem from its start; never raises for a fit that failed.
 
@@ -210,7 +214,7 @@ def solve(
         solver = StructuredLM()
     elif not isinstance(solver, StructuredLM):
         problem = _scaled(problem)
-    z, steps, record, equations, gain = _run(problem, solver, maximum_steps)
+    z, steps, record, equations, gain = run(problem, solver, maximum_steps)
     cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
     share = gain / max(cost, 1e-300)
     converged = bool(abs(share) < NEXT_TO_NOTHING or abs(gain) < 1e-12)
@@ -226,9 +230,15 @@ def _scaled(problem: JointProblem) -> JointProblem:
 
 
 @eqx.filter_jit
-def _run(
+def run(
     problem: JointProblem, solver: optx.AbstractLeastSquaresSolver, maximum_steps: int
 ) -> tuple[Step, Array, Array, NormalEquations, Array]:
+    """Minimise a problem from its start, inside `jit`.
+
+    Returns:
+        The step, the number of solver steps, the costs on the way, the normal equations there, and
+        what one more Gauss-Newton step would save.
+    """
     found = optx.least_squares(
         _residuals, solver, problem.start(), args=problem, max_steps=maximum_steps, throw=False
     )
@@ -241,7 +251,11 @@ def _run(
     back = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
     natural = _in_units(info, back)
     equations = NormalEquations(natural.f, natural.grad, _matrix(natural))
-    return z, found.stats["num_steps"], found.stats.get("costs", jnp.zeros(0)), equations, gain
+    answer = (z, found.stats["num_steps"], found.stats.get("costs", jnp.zeros(0)), equations, gain)
+    if problem.mesh is not None:
+        # Every process may then read all of it.
+        answer = jax.lax.with_sharding_constraint(answer, NamedSharding(problem.mesh, P()))
+    return answer
 
 
 def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
@@ -253,7 +267,7 @@ def optimum(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,
     start: Step | None = None,
-    maximum_steps: int = 200,
+    maximum_steps: int = MAXIMUM_STEPS,
 ) -> Step:
     """The step to the optimum, for use inside `jit`, `vmap` and `grad`.
 

@@ -1,0 +1,85 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from starts import nudged
+
+from smartview_jax import Noise, fit_joint, fit_many
+from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+
+POINTS = paper_points((0.0, 0.02))[::6]
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    """Three data sets of one shape; one of them does not show a view."""
+    made = [random_scene(k, 6, POINTS, translation_noise=1e-4).data for k in range(3)]
+    hidden = made[1].visible.at[4].set(False)
+    made[1] = eqx.tree_at(lambda d: d.visible, made[1], hidden)
+    return made
+
+
+@pytest.mark.parametrize("noise", ["trusted", Noise(0.15, 1e-4, 1e-4)], ids=["trusted", "noise"])
+def test_each_is_what_one_fit_finds(scenes, noise):
+    starts = [nudged(paper_calibration(), size) for size in (1e-3, 5e-4, -1e-3)]
+    together = fit_many(scenes, starts, noise=noise)
+    assert len(together) == 3
+    assert bool(jnp.all(together.converged))
+    for k, (data, start) in enumerate(zip(scenes, starts, strict=True)):
+        alone = fit_joint(data, start, noise=noise)
+        assert together.parameter_names == alone.parameter_names
+        assert float(together.cost[k]) == pytest.approx(alone.solution.costs[-1], rel=1e-10)
+        assert int(together.steps[k]) == alone.solution.steps
+        gap = together[k].camera_from_tool.inverse() @ alone.calibration.camera_from_tool
+        assert float(jnp.linalg.norm(gap.log())) < 1e-9
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(together.covariance[k])), np.sqrt(np.diag(alone.covariance)), rtol=1e-4
+        )
+        if noise != "trusted":
+            np.testing.assert_allclose(
+                together.pose_corrections[k], alone.pose_corrections, atol=1e-10
+            )
+
+
+def test_one_start_serves_all_and_a_lens_may_be_asked_for(scenes):
+    start = paper_calibration()
+    pinhole = Camera(2133.0, 2133.0, 320.0, 240.0, Pinhole(), (640, 480))
+    plain = eqx.tree_at(lambda c: c.camera, start, pinhole)
+    found = fit_many(scenes, plain, lens="opencv4", fixed=("camera.lens.p1",))
+    assert found.parameter_names[:6] == (
+        "camera.alpha_u",
+        "camera.alpha_v",
+        "camera.u0",
+        "camera.v0",
+        "camera.lens.k1",
+        "camera.lens.k2",
+    )
+    alone = fit_joint(scenes[2], plain, lens="opencv4", fixed=("camera.lens.p1",))
+    assert float(found[2].camera.lens.k1) == pytest.approx(
+        float(alone.calibration.camera.lens.k1), rel=1e-6
+    )
+
+
+def test_what_the_data_do_not_tell_has_no_finite_variance(scenes):
+    still = eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz,
+        scenes[0],
+        jnp.broadcast_to(scenes[0].base_from_tool.wxyz_xyz[:1], (6, 7)),
+    )
+    found = fit_many([scenes[0], still], paper_calibration())
+    assert np.isfinite(found.covariance[0]).all()
+    assert np.isinf(found.covariance[1]).all()
+
+
+def test_what_is_not_alike_is_named(scenes):
+    start = paper_calibration()
+    with pytest.raises(ValueError, match="at least one data set"):
+        fit_many([], start)
+    with pytest.raises(ValueError, match="start: expected one, or 3, found 2"):
+        fit_many(scenes, [start, start])
+    with pytest.raises(ValueError, match=r"data\[1\]: expected 6 views of 14 points .*\(5, 14\)"):
+        fit_many([scenes[0], scenes[1].select(range(5))], start)
+    pinhole = eqx.tree_at(lambda c: c.camera.lens, start, Pinhole())
+    with pytest.raises(ValueError, match=r"start\[1\]: its lens"):
+        fit_many(scenes[:2], [start, pinhole])

@@ -1,0 +1,61 @@
+"""Views dealt out to two devices, of one process and of two, against one device."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+HERE = Path(__file__).parent
+
+
+def run(processes, devices_each):
+    """What every process of a fit printed."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    environment = {
+        **os.environ,
+        "XLA_FLAGS": f"--xla_force_host_platform_device_count={devices_each}",
+        "JAX_PLATFORMS": "cpu",
+        "PYTHONPATH": os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")]),
+    }
+    started = [
+        subprocess.Popen(
+            [sys.executable, str(HERE / "fit_on_devices.py"), address, str(processes), str(k)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        for k in range(processes)
+    ]
+    try:
+        printed = [process.communicate(timeout=300) for process in started]
+    finally:
+        for process in started:
+            process.kill()
+    for process, (_, errors) in zip(started, printed, strict=True):
+        assert process.returncode == 0, errors[-3000:]
+    return [json.loads(out.splitlines()[-1]) for out, _ in printed]
+
+
+@pytest.mark.parametrize(("processes", "devices_each"), [(1, 2), (2, 1)])
+def test_two_devices_find_what_one_finds(processes, devices_each):
+    for answer in run(processes, devices_each):
+        assert answer["devices"] == 2
+        # Seven views and one that shows nothing.
+        assert answer["views_here"] == [4] * devices_each
+        for alone, together in (answer["fits"][:2], answer["fits"][2:]):
+            assert alone["converged"]
+            assert together["converged"]
+            assert together["cost"] == pytest.approx(alone["cost"], rel=1e-12)
+            for key, tolerance in (("hand_eye", 1e-9), ("alpha_u", 1e-5), ("corrections", 1e-9)):
+                np.testing.assert_allclose(together[key], alone[key], atol=tolerance)
+            np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
+        if answer["many"] is not None:
+            np.testing.assert_allclose(*answer["many"], rtol=1e-10)
