@@ -28,6 +28,9 @@ FAR_OFF = 1e3
 CHUNK = 4096
 """Points of a view taken at once; their columns then stay in the processor's cache."""
 
+TOGETHER, MOST_TOGETHER = 1024, 8
+"""Points, and views, taken at once where views show few: every turn of a loop costs some 10 us."""
+
 
 class ViewBlocks(eqx.Module):
     """Normal equations of every view in the camera's numbers and a twist of its pose.
@@ -66,19 +69,43 @@ def linearise_views(
     """
     views = len(observations.visible)
     points, pixels, visible = _chunked(observations)
-    chunks = len(points) // views
+    pieces, count = visible.shape
+    chunks = pieces // views
+    group = min(pieces, MOST_TOGETHER, max(1, TOGETHER // count))
 
-    def chunk(part: tuple) -> tuple[Array, Array, Array]:
+    def together(part: tuple) -> tuple[Array, Array, Array]:
         rotation, translation, points, pixels, visible = part
-        in_camera = (target_scale * rotation) @ points.T + translation[:, None]
-        along_u, along_v, cost = _columns(camera, in_camera, pixels.T, visible, pixel_sigma, loss)
-        return along_u @ along_u.T, along_v @ along_v.T, cost
+        # A product a piece: batched products of small matrices are several times slower.
+        in_camera = jnp.concatenate(
+            [
+                (target_scale * rotation[k]) @ points[k].T + translation[k][:, None]
+                for k in range(group)
+            ],
+            axis=1,
+        )
+        along_u, along_v, cost = _columns(
+            camera, in_camera, pixels.reshape(-1, 2).T, visible.ravel(), pixel_sigma, loss
+        )
+        return _grams(along_u, group), _grams(along_v, group), cost.reshape(group, -1).sum(axis=1)
+
+    def grouped(x: Array) -> Array:
+        wide = jnp.pad(x, ((0, -pieces % group), *((0, 0),) * (x.ndim - 1)))
+        return wide.reshape(-1, group, *x.shape[1:])
 
     rotations = jnp.repeat(camera_from_world.rotation().as_matrix(), chunks, axis=0)
     translations = jnp.repeat(camera_from_world.translation(), chunks, axis=0)
-    sums = jax.lax.map(chunk, (rotations, translations, points, pixels, visible))
-    gram_u, gram_v, cost = (x.reshape(views, chunks, *x.shape[1:]).sum(axis=1) for x in sums)
+    parts = tuple(grouped(x) for x in (rotations, translations, points, pixels, visible))
+    gram_u, gram_v, cost = (
+        x.reshape(-1, *x.shape[2:])[:pieces].reshape(views, chunks, *x.shape[2:]).sum(axis=1)
+        for x in jax.lax.map(together, parts)
+    )
     return _assembled(gram_u, gram_v, cost)
+
+
+def _grams(columns: Float[Array, "rows points"], group: int) -> Float[Array, "group rows rows"]:
+    """`columns @ columns.T` of each piece's points alone."""
+    parts = jnp.split(columns, group, axis=1)
+    return jnp.stack([part @ part.T for part in parts])
 
 
 def _chunked(observations: Observations) -> tuple[Array, Array, Array]:
@@ -101,20 +128,20 @@ def _columns(
     visible: Bool[Array, "points"],
     pixel_sigma: Float[Array, ""],
     loss: AbstractLoss | None,
-) -> tuple[Float[Array, "rows points"], Float[Array, "rows points"], Float[Array, ""]]:
-    """Columns of u and of v: alpha, centre, lens, twist, and the residual; and the cost."""
+) -> tuple[Float[Array, "rows points"], Float[Array, "rows points"], Float[Array, "points"]]:
+    """Columns of u and of v: alpha, centre, lens, twist, the residual; and each point's cost."""
     (x, y), valid, by_lens, by_point = _through_lens(camera.lens, in_camera, visible)
     predicted = (camera.alpha_u * x + camera.u0, camera.alpha_v * y + camera.v0)
     residual = [jnp.where(valid, (pixels[k] - predicted[k]) / pixel_sigma, 0.0) for k in range(2)]
-    lost = jnp.sum(jnp.where(visible & ~valid, 1.0, 0.0))
+    lost = visible & ~valid
     square = residual[0] ** 2 + residual[1] ** 2
     if loss is None:
         weight = jnp.ones_like(square)
-        cost = 0.5 * jnp.sum(square) + lost * FAR_OFF**2
+        cost = 0.5 * square + jnp.where(lost, FAR_OFF**2, 0.0)
     else:
         rho, weight = jax.jvp(loss.rho, (square,), (jnp.ones_like(square),))
-        cost = 0.5 * jnp.sum(jnp.where(valid, rho, 0.0))
-        cost = cost + 0.5 * lost * loss.rho(jnp.asarray(2.0 * FAR_OFF**2))
+        far_off = loss.rho(jnp.asarray(2.0 * FAR_OFF**2))
+        cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(lost, far_off, 0.0))
     # The root is not for the derivatives alone: XLA computes what is dear once, not per column.
     root = jnp.sqrt(jnp.where(valid, weight, 0.0)) / pixel_sigma
     px, py, pz = in_camera

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import cho_factor, cho_solve
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int
@@ -170,7 +171,7 @@ def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Of a positive definite matrix; infinite where a direction is not determined."""
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 0.0))
     unit = 1.0 / jnp.where(lengths > 0.0, lengths, 1.0)
-    values, vectors = jnp.linalg.eigh(matrix * unit[:, None] * unit[None])
-    seen = jnp.all(values > NULL**2)
-    root = vectors / jnp.sqrt(jnp.where(seen, values, 1.0))[None] * unit[:, None]
-    return jnp.where(seen, root @ root.T, jnp.inf)
+    inverse = cho_solve(cho_factor(matrix * unit[:, None] * unit[None]), jnp.eye(len(matrix)))
+    # The largest eigenvalue of the inverse is its trace, but for a factor of n.
+    seen = jnp.trace(inverse) < NULL**-2
+    return jnp.where(seen, inverse * unit[:, None] * unit[None], jnp.inf)

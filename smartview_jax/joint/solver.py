@@ -67,7 +67,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         descent, search: optimistix's.
     """
 
-    rtol: float = 1e-12
+    rtol: float = 1e-10
     atol: float = 1e-14
     norm: Callable[[Any], Scalar] = optx.max_norm
     descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=SchurCholesky())

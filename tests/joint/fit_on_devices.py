@@ -29,10 +29,16 @@ for noise in ("trusted", sv.Noise(0.15, 1e-4, 1e-4)):
         fit = sv.fit_joint(scene.data, start, noise=noise, devices=devices)
         answers.append(
             {
-                "hand_eye": np.asarray(fit.calibration.camera_from_tool.wxyz_xyz).tolist(),
-                "alpha_u": float(fit.calibration.camera.alpha_u),
+                "found": [
+                    float(fit.calibration.camera.alpha_u),
+                    *np.asarray(fit.calibration.camera_from_tool.translation()).tolist(),
+                ],
+                "std": [
+                    fit.std[name]
+                    for name in fit.parameter_names
+                    if name == "camera.alpha_u" or name.startswith("camera_from_tool.translation")
+                ],
                 "corrections": np.asarray(fit.pose_corrections).tolist(),
-                "std": list(fit.std.values()),
                 "cost": fit.solution.costs[-1],
                 "converged": fit.result.converged,
             }

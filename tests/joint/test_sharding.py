@@ -53,9 +53,11 @@ def test_two_devices_find_what_one_finds(processes, devices_each):
         for alone, together in (answer["fits"][:2], answer["fits"][2:]):
             assert alone["converged"]
             assert together["converged"]
-            assert together["cost"] == pytest.approx(alone["cost"], rel=1e-12)
-            for key, tolerance in (("hand_eye", 1e-9), ("alpha_u", 1e-5), ("corrections", 1e-9)):
-                np.testing.assert_allclose(together[key], alone[key], atol=tolerance)
+            assert together["cost"] == pytest.approx(alone["cost"], rel=1e-11)
+            # Sums in another order end elsewhere by what is nothing next to the noise.
+            gap = np.abs(np.array(together["found"]) - alone["found"]) / alone["std"]
+            assert gap.max() < 1e-3
+            np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
             np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
         if answer["many"] is not None:
             np.testing.assert_allclose(*answer["many"], rtol=1e-10)
