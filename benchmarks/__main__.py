@@ -14,7 +14,8 @@ BENCHMARKS = {
     "real_sets": "the joint fit on the real data sets, against their reference figures",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, pyceres and scipy: time, memory, cost",
-    "speed": "each stage timed beside OpenCV and scipy, in one run",
+    "growth": "time and memory of the joint fit by points, views and devices",
+    "stages": "every stage timed beside OpenCV, in one run",
 }
 
 

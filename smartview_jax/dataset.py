@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
@@ -15,7 +16,7 @@ from .geometry import PoseLike, as_se3, check_rigid
 
 
 class Observations(eqx.Module):
-    """The numbers of a data set alone: what compiled functions take.
+    """The numbers of a data set, or of one view, alone: what compiled functions take.
 
     Attributes:
         points: target points in the target frame, m.
@@ -24,14 +25,14 @@ class Observations(eqx.Module):
         base_from_tool: what the robot reported, one transform a view.
     """
 
-    points: Float[Array, "views points 3"]
-    pixels: Float[Array, "views points 2"]
-    visible: Bool[Array, "views points"]
+    points: Float[Array, "*views points 3"]
+    pixels: Float[Array, "*views points 2"]
+    visible: Bool[Array, "*views points"]
     base_from_tool: SE3
 
     def residuals(
-        self, predicted: Float[Array, "views points 2"], valid: Bool[Array, "views points"]
-    ) -> Float[Array, "views points 2"]:
+        self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]
+    ) -> Float[Array, "*views points 2"]:
         """Measured minus predicted, px; zero where a point was not seen or not predicted."""
         used = (self.visible & valid)[..., None]
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
@@ -42,8 +43,12 @@ def chain_residuals(
     calibration: Calibration, observations: Observations
 ) -> Float[Array, "views points 2"]:
     """Measured minus predicted by the reported poses, px; zero where not seen."""
-    predicted = calibration.project(observations.base_from_tool, observations.points)
-    return observations.residuals(*predicted)
+
+    def view(seen: Observations) -> Float[Array, "points 2"]:
+        return seen.residuals(*calibration.project(seen.base_from_tool, seen.points))
+
+    # View by view: a projection of everything at once takes several times the data's memory.
+    return jax.lax.map(view, observations)
 
 
 class Dataset(eqx.Module):
@@ -131,11 +136,13 @@ class Dataset(eqx.Module):
         usable = np.array([view not in problems for view in ids], dtype=bool)
         matrices = np.where(usable[:, None, None] | _finite_views(matrices), matrices, np.eye(4))
         seen = seen & usable[:, None]
-        if not np.all(np.isfinite(points[seen])):
+        known = np.broadcast_to(np.isfinite(points).all(axis=-1), seen.shape)
+        if not known[seen].all():
             raise ValueError("points: a target point that was seen has NaN coordinates")
+        pixels[~seen] = np.nan
         return cls(
-            points=jnp.asarray(np.where(np.isfinite(points), points, 0.0)),
-            pixels=jnp.asarray(np.where(seen[..., None], pixels, np.nan)),
+            points=jnp.broadcast_to(jnp.nan_to_num(jnp.asarray(points)), (*seen.shape, 3)),
+            pixels=jnp.asarray(pixels),
             visible=jnp.asarray(seen),
             base_from_tool=as_se3(matrices),
             view_ids=ids,
@@ -183,8 +190,9 @@ class Dataset(eqx.Module):
 
 
 def _points_per_view(points: np.ndarray, views: int, count: int) -> np.ndarray:
+    """As given for every view, or `(1, points, 3)` where all views share them."""
     if points.shape == (count, 3):
-        return np.broadcast_to(points, (views, count, 3))
+        return points[None]
     if points.shape != (views, count, 3):
         raise ValueError(
             f"points: expected shape ({count}, 3) or ({views}, {count}, 3) to match pixels, "

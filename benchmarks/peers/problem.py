@@ -16,8 +16,9 @@ SIZES = {
     "c": (500, 1000, False),
     "d": (500, 1000, True),
     "e": (5000, 200, True),
+    "f": (5, 100, False),
 }
-"""Views, points a view, and whether every view has pose corrections."""
+"""Views, points a view, and whether every view has pose corrections; of `f` there are many."""
 
 TRANSLATION, ROTATION, PIXEL = 1e-4, 2e-4, 0.15
 """Standard deviations of the noise, m, rad and px; the priors' too."""

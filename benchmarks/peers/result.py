@@ -4,6 +4,7 @@ import json
 import resource
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 Found = TypeVar("Found")
@@ -21,9 +22,8 @@ def timed(fit: Callable[[], Found], repeats: int, start: float) -> tuple[Found, 
     return found, seconds, cold
 
 
-def report(seconds: list[float], cost: float, iterations: int, cold: float) -> None:
+def report(seconds: list[float], cost: float, iterations: float, cold: float) -> None:
     """Seconds of each repeat, final cost, iterations, and the first answer from process start."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(
         json.dumps(
             {
@@ -31,7 +31,16 @@ def report(seconds: list[float], cost: float, iterations: int, cold: float) -> N
                 "cost": cost,
                 "iterations": iterations,
                 "cold": cold,
-                "peak_mb": peak,
+                "peak_mb": _peak_mb(),
             }
         )
     )
+
+
+def _peak_mb() -> float:
+    """Of this program alone; `getrusage` also counts what the process was before it."""
+    status = Path("/proc/self/status")
+    if not status.is_file():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    (line,) = (line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024.0

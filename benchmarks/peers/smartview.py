@@ -37,20 +37,28 @@ def _matrix(pose: np.ndarray) -> np.ndarray:
     return np.concatenate([pose, np.broadcast_to([[0.0, 0, 0, 1]], (*pose.shape[:-2], 1, 4))], -2)
 
 
-def main(path: Path, repeats: int, lens: str) -> None:
-    """Time one fit, cold and warm."""
-    data = peer.load(path)
+def dataset_of(data: peer.Problem) -> sv.Dataset:
+    """The problem's observations."""
     base_from_tool = np.linalg.inv(_matrix(data.tool_from_base))
-    observed = sv.Dataset.from_arrays(data.points, data.pixels, base_from_tool, (640, 480))
+    return sv.Dataset.from_arrays(data.points, data.pixels, base_from_tool, (640, 480))
+
+
+def calibration_of(data: peer.Problem, lens: str) -> sv.Calibration:
+    """Where the fit starts."""
     own = ForwardRadial(jnp.asarray(data.camera[4]))
     model = own if lens == "forward" else sv.cameras.Radial(0.0)
     alpha_u, alpha_v, u0, v0, _ = data.camera
     camera = sv.Camera(alpha_u, alpha_v, u0, v0, model, (640, 480))
-    start = sv.Calibration.eye_in_hand(
+    return sv.Calibration.eye_in_hand(
         camera, _matrix(data.camera_from_tool), _matrix(data.base_from_world)
     )
+
+
+def main(path: Path, repeats: int, lens: str) -> None:
+    """Time one fit, cold and warm."""
+    data = peer.load(path)
     noise = sv.Noise(peer.PIXEL, peer.TRANSLATION, peer.ROTATION) if data.corrected else "trusted"
-    built = build_problem(observed, start, noise=noise).problem
+    built = build_problem(dataset_of(data), calibration_of(data, lens), noise=noise).problem
     whitened = 1.0 if data.corrected else peer.PIXEL**-2
     (solution, _), seconds, cold = timed(
         lambda: jax.block_until_ready(solve(built)), repeats, START

@@ -111,7 +111,9 @@ def _grams(columns: Float[Array, "rows points"], group: int) -> Float[Array, "gr
 def _chunked(observations: Observations) -> tuple[Array, Array, Array]:
     """Points, pixels, visibility as `(views * chunks, points, ...)`, padded with unseen points."""
     views, count = observations.visible.shape
-    chunks = max(1, -(-count // CHUNK))
+    least = max(1, -(-count // CHUNK))
+    # Even parts where there are any: padding copies all observations.
+    chunks = next((k for k in range(least, 2 * least) if count % k == 0), least)
     padding = chunks * -(-count // chunks) - count
 
     def split(x: Array) -> Array:

@@ -119,9 +119,9 @@ def _assemble(
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
-    calibration, corrections, whitened, parts, own_inverse = at_solution
+    calibration, corrections, square, parts, own_inverse = at_solution
     visible = np.asarray(problem.observations.visible)
-    square = np.sum(np.asarray(whitened) ** 2, axis=-1)
+    square = np.asarray(square)
     size = square[visible]
     known = built.noise is not None and built.noise.bounds_poses
     factor = 1.0 if known else _variance_factor(size, built)
@@ -160,7 +160,7 @@ def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     parts = eliminate(matrix)
     eye = jnp.broadcast_to(jnp.eye(6)[None], matrix.own.shape)
     own_inverse = cho_solve((parts.own_factor, False), eye)
-    return calibration, corrections, problem.whitened(z), parts, own_inverse
+    return calibration, corrections, problem.squares(z), parts, own_inverse
 
 
 def _variance_factor(square: Float[np.ndarray, "seen"], built: Built) -> float:

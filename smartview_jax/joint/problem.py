@@ -81,14 +81,32 @@ class JointProblem(eqx.Module):
 
     def whitened(self, z: Step) -> Float[Array, "views points 2"]:
         """Measured minus predicted over sigma, before any loss; zero where not visible."""
+        calibration, poses = self._chain(z)
+        return self._whitened(calibration, poses, self.observations)
+
+    def _chain(self, z: Step) -> tuple[Calibration, SE3]:
+        """Calibration and corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses = self.observations.base_from_tool
-        if len(corrections):
-            poses = poses @ SE3.exp(-corrections)
-        predicted, valid = calibration.project(poses, self.observations.points)
-        residual = self.observations.residuals(predicted, valid) / self.pixel_sigma
-        lost = self.observations.visible & ~valid
+        return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
+
+    def _whitened(
+        self, calibration: Calibration, poses: SE3, seen: Observations
+    ) -> Float[Array, "*views points 2"]:
+        predicted, valid = calibration.project(poses, seen.points)
+        residual = seen.residuals(predicted, valid) / self.pixel_sigma
+        lost = seen.visible & ~valid
         return jnp.where(lost[..., None], FAR_OFF, residual)
+
+    def squares(self, z: Step) -> Float[Array, "views points"]:
+        """Squared length of `whitened`, view by view: memory stays that of the answer."""
+        calibration, poses = self._chain(z)
+
+        def view(part: tuple[SE3, Observations]) -> Float[Array, "points"]:
+            pose, seen = part
+            return jnp.sum(self._whitened(calibration, pose, seen) ** 2, axis=-1)
+
+        return jax.lax.map(view, (poses, self.observations))
 
     def residuals(self, z: Step, _: None = None) -> tuple[Array, Array, Array]:
         """Of observations, and of both kinds of priors; half their squared length is the cost."""
@@ -181,6 +199,8 @@ class JointProblem(eqx.Module):
 @eqx.filter_jit
 def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
     """Which points the start can project at all."""
-    return problem.parameters.start.project(
-        problem.observations.base_from_tool, problem.observations.points
-    )[1]
+    start = problem.parameters.start
+    # View by view: a projection of everything at once takes several times the data's memory.
+    return jax.lax.map(
+        lambda seen: start.project(seen.base_from_tool, seen.points)[1], problem.observations
+    )

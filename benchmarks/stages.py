@@ -1,0 +1,83 @@
+"""Every stage timed beside OpenCV on the same data, in one run: medians of warm runs, and ratios.
+
+Step 2 is `cv2.calibrateCamera`'s job: by the paper's filter, and as a batch. Step 3 is
+`cv2.calibrateHandEye`'s, whose closed forms do less than a search from every start.
+"""
+
+import resource
+import time
+from collections.abc import Callable
+
+import cv2
+import jax
+import numpy as np
+
+import smartview_jax as sv
+from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.staged import calibrate_views, kalman_filter, solve_hand_eye
+
+SIZES = ((5, 200), (50, 1000))
+SMOKE = ((5, 50),)
+
+
+def run(smoke: bool = False) -> bool:
+    """Print the table; True where both ways of Step 2 end as OpenCV does, to a hundredth."""
+    print(f"{'views':>5} {'points':>7}  {'what':32}{'seconds':>10}{'ratio':>8}{'RMS px':>9}")
+    agree = [_size(views, points, smoke) for views, points in (SMOKE if smoke else SIZES)]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(f"peak memory of the process {peak:.0f} MB")
+    return all(agree)
+
+
+def _size(views: int, points: int, smoke: bool) -> bool:
+    rng = np.random.default_rng(0)
+    board = np.stack([*0.036 * rng.random((2, points)), np.zeros(points)], axis=1)
+    scene = random_scene(0, views, board, paper_calibration(), translation_noise=1e-5)
+    data, camera = scene.data, scene.calibration.camera
+    poses = scene.calibration.camera_from_world(data.base_from_tool)
+    robot = data.base_from_tool.inverse()
+
+    def step_one() -> None:
+        jax.block_until_ready(calibrate_views(data.observations, data.image_size).alpha_std)
+
+    def step_three() -> None:
+        solve_hand_eye(robot, poses)
+
+    everything: dict[str, Callable[[], float | None]] = {
+        "Step 2, cv2.calibrateCamera": lambda: _opencv(data, camera),
+        "Step 2, as a batch": lambda: sv.fit_camera(data, camera, poses).rms,
+        "Step 2, Kalman filter": lambda: float(kalman_filter(data.observations, camera, poses).rms),
+        "Step 1, every view": step_one,
+        "Step 3, BFGS from every start": step_three,
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in everything}
+    found: dict[str, float | None] = {}
+    for repeat in range(2 if smoke else 4):
+        for name, function in everything.items():  # interleaved: all see the same machine
+            began = time.perf_counter()
+            found[name] = function()
+            if repeat:
+                seconds[name].append(time.perf_counter() - began)
+    base = float(np.median(next(iter(seconds.values()))))
+    for name, values in seconds.items():
+        middle, rms = float(np.median(values)), found[name]
+        print(
+            f"{views:5} {views * points:7}  {name:32}{middle:10.4f}{middle / base:8.2f}"
+            + ("" if rms is None else f"{rms:9.5f}")
+        )
+    errors = [rms for rms in found.values() if rms is not None]
+    return max(errors) < 1.01 * min(errors)
+
+
+def _opencv(data: sv.Dataset, camera: sv.Camera) -> float:
+    """OpenCV's own direction of distortion, with one number; its start is ours."""
+    seen = np.asarray(data.visible)
+    points = [p[s].astype(np.float32) for p, s in zip(np.asarray(data.points), seen, strict=True)]
+    pixels = [p[s].astype(np.float32) for p, s in zip(np.asarray(data.pixels), seen, strict=True)]
+    K = np.eye(3)
+    K[[0, 1, 0, 1], [0, 1, 2, 2]] = [
+        float(x) for x in (camera.alpha_u, camera.alpha_v, camera.u0, camera.v0)
+    ]
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    flags |= cv2.CALIB_ZERO_TANGENT_DIST
+    return cv2.calibrateCamera(points, pixels, data.image_size, K, None, flags=flags)[0]
