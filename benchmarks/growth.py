@@ -36,7 +36,8 @@ def run(smoke: bool = False) -> bool:
                 added = (peak - empty) / size
                 each = seconds / found["iterations"] / (views * count) * 1e9
                 print(
-                    f"{views:6}{views * count:10}{devices:9}{size:10.1f}{peak:9.0f}{added:7.2f}"
+                    f"{views:6}{views * count:10}{devices:9}{size:10.1f}{peak:9.0f}"
+                    f"{f'{added:7.2f}' if size > 1.0 else '      -'}"
                     f"{seconds:10.4f}{each:12.1f}"
                 )
             path.unlink()

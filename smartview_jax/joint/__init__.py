@@ -1,5 +1,6 @@
 """The joint fit: one least-squares problem from the arm to the pixel."""
 
+from .build import build_problem as build_problem
 from .calibrate import CalibrationFit as CalibrationFit
 from .calibrate import calibrate as calibrate
 from .camera_fit import CameraFit as CameraFit
