@@ -18,7 +18,7 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, Observations
 from ..geometry import transform_points
-from ..staged import FitResult
+from ..staged import FitCode, FitResult
 from ..staged.kalman import MAD_TO_SIGMA, SIGMA_FLOOR
 from .fit import fit_joint
 from .losses import AbstractLoss
@@ -172,7 +172,8 @@ def batch_filter(
         if settled or number == ROUNDS:
             break
         point, inliers = (fit.camera, fit.camera_from_world), kept
-    result = fit.result if settled else FitResult(False, "the outliers kept changing")
+    unsettled = FitResult(FitCode.STOPPED_EARLY, "the outliers kept changing")
+    result = fit.result if settled else unsettled
     return dataclasses.replace(fit, residuals=residuals, result=result)
 
 

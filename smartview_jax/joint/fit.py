@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..dataset import Dataset, chain_residuals
-from ..staged import FitResult
+from ..staged import FitCode, FitResult
 from .build import Built, build_problem
 from .covariance import UnitColumns, covariance, own_std
 from .losses import AbstractLoss
@@ -193,11 +193,11 @@ def _rejected(
 def _result(solution: Solution, calibration: Calibration) -> FitResult:
     finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(calibration))
     if not finite:
-        return FitResult(False, "the fit diverged: its parameters are not finite")
+        return FitResult(FitCode.DIVERGED, "the fit diverged: its parameters are not finite")
     if solution.converged:
-        return FitResult(True, f"converged in {solution.steps} steps")
+        return FitResult(FitCode.CONVERGED, f"converged in {solution.steps} steps")
     return FitResult(
-        False,
+        FitCode.STOPPED_EARLY,
         f"not converged after {solution.steps} steps: one more would still lower the cost by "
         f"{solution.decrease:.1g} of it; look at observability, free less or add a prior",
     )

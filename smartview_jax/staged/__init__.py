@@ -7,7 +7,6 @@ from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
-from .fit import FitResult as FitResult
 from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
@@ -17,6 +16,8 @@ from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
+from .result import FitCode as FitCode
+from .result import FitResult as FitResult
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
 from .weng import locate_views as locate_views

@@ -1,7 +1,7 @@
 """The paper's pipeline, Steps 1, 2 and 3, as one call."""
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,17 +16,11 @@ from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
+from .result import FitCode, FitResult
 from .weng import ViewCalibrations, calibrate_views, locate_views
 
 MINIMUM_POINTS = 6
 """Points a view must show to be calibrated by itself."""
-
-
-class FitResult(NamedTuple):
-    """Whether a fit converged, and in words what happened."""
-
-    converged: bool
-    message: str
 
 
 @runtime_checkable
@@ -255,8 +249,8 @@ def _result(step2: CommonCamera, step3: HandEyeResult, calibration: Calibration)
         for pose in (calibration.camera_from_mount, calibration.holder_from_world)
     )
     if not finite:
-        return FitResult(False, "Step 3: the answer is not finite")
+        return FitResult(FitCode.DIVERGED, "Step 3: the answer is not finite")
     return FitResult(
-        step2.converged and step3.converged,
+        FitCode.CONVERGED if step2.converged and step3.converged else FitCode.STOPPED_EARLY,
         f"Step 2: {step2.message}; Step 3: {step3.message}, started by {step3.chosen[0]}",
     )

@@ -4,7 +4,7 @@ import pytest
 from smartview_jax import held_out
 from smartview_jax.evaluation import deviations, refit, score, view_folds
 from smartview_jax.simulation import paper_points, random_scene
-from smartview_jax.staged import FitResult
+from smartview_jax.staged import FitCode, FitResult
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,10 @@ class Fit:
 
     def __init__(self, data, calibration):
         stopped = not np.asarray(data.visible)[0].any()
-        self.result = FitResult(not stopped, "stopped" if stopped else "converged")
+        self.result = FitResult(
+            FitCode.STOPPED_EARLY if stopped else FitCode.CONVERGED,
+            "stopped" if stopped else "fine",
+        )
         self.calibration = calibration
 
 

@@ -17,6 +17,7 @@ from smartview_jax.evaluation import deviations
 from smartview_jax.joint import StructuredLM, optimum
 from smartview_jax.joint.build import build_problem
 from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.staged import FitCode
 
 POINTS = paper_points((0.0, 0.02))[::4]
 
@@ -241,6 +242,17 @@ def test_any_optimistix_solver_will_do(noisy):
         scene.data, nudged(scene.calibration), solver=optx.Dogleg(rtol=1e-10, atol=1e-10)
     )
     assert other.solution.costs[-1] == pytest.approx(fit.solution.costs[-1], rel=1e-8)
+
+
+def test_a_fit_that_stopped_early_says_so_and_raises_on_request(noisy):
+    scene, fit = noisy
+    assert fit.result.code is FitCode.CONVERGED
+    fit.result.require()
+    careless = optx.LevenbergMarquardt(rtol=1e9, atol=1e9)
+    stopped = fit_joint(scene.data, nudged(scene.calibration), solver=careless)
+    assert stopped.result.code is FitCode.STOPPED_EARLY
+    with pytest.raises(RuntimeError, match=r"stopped_early: .* would still lower the cost"):
+        stopped.result.require()
 
 
 def test_one_rotation_axis_is_named(noisy):
