@@ -15,7 +15,7 @@ from ..calibration import Calibration
 from ..cameras import AbstractOpenCVLens, Camera, Fisheye, OpenCV8, Pinhole
 from ..files import dump_yaml
 
-OPTICAL_FROM_LINK = SO3(np.array([0.5, 0.5, -0.5, 0.5]))
+OPTICAL_FROM_LINK = SO3(jnp.array([0.5, 0.5, -0.5, 0.5]))
 """Coordinates in the optical frame of a vector in the body frame: x forward becomes z forward."""
 
 

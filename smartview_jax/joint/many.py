@@ -26,7 +26,7 @@ from .noise import Noise
 from .priors import Prior
 from .problem import JointProblem, valid_at_start
 from .schur import eliminate
-from .solver import MAXIMUM_STEPS, NEXT_TO_NOTHING, StructuredLM, run
+from .solver import MAXIMUM_STEPS, NEXT_TO_NOTHING, StructuredLM, compiled, run
 
 FITS = "fits"
 """Name of the mesh axis along which fits are dealt out to devices."""
@@ -126,7 +126,7 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *parts)
 
 
-@eqx.filter_jit
+@compiled
 def _solve_all(problems: JointProblem, known: bool, mesh: Mesh | None) -> tuple:
     """Every fit's answer; the fits are spread over a mesh's devices, evened out by copies."""
     parts = _own_parts(problems)

@@ -53,6 +53,15 @@ class _State(eqx.Module):
     result: optx.RESULTS
 
 
+def compiled(function: Callable) -> Callable:
+    """`eqx.filter_jit` for whole fits, at the second of LLVM's levels of optimisation.
+
+    At the third, XLA's own choice, the linearisation of many points takes twice as long.
+    """
+    options = {"xla_backend_optimization_level": 2}
+    return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
+
+
 class StructuredLM(optx.AbstractLeastSquaresSolver):
     """Levenberg-Marquardt for a `JointProblem`, which is passed as `args`.
 
@@ -214,7 +223,7 @@ def solve(
         solver = StructuredLM()
     elif not isinstance(solver, StructuredLM):
         problem = _scaled(problem)
-    z, steps, record, equations, gain = run(problem, solver, maximum_steps)
+    z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps)
     cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
     share = gain / max(cost, 1e-300)
     converged = bool(abs(share) < NEXT_TO_NOTHING or abs(gain) < 1e-12)
@@ -229,7 +238,6 @@ def _scaled(problem: JointProblem) -> JointProblem:
     return eqx.tree_at(lambda p: p.scale, problem, unit_scale(matrix))
 
 
-@eqx.filter_jit
 def run(
     problem: JointProblem, solver: optx.AbstractLeastSquaresSolver, maximum_steps: int
 ) -> tuple[Step, Array, Array, NormalEquations, Array]:
@@ -256,6 +264,9 @@ def run(
         # Every process may then read all of it.
         answer = jax.lax.with_sharding_constraint(answer, NamedSharding(problem.mesh, P()))
     return answer
+
+
+_run_alone = compiled(run)
 
 
 def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
