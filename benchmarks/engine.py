@@ -87,10 +87,6 @@ def _problem(
 
 
 def _peers(folder: Path) -> dict[str, Callable[[Path, int], list[str]]]:
-    def python(module: str, *more: str) -> Callable[[Path, int], list[str]]:
-        start = [sys.executable, "-m", f"benchmarks.peers.{module}"]
-        return lambda path, repeats: [*start, str(path), str(repeats), *more]
-
     found = {
         "smartview_jax": python("smartview", "forward"),
         PAPERS_LENS: python("smartview", "radial"),
@@ -127,6 +123,12 @@ def _compiled(folder: Path) -> str | None:
         ["g++", *flags, str(source), "-o", str(program), *libraries], capture_output=True
     )
     return str(program) if done.returncode == 0 else None
+
+
+def python(module: str, *more: str) -> Callable[[Path, int], list[str]]:
+    """The command that runs a peer written in Python, by problem and number of repeats."""
+    start = [sys.executable, "-m", f"benchmarks.peers.{module}"]
+    return lambda path, repeats: [*start, str(path), str(repeats), *more]
 
 
 def measured(command: list[str]) -> dict:

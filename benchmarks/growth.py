@@ -7,9 +7,8 @@ column "added" is what a row has beyond it, as a multiple of its input.
 import tempfile
 from pathlib import Path
 
-from .engine import measured, median
+from .engine import measured, median, python
 from .peers.problem import make
-from .peers.smartview_on import COMMAND
 
 SIZES = ((5, 100), (500, 1000), (500, 10000), (5000, 1000))
 SMOKE = ((5, 100), (20, 500))
@@ -28,7 +27,8 @@ def run(smoke: bool = False) -> bool:
             path = Path(folder) / "problem.f64"
             make(views, count, False).save(path)
             for devices in (1, 2):
-                found = measured([*COMMAND, str(path), "2" if smoke else "3", str(devices)])
+                ours = python("smartview", "forward", str(devices))
+                found = measured(ours(path, 2 if smoke else 3))
                 seconds, peak = median([found], "seconds"), found["peak_mb"]
                 # Points, pixels, visibility of every view, as the fit holds them.
                 size = views * count * (24 + 16 + 1) / 2**20

@@ -36,6 +36,14 @@ def mount_frames(mount: str) -> tuple[str, str]:
     return _FRAMES[mount]
 
 
+def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
+    """The robot's part of the chain, between the camera's mount and the target's holder.
+
+    Its own inverse: from this transform it gives `base_from_tool` back.
+    """
+    return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
+
+
 class Calibration(eqx.Module):
     """Camera, hand-eye and world transforms, and where they put a point in the picture.
 
@@ -140,18 +148,17 @@ class Calibration(eqx.Module):
 
     def camera_from_world(self, base_from_tool: PoseLike) -> SE3:
         """Extrinsics at the given robot poses, `(*views)` (Eq. 10)."""
-        command = as_se3(base_from_tool)
-        mount_from_holder = command.inverse() if self.mount == "eye_in_hand" else command
-        return self.camera_from_mount @ mount_from_holder @ self.holder_from_world
+        robot = mount_from_holder(self.mount, as_se3(base_from_tool))
+        return self.camera_from_mount @ robot @ self.holder_from_world
 
     def command_for(self, camera_from_world: PoseLike) -> SE3:
         """The robot pose `base_from_tool` that puts the camera at a wanted pose (Eq. 19)."""
-        mount_from_holder = (
+        robot = (
             self.camera_from_mount.inverse()
             @ as_se3(camera_from_world)
             @ self.holder_from_world.inverse()
         )
-        return mount_from_holder.inverse() if self.mount == "eye_in_hand" else mount_from_holder
+        return mount_from_holder(self.mount, robot)
 
     def points_in_camera(
         self, base_from_tool: PoseLike, points: Float[Array, "*points 3"] | np.ndarray

@@ -1,6 +1,8 @@
 """The rooms of the package import only from rooms below them."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -71,3 +73,10 @@ def test_the_test_sees_an_upward_import(tmp_path, monkeypatch):
     wrong.write_text("def f():\n    from ..joint.fit import fit_joint\n")
     with pytest.raises(AssertionError, match="geometry is below"):
         test_a_room_imports_only_from_rooms_below(wrong)
+
+
+def test_importing_starts_no_device():
+    """Or `jax.distributed.initialize` would have to come before the import."""
+    look = "from jax._src.xla_bridge import backends_are_initialized as started"
+    code = f"import smartview_jax\n{look}\nraise SystemExit(started())"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -13,6 +13,7 @@ import numpy as np  # noqa: E402
 import smartview_jax as sv  # noqa: E402
 from smartview_jax.cameras import AbstractPerspectiveLens, implicit_inverse  # noqa: E402
 from smartview_jax.joint.build import build_problem  # noqa: E402
+from smartview_jax.joint.sharding import deal_out  # noqa: E402
 from smartview_jax.joint.solver import solve  # noqa: E402
 
 from . import problem as peer  # noqa: E402
@@ -54,12 +55,16 @@ def calibration_of(data: peer.Problem, lens: str) -> sv.Calibration:
     )
 
 
-def main(path: Path, repeats: int, lens: str) -> None:
-    """Time one fit, cold and warm."""
+def main(path: Path, repeats: int, lens: str, devices: int = 1) -> None:
+    """Time one fit, cold and warm, with its views on so many of the CPU's devices."""
+    jax.config.update("jax_num_cpu_devices", devices)
     data = peer.load(path)
     noise = sv.Noise(peer.PIXEL, peer.TRANSLATION, peer.ROTATION) if data.corrected else "trusted"
     built = build_problem(dataset_of(data), calibration_of(data, lens), noise=noise).problem
+    if devices > 1:
+        built = deal_out(built, jax.devices())
     whitened = 1.0 if data.corrected else peer.PIXEL**-2
+    del data
     (solution, _), seconds, cold = timed(
         lambda: jax.block_until_ready(solve(built)), repeats, START
     )
@@ -67,4 +72,4 @@ def main(path: Path, repeats: int, lens: str) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], *map(int, sys.argv[4:]))

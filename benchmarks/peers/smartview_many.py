@@ -1,25 +1,25 @@
 """This library on many small problems at once: seconds and cost are those of one of them."""
 
-import os
 import sys
 import time
 from pathlib import Path
 
 START = time.perf_counter()
 
+import jax  # noqa: E402
+
+import smartview_jax as sv  # noqa: E402
+
+from . import problem as peer  # noqa: E402
+from .result import report, timed  # noqa: E402
+from .smartview import calibration_of, dataset_of  # noqa: E402
+
 MANY = 1000
 
 
 def main(path: Path, repeats: int, devices: int) -> None:
     """Time one call for all of them, cold and warm, on so many of the CPU's devices."""
-    import jax
-
-    import smartview_jax as sv
-
-    from . import problem as peer
-    from .result import report, timed
-    from .smartview import calibration_of, dataset_of
-
+    jax.config.update("jax_num_cpu_devices", devices)
     first = peer.load(path)
     views, count = first.pixels.shape[:2]
     problems = [first, *(peer.make(views, count, False, seed) for seed in range(1, MANY))]
@@ -35,6 +35,4 @@ def main(path: Path, repeats: int, devices: int) -> None:
 
 
 if __name__ == "__main__":
-    # JAX reads this when it starts.
-    os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={sys.argv[3]}"
     main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

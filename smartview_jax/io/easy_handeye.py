@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import mount_frames
+from ..calibration import mount_frames, mount_from_holder
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
 
@@ -33,8 +33,7 @@ class PoseSamples(NamedTuple):
     @property
     def mount_from_holder(self) -> SE3:
         """The robot's part of the chain, between the camera's mount and the target's holder."""
-        in_hand = mount_frames(self.mount)[0] == "tool"
-        return self.base_from_tool.inverse() if in_hand else self.base_from_tool
+        return mount_from_holder(self.mount, self.base_from_tool)
 
 
 def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSamples:
@@ -55,14 +54,13 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
         raise ValueError(f"{path}: samples: expected a list, found {samples!r}")
     robot = _decoded(path, samples, "robot")
     tracking = _decoded(path, samples, "tracking")
-    in_hand = mount_frames(mount)[0] == "tool"
-    return PoseSamples(robot if in_hand else robot.inverse(), tracking, mount)
+    # What is stored is holder_from_mount, whatever the mount.
+    return PoseSamples(mount_from_holder(mount, robot.inverse()), tracking, mount)
 
 
 def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
     """The inverse of `read_easy_handeye`."""
-    in_hand = mount_frames(samples.mount)[0] == "tool"
-    robot = samples.base_from_tool if in_hand else samples.base_from_tool.inverse()
+    robot = samples.mount_from_holder.inverse()
     pairs = zip(_CODEC.encode(robot), _CODEC.encode(samples.camera_from_world), strict=True)
     content = [{"robot": _message(r), "tracking": _message(t)} for r, t in pairs]
     write_atomically(path, dump_yaml({"samples": content}))

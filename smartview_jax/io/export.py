@@ -15,9 +15,6 @@ from ..calibration import Calibration
 from ..cameras import AbstractOpenCVLens, Camera, Fisheye, OpenCV8, Pinhole
 from ..files import dump_yaml
 
-OPTICAL_FROM_LINK = SO3(jnp.array([0.5, 0.5, -0.5, 0.5]))
-"""Coordinates in the optical frame of a vector in the body frame: x forward becomes z forward."""
-
 
 class Coefficients(NamedTuple):
     """A lens in OpenCV's terms.
@@ -85,7 +82,9 @@ def mount_from_camera(calibration: Calibration, optical: bool = True) -> SE3:
     pose = calibration.camera_from_mount.inverse()
     if optical:
         return pose
-    return pose @ SE3.from_rotation(OPTICAL_FROM_LINK)
+    # Coordinates in the optical frame of a vector in the body frame: x forward becomes z forward.
+    optical_from_link = SO3(jnp.array([0.5, 0.5, -0.5, 0.5]))
+    return pose @ SE3.from_rotation(optical_from_link)
 
 
 def ros_static_transform(

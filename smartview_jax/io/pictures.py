@@ -9,7 +9,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..calibration import mount_frames
+from ..calibration import mount_frames, mount_from_holder
 from ..dataset import Dataset
 from ..detection import Detection, consistent_ordering, detect, nothing_found, read_picture
 from ..geometry import PoseLike, as_se3
@@ -183,8 +183,7 @@ def _in_one_order(
         return pixels
     # Every picture is ordered by itself: at another height the detector may begin elsewhere.
     flat = pixels.reshape(-1, len(board.points), 2)
-    mount_from_holder = poses.inverse() if mount == "eye_in_hand" else poses
-    turns = np.asarray(mount_from_holder.rotation().as_matrix())
+    turns = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
     chosen = consistent_ordering(
         flat,
         np.asarray(np.isfinite(flat).all(axis=-1)),

@@ -34,6 +34,11 @@ class Built(eqx.Module):
     noise: Noise | None = eqx.field(static=True)
     lost: Bool[np.ndarray, "views points"]
 
+    @property
+    def sigma_known(self) -> bool:
+        """Whether the pixel's deviation is taken as given; if not, the residuals tell it."""
+        return self.noise is not None and self.noise.bounds_poses
+
 
 def build_problem(
     data: Dataset,

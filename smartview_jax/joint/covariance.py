@@ -1,7 +1,10 @@
 """Covariance of the fitted parameters, from the normal equations at the optimum."""
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
+
+from .problem import JointProblem
 
 NULL = 3e-7
 """Singular value, of a Jacobian with unit columns, under which a direction is not seen at all.
@@ -25,6 +28,21 @@ class UnitColumns:
         values, vectors = np.linalg.eigh(reduced / np.outer(self.lengths, self.lengths))
         self.singular = np.sqrt(np.maximum(values, 0.0))[::-1]
         self.directions = vectors.T[::-1]
+
+
+def variance_factor(
+    problem: JointProblem, squares: Float[Array, "views points"]
+) -> Float[Array, ""]:
+    """By how much the assumed variance of a pixel is wrong, from all residuals.
+
+    Args:
+        problem: whose priors count as observations.
+        squares: of its whitened residuals, as `JointProblem.squares` has them.
+    """
+    seen = jnp.sum(problem.observations.visible.astype(float))
+    priors = sum(jnp.sum((weight != 0.0).astype(float)) for weight in problem.prior_weight)
+    free = len(problem.free) + jnp.sum(problem.own_free.astype(float))
+    return jnp.sum(squares) / jnp.maximum(2.0 * seen - free + priors, 1.0)
 
 
 def covariance(

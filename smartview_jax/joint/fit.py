@@ -16,7 +16,7 @@ from ..cameras import AbstractLens
 from ..dataset import Dataset, chain_residuals
 from ..staged import FitCode, FitResult
 from .build import Built, build_problem
-from .covariance import UnitColumns, covariance, own_std
+from .covariance import UnitColumns, covariance, own_std, variance_factor
 from .losses import AbstractLoss
 from .noise import Noise
 from .observability import Observability, observability
@@ -119,12 +119,11 @@ def _assemble(
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
-    calibration, corrections, square, parts, own_inverse = at_solution
+    calibration, corrections, square, estimated, parts, own_inverse = at_solution
     visible = np.asarray(problem.observations.visible)
     square = np.asarray(square)
     size = square[visible]
-    known = built.noise is not None and built.noise.bounds_poses
-    factor = 1.0 if known else _variance_factor(size, built)
+    factor = 1.0 if built.sigma_known else float(estimated)
 
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     columns = UnitColumns(np.asarray(parts.reduced), lengths)
@@ -133,7 +132,7 @@ def _assemble(
     own = own[np.asarray(problem.own_free)]
 
     spread = _robust_variance(size)
-    limit = GATE * (max(1.0, spread) if known else spread)
+    limit = GATE * (max(1.0, spread) if built.sigma_known else spread)
     inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
     return JointFit(
@@ -160,14 +159,8 @@ def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     parts = eliminate(matrix)
     eye = jnp.broadcast_to(jnp.eye(6)[None], matrix.own.shape)
     own_inverse = cho_solve((parts.own_factor, False), eye)
-    return calibration, corrections, problem.squares(z), parts, own_inverse
-
-
-def _variance_factor(square: Float[np.ndarray, "seen"], built: Built) -> float:
-    """By how much the assumed variance of a pixel is wrong, from all residuals."""
-    priors = sum(np.count_nonzero(np.asarray(w)) for w in built.problem.prior_weight)
-    dof = max(2 * len(square) - len(built.names) - len(built.own_names) + priors, 1)
-    return float(np.sum(square)) / dof
+    squares = problem.squares(z)
+    return calibration, corrections, squares, variance_factor(problem, squares), parts, own_inverse
 
 
 def _robust_variance(square: np.ndarray) -> float:

@@ -20,13 +20,14 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..dataset import Dataset, Observations
 from .build import build_problem, with_lens
-from .covariance import NULL
+from .covariance import NULL, variance_factor
 from .losses import AbstractLoss
 from .noise import Noise
 from .priors import Prior
 from .problem import JointProblem, valid_at_start
 from .schur import eliminate
-from .solver import MAXIMUM_STEPS, NEXT_TO_NOTHING, StructuredLM, compiled, run
+from .sharding import last_repeated
+from .solver import MAXIMUM_STEPS, StructuredLM, compiled, next_to_nothing, run
 
 FITS = "fits"
 """Name of the mesh axis along which fits are dealt out to devices."""
@@ -90,9 +91,8 @@ def fit_many(
     problems = eqx.tree_at(
         _own_parts, built.problem, (_stacked(starts), _stacked([d.observations for d in data]))
     )
-    known = built.noise is not None and built.noise.bounds_poses
     mesh = None if devices is None else Mesh(np.array(devices), (FITS,))
-    answers = jax.tree.map(lambda x: x[: len(data)], _solve_all(problems, known, mesh))
+    answers = jax.tree.map(lambda x: x[: len(data)], _solve_all(problems, built.sigma_known, mesh))
     calibrations, corrections, covariance, cost, steps, converged = answers
     return ManyFits(calibrations, corrections, covariance, cost, steps, converged, built.names)
 
@@ -127,17 +127,16 @@ def _stacked(parts: Sequence[Any]) -> Any:
 
 
 @compiled
-def _solve_all(problems: JointProblem, known: bool, mesh: Mesh | None) -> tuple:
+def _solve_all(problems: JointProblem, sigma_known: bool, mesh: Mesh | None) -> tuple:
     """Every fit's answer; the fits are spread over a mesh's devices, evened out by copies."""
     parts = _own_parts(problems)
 
     def one(part: tuple[Calibration, Observations]) -> tuple:
-        return _solve_one(eqx.tree_at(_own_parts, problems, part), known)
+        return _solve_one(eqx.tree_at(_own_parts, problems, part), sigma_known)
 
     if mesh is None:
         return jax.lax.map(one, parts)
     extra = -len(parts[1].visible) % mesh.size
-    parts = jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(extra, axis=0)]), parts)
     spread = jax.shard_map(
         lambda some: jax.lax.map(one, some),
         mesh=mesh,
@@ -145,25 +144,23 @@ def _solve_all(problems: JointProblem, known: bool, mesh: Mesh | None) -> tuple:
         out_specs=P(FITS),
         check_vma=False,
     )
-    return spread(parts)
+    return spread(last_repeated(parts, extra))
 
 
-def _solve_one(problem: JointProblem, known: bool) -> tuple:
+def _solve_one(problem: JointProblem, sigma_known: bool) -> tuple:
     """Calibration, corrections, covariance, cost, steps, and whether it converged."""
     visible = problem.observations.visible & valid_at_start(problem)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
     z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS)
     calibration, corrections = problem.calibration(z)
-    freedom = 2.0 * jnp.sum(visible.astype(float)) - len(problem.free) - problem.own_free.size
-    factor = 1.0 if known else 2.0 * equations.cost / jnp.maximum(freedom, 1.0)
-    converged = (jnp.abs(gain) < NEXT_TO_NOTHING * equations.cost) | (jnp.abs(gain) < 1e-12)
+    factor = 1.0 if sigma_known else variance_factor(problem, problem.squares(z))
     return (
         calibration,
         corrections,
         factor * _inverse(eliminate(equations.matrix).reduced),
         equations.cost,
         steps,
-        converged,
+        next_to_nothing(gain, equations.cost),
     )
 
 

@@ -58,7 +58,7 @@ def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     mesh = Mesh(np.array(devices), (VIEWS,))
     extra = -len(problem.observations.visible) % len(devices)
     arrays, rest = eqx.partition(problem, eqx.is_array)
-    arrays = eqx.tree_at(lambda p: _per_view(p), arrays, _stretched(_per_view(arrays), extra))
+    arrays = eqx.tree_at(_per_view, arrays, _stretched(_per_view(arrays), extra))
     specs = jax.tree.map(lambda _: P(), arrays)
     specs = eqx.tree_at(
         _per_view, specs, jax.tree.map(lambda x: P(VIEWS) if len(x) else P(), _per_view(arrays))
@@ -84,10 +84,14 @@ def _per_view(problem: JointProblem) -> tuple[Any, ...]:
     )
 
 
+def last_repeated(parts: Any, extra: int) -> Any:
+    """Arrays with copies of their last entry, so that they go evenly into devices."""
+    return jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(extra, axis=0)]), parts)
+
+
 def _stretched(parts: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
     """With copies of the last view, of which nothing is seen and nothing may move."""
-    longer = jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(extra, axis=0)]), parts)
-    observations, own_free, *rest = longer
+    observations, own_free, *rest = last_repeated(parts, extra)
     views = len(observations.visible) - extra
     observations = eqx.tree_at(
         lambda o: o.visible, observations, observations.visible.at[views:].set(False)

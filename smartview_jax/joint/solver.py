@@ -16,7 +16,7 @@ import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array, Bool, Float, Int, Scalar
+from jaxtyping import Array, Bool, Float, Int, Scalar, ScalarLike
 
 from .parameters import Step
 from .problem import JointProblem, NormalEquations
@@ -32,9 +32,6 @@ MOST_REJECTIONS = 25
 """Steps in a row that may raise the cost before a fit gives up."""
 
 MAXIMUM_STEPS = 200
-
-NEXT_TO_NOTHING = 1e-8
-"""Share of its cost that a fit may still be short of to count as converged."""
 
 Info = optx.FunctionInfo.EvalGradHessian
 
@@ -209,6 +206,11 @@ class Solution(NamedTuple):
     converged: bool
 
 
+def next_to_nothing(gain: ScalarLike, cost: ScalarLike) -> Bool[Array, ""]:
+    """Whether what a further step would gain is so little that a fit counts as converged."""
+    return (jnp.abs(gain) < 1e-8 * cost) | (jnp.abs(gain) < 1e-12)
+
+
 def solve(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,
@@ -225,8 +227,7 @@ def solve(
         problem = _scaled(problem)
     z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps)
     cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
-    share = gain / max(cost, 1e-300)
-    converged = bool(abs(share) < NEXT_TO_NOTHING or abs(gain) < 1e-12)
+    share, converged = gain / max(cost, 1e-300), bool(next_to_nothing(gain, cost))
     costs = (*record[np.isfinite(record)].tolist(), cost)
     return Solution(z, costs, int(steps), share, converged), equations
 

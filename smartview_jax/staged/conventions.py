@@ -15,7 +15,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..calibration import mount_frames
+from ..calibration import mount_frames, mount_from_holder
 from ..geometry import rotation_angle
 from .closed_form import motion_pairs, park_martin
 
@@ -60,7 +60,7 @@ def check_conventions(
     """
     weights = jnp.ones(len(base_from_tool.wxyz_xyz)) if weights is None else weights
     in_hand = mount_frames(mount)[0] == "tool"
-    given = base_from_tool.inverse() if in_hand else base_from_tool
+    given = mount_from_holder(mount, base_from_tool)
     angles, as_given, inverted = (
         np.asarray(x) for x in _compare(given, given.inverse(), camera_from_world, weights)
     )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..calibration import Calibration
+from ..calibration import Calibration, mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
 from ..dataset import Dataset, Observations, chain_residuals
 from .conventions import ConventionReport, check_conventions
@@ -143,10 +143,9 @@ def fit_staged(
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
-    in_hand = data.mount == "eye_in_hand"
-    mount_from_holder = data.base_from_tool.inverse() if in_hand else data.base_from_tool
+    robot = mount_from_holder(data.mount, data.base_from_tool)
     step3 = solve_hand_eye(
-        mount_from_holder, common.camera_from_world, weights, rough_translation, length_scale
+        robot, common.camera_from_world, weights, rough_translation, length_scale
     )
     calibration = Calibration(
         common.camera, step3.camera_from_mount, step3.holder_from_world, data.mount

@@ -35,7 +35,7 @@ _SETTLED = 3.0
 """Movement of the state, in its own sigmas, under which the gate begins to work. Before, a whole
 view whose pose is still off would look like outliers."""
 
-SIGMA_FLOOR = 1e-3
+_SIGMA_FLOOR = 1e-3
 """Smallest pixel sigma that is believed, px; noise-free data would make it zero."""
 
 
@@ -100,7 +100,7 @@ def kalman_filter(
     converged, passes = False, 0
     covariance = jnp.full((0, 0), jnp.nan)
     for passes in range(1, maximum_passes + 1):
-        sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
+        sigma = robust_sigma(observations, point, inliers, pixel_sigma)
         trial = _one_pass(
             observations,
             point,
@@ -130,7 +130,7 @@ def kalman_filter(
         if moved < 1e-3 and same and gating:
             converged, message = True, f"settled after {passes} passes"
             break
-    sigma = _pixel_sigma(observations, point, inliers, pixel_sigma)
+    sigma = robust_sigma(observations, point, inliers, pixel_sigma)
     rms = _rms(observations, point, inliers)
     if not bool(jnp.isfinite(rms)):
         converged, message = False, "the filter diverged: its state is not finite"
@@ -147,11 +147,11 @@ class _Pass(NamedTuple):
 
 @eqx.filter_jit
 def _rms(observations: Observations, point: tuple[Camera, SE3], inliers: Array) -> Array:
-    residuals = jnp.where(inliers[..., None], _residuals(observations, *point), 0.0)
+    residuals = jnp.where(inliers[..., None], pixel_residuals(observations, *point), 0.0)
     return jnp.sqrt(jnp.sum(residuals**2) / jnp.maximum(jnp.sum(inliers.astype(float)), 1.0))
 
 
-def _residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
+def pixel_residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
     """Measured minus projected, px; a point that cannot be projected counts as far off."""
     predicted, valid = camera.project(transform_points(camera_from_world, observations.points))
     residuals = observations.residuals(predicted, valid)
@@ -159,7 +159,7 @@ def _residuals(observations: Observations, camera: Camera, camera_from_world: SE
 
 
 @eqx.filter_jit
-def _pixel_sigma(
+def robust_sigma(
     observations: Observations,
     point: tuple[Camera, SE3],
     inliers: Bool[Array, "views points"],
@@ -167,8 +167,8 @@ def _pixel_sigma(
 ) -> Float[Array, ""]:
     if given is not None:
         return jnp.asarray(given, dtype=float)
-    size = jnp.where(inliers[..., None], _residuals(observations, *point), jnp.nan)
-    return jnp.maximum(MAD_TO_SIGMA * jnp.nanmedian(jnp.abs(size)), SIGMA_FLOOR)
+    size = jnp.where(inliers[..., None], pixel_residuals(observations, *point), jnp.nan)
+    return jnp.maximum(MAD_TO_SIGMA * jnp.nanmedian(jnp.abs(size)), _SIGMA_FLOOR)
 
 
 def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, Array]:
@@ -211,7 +211,7 @@ def _one_pass(
     camera_sigma = jnp.where(hold_camera, 1e-12 * camera_sigma, camera_sigma)
     # Unit variances to begin with: lengths, angles and focal lengths become comparable.
     scale = jnp.sqrt(freedom) * jnp.concatenate([camera_sigma, pose_sigma.ravel()])
-    residuals = _residuals(observations, camera, poses)
+    residuals = pixel_residuals(observations, camera, poses)
     J_camera, J_pose = _jacobians(observations, numbers, rebuild, poses)
     J_camera = J_camera * camera_sigma[None, None, None] * jnp.sqrt(freedom)
     J_pose = J_pose * pose_sigma[:, None, None] * jnp.sqrt(freedom)
@@ -229,7 +229,7 @@ def _one_pass(
     covariance = covariance * scale[:, None] * scale[None]
 
     # What stands out after the pass is set aside before the next, and what fits is let in again.
-    after = jnp.sum(_residuals(observations, *new_point) ** 2, axis=-1)
+    after = jnp.sum(pixel_residuals(observations, *new_point) ** 2, axis=-1)
     fits = observations.visible & (after <= gate * sigma**2)
     kept = jnp.where(gating, fits, inliers)
     size = jnp.minimum(jnp.sum(residuals**2, axis=-1), 100.0 * gate)

@@ -81,6 +81,15 @@ def test_outliers_are_set_aside_and_good_points_kept(start):
     assert fit.rms == pytest.approx(0.15 * np.sqrt(2.0), rel=0.05)
 
 
+def test_a_point_that_cannot_be_projected_is_set_aside(scene, start):
+    behind = scene.data.points.at[1, 3, 2].add(1.0)
+    data = eqx.tree_at(lambda d: d.points, scene.data, behind)
+    fit = batch_filter(data.observations, *start)
+    assert fit.converged
+    assert not bool(fit.inliers[1, 3])
+    assert int(jnp.sum(data.visible & ~fit.inliers)) <= 2
+
+
 def test_a_known_camera_is_held_and_a_blind_view_keeps_its_pose(scene, start):
     hidden = scene.data.visible.at[2].set(False)
     data = eqx.tree_at(lambda d: d.visible, scene.data, hidden)

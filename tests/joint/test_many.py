@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from starts import nudged
 
-from smartview_jax import Noise, fit_joint, fit_many
+from smartview_jax import Noise, Prior, fit_joint, fit_many
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
@@ -40,6 +40,17 @@ def test_each_is_what_one_fit_finds(scenes, noise):
             np.testing.assert_allclose(
                 together.pose_corrections[k], alone.pose_corrections, atol=1e-10
             )
+
+
+def test_priors_and_losses_weigh_as_in_one_fit(scenes):
+    told = {"priors": {"camera.u0": Prior(std=2.0), "camera.v0": Prior(std=2.0)}, "loss": "huber"}
+    start = nudged(paper_calibration())
+    together = fit_many(scenes[:2], start, **told)
+    for k in range(2):
+        alone = fit_joint(scenes[k], start, **told)
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(together.covariance[k])), np.sqrt(np.diag(alone.covariance)), rtol=1e-6
+        )
 
 
 def test_one_start_serves_all_and_a_lens_may_be_asked_for(scenes):

@@ -1,13 +1,10 @@
-import json
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3, SO3
-from shared_data import shared_data
+from shared_data import shared_pairs
 
 from smartview_jax.cameras import Camera, OpenCV4
-from smartview_jax.io import import_pairs
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import check_conventions
 from smartview_jax.staged.weng import locate_views
@@ -46,13 +43,10 @@ def test_inverted_poses_are_named(poses):
 )
 def test_inverted_poses_of_nearly_one_axis_are_named(name, prefix):
     """There the rotations alone fit either way."""
-    folder = shared_data(name)
-    reference = json.loads((folder / f"{prefix}measured.json").read_text())
-    size = tuple(reference["image_size"])
-    files = (folder / f"{prefix}poses.csv", folder / f"{prefix}corners.csv")
-    data = import_pairs(*files, size)
+    data, reference = shared_pairs(name, prefix)
     fx, fy, cx, cy, *distortion = reference["K"]
-    seen, _, _ = locate_views(data.observations, Camera(fx, fy, cx, cy, OpenCV4(*distortion), size))
+    camera = Camera(fx, fy, cx, cy, OpenCV4(*distortion), data.image_size)
+    seen, _, _ = locate_views(data.observations, camera)
     robot = data.base_from_tool
     assert check_conventions(robot, seen, "eye_in_hand").problems == ()
     (problem,) = check_conventions(robot.inverse(), seen, "eye_in_hand").problems

@@ -12,7 +12,7 @@ from shared_data import shared_pairs
 from smartview_jax.cameras import Camera, Radial
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.staged import fit_staged, kalman_filter
-from smartview_jax.staged.kalman import _absorb, _Measurement, _residuals
+from smartview_jax.staged.kalman import _absorb, _Measurement, pixel_residuals
 
 
 def scene_and_start(seed=0, **options):
@@ -79,7 +79,7 @@ def test_it_settles_at_the_least_squares_optimum_with_its_covariance(noisy):
     @jax.jit
     def residuals(step):
         moved = SE3.exp(step[n:].reshape(-1, 6)) @ found.camera_from_world
-        r = _residuals(observations, rebuild(numbers + step[:n]), moved)
+        r = pixel_residuals(observations, rebuild(numbers + step[:n]), moved)
         return jnp.where(found.inliers[..., None], r, 0.0).ravel()
 
     jacobian = jax.jit(jax.jacfwd(residuals))
