@@ -1,37 +1,53 @@
 """Every stage timed beside OpenCV on the same data, in one run: medians of warm runs, and ratios.
 
 Step 2 is `cv2.calibrateCamera`'s job: by the paper's filter, and as a batch. Step 3 is
-`cv2.calibrateHandEye`'s, whose closed forms do less than a search from every start.
+`cv2.calibrateHandEye`'s, whose closed forms do less than a search from every start. mrcal, where
+some Python here has it (Debian: python3-mrcal), runs in a process of its own.
 """
 
 import resource
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import jax
 import numpy as np
+from jaxlie import SE3
 
 import smartview_jax as sv
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.staged import calibrate_views, kalman_filter, solve_hand_eye
 
-SIZES = ((5, 200), (50, 1000))
-SMOKE = ((5, 50),)
+from .engine import measured
+
+SIZES = ((5, 10, 20), (50, 25, 40))
+SMOKE = ((5, 5, 10),)
+"""Views, and rows and columns of the board."""
+
+WIDTH = 0.036
+"""Of a row of the board's points, m."""
+
+PYTHONS = (sys.executable, "/usr/bin/python3")
 
 
 def run(smoke: bool = False) -> bool:
     """Print the table; True where both ways of Step 2 end as OpenCV does, to a hundredth."""
     print(f"{'views':>5} {'points':>7}  {'what':32}{'seconds':>10}{'ratio':>8}{'RMS px':>9}")
-    agree = [_size(views, points, smoke) for views, points in (SMOKE if smoke else SIZES)]
+    agree = [_size(*size, smoke) for size in (SMOKE if smoke else SIZES)]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(f"peak memory of the process {peak:.0f} MB")
     return all(agree)
 
 
-def _size(views: int, points: int, smoke: bool) -> bool:
-    rng = np.random.default_rng(0)
-    board = np.stack([*0.036 * rng.random((2, points)), np.zeros(points)], axis=1)
+def _size(views: int, rows: int, columns: int, smoke: bool) -> bool:
+    j, i = np.indices((rows, columns)).reshape(2, -1)
+    points = rows * columns
+    spacing = WIDTH / columns
+    board = spacing * np.stack([i, j, np.zeros(points)], axis=1)
     scene = random_scene(0, views, board, paper_calibration(), translation_noise=1e-5)
     data, camera = scene.data, scene.calibration.camera
     poses = scene.calibration.camera_from_world(data.base_from_tool)
@@ -58,6 +74,10 @@ def _size(views: int, points: int, smoke: bool) -> bool:
             found[name] = function()
             if repeat:
                 seconds[name].append(time.perf_counter() - began)
+    other = _mrcal(data, camera, poses, (rows, columns), spacing, 2 if smoke else 10)
+    if other is not None:
+        name = "Step 2, mrcal (8 numbers)"
+        seconds[name], found[name] = other["seconds"], other["cost"]
     base = float(np.median(next(iter(seconds.values()))))
     for name, values in seconds.items():
         middle, rms = float(np.median(values)), found[name]
@@ -81,3 +101,42 @@ def _opencv(data: sv.Dataset, camera: sv.Camera) -> float:
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     flags |= cv2.CALIB_ZERO_TANGENT_DIST
     return cv2.calibrateCamera(points, pixels, data.image_size, K, None, flags=flags)[0]
+
+
+def _mrcal(
+    data: sv.Dataset,
+    camera: sv.Camera,
+    poses: SE3,
+    shape: tuple[int, int],
+    spacing: float,
+    repeats: int,
+) -> dict | None:
+    """What `peers/mrcal_step2.py` printed; None where no Python here has mrcal."""
+    able = [python for python in PYTHONS if _has_mrcal(python)]
+    if not able:
+        print("missing: mrcal (python3-mrcal)")
+        return None
+    seen = np.asarray(data.visible)
+    # A negative weight is a point not seen; its pixel still has to be a number.
+    weights = np.where(seen, 1.0, -1.0)[..., None]
+    pixels = np.where(seen[..., None], np.asarray(data.pixels), 0.0)
+    turns, shifts = poses.rotation().log(), poses.translation()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "board.npz"
+        np.savez(
+            path,
+            board=np.concatenate([pixels, weights], axis=-1).reshape(len(seen), *shape, 3),
+            poses=np.concatenate([turns, shifts], axis=-1),
+            camera=np.array([camera.alpha_u, camera.alpha_v, camera.u0, camera.v0], dtype=float),
+            image_size=data.image_size,
+            spacing=spacing,
+        )
+        command = [able[0], "-m", "benchmarks.peers.mrcal_step2", str(path), str(repeats)]
+        return measured(command)
+
+
+def _has_mrcal(python: str) -> bool:
+    try:
+        return subprocess.run([python, "-c", "import mrcal"], capture_output=True).returncode == 0
+    except FileNotFoundError:
+        return False

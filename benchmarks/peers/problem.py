@@ -23,6 +23,9 @@ SIZES = {
 TRANSLATION, ROTATION, PIXEL = 1e-4, 2e-4, 0.15
 """Standard deviations of the noise, m, rad and px; the priors' too."""
 
+PRIOR = np.repeat([TRANSLATION, ROTATION], 3)
+"""Standard deviations of a pose correction."""
+
 
 @dataclasses.dataclass
 class Problem:
@@ -133,26 +136,37 @@ def project(
 class View:
     """Residuals of one view, whitened, and their Jacobian by camera (5) and both steps (6 + 6).
 
-    A step adds to the translation, and turns by `exp(step)` from the left.
+    A step adds to the translation, and turns by `exp(step)` from the left. In problems with pose
+    corrections the view's own, a twist, follows the steps.
     """
 
     def __init__(self, problem: Problem, k: int):
         self.problem, self.k = problem, k
 
     def __call__(
-        self, camera: np.ndarray, hand: np.ndarray, world: np.ndarray
+        self,
+        camera: np.ndarray,
+        hand: np.ndarray,
+        world: np.ndarray,
+        correction: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         data = self.problem
         camera_from_tool = moved(data.camera_from_tool, hand)
         base_from_world = moved(data.base_from_world, world)
-        camera_from_base = compose(camera_from_tool, data.tool_from_base[self.k])
+        robot = data.tool_from_base[self.k]
+        if correction is not None:
+            robot = compose(twist_exp(correction), robot)
+        camera_from_base = compose(camera_from_tool, robot)
         pose = compose(camera_from_base, base_from_world)
         pixels, by_camera, by_twist = project(camera, pose, data.points)
         by_hand = by_twist @ _twist_of_step(camera_from_tool, hand)
         by_world = by_twist @ (adjoint(camera_from_base) @ _twist_of_step(base_from_world, world))
-        jacobian = -np.concatenate([by_camera, by_hand, by_world], axis=-1) / PIXEL
+        columns = [by_camera, by_hand, by_world]
+        if correction is not None:
+            columns.append(by_twist @ (adjoint(camera_from_tool) @ twist_jacobian(correction)))
+        jacobian = -np.concatenate(columns, axis=-1) / PIXEL
         residual = (data.pixels[self.k] - pixels) / PIXEL
-        return residual.ravel(), jacobian.reshape(-1, 17)
+        return residual.ravel(), jacobian.reshape(residual.size, -1)
 
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -185,6 +199,18 @@ def left_jacobian(turn: np.ndarray) -> np.ndarray:
         + (1.0 - np.cos(angle)) / angle**2 * K
         + (angle - np.sin(angle)) / angle**3 * K @ K
     )
+
+
+def twist_exp(twist: np.ndarray) -> np.ndarray:
+    """The transform of a twist, translation first."""
+    return _pose(left_jacobian(twist[3:]) @ twist[:3], twist[3:])
+
+
+def twist_jacobian(twist: np.ndarray) -> np.ndarray:
+    """Left Jacobian of `twist_exp`, by the series: for corrections, which are small."""
+    K = cross(twist[3:])
+    ad = np.block([[K, cross(twist[:3])], [np.zeros((3, 3)), K]])
+    return np.eye(6) + ad / 2.0 + ad @ ad / 6.0 + ad @ ad @ ad / 24.0
 
 
 def cross(v: np.ndarray) -> np.ndarray:

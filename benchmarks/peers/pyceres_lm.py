@@ -16,19 +16,35 @@ from .result import report, timed  # noqa: E402
 class Cost(pyceres.CostFunction):
     """One view."""
 
-    def __init__(self, view: peer.View, count: int):
+    def __init__(self, view: peer.View, count: int, corrected: bool):
         super().__init__()
         self.view = view
         self.set_num_residuals(2 * count)
-        self.set_parameter_block_sizes([5, 6, 6])
+        self.set_parameter_block_sizes([5, 6, 6, 6] if corrected else [5, 6, 6])
 
     def Evaluate(self, parameters, residuals, jacobians):  # noqa: N802
         r, J = self.view(*parameters)
         residuals[:] = r
         if jacobians is not None:
-            for block, columns in zip(jacobians, np.split(J, [5, 11], axis=1), strict=True):
+            columns_of = np.split(J, [5, 11, 17][: len(parameters) - 1], axis=1)
+            for block, columns in zip(jacobians, columns_of, strict=True):
                 if block is not None:
                     block[:] = columns.ravel()
+        return True
+
+
+class Prior(pyceres.CostFunction):
+    """Of one view's pose correction."""
+
+    def __init__(self):
+        super().__init__()
+        self.set_num_residuals(6)
+        self.set_parameter_block_sizes([6])
+
+    def Evaluate(self, parameters, residuals, jacobians):  # noqa: N802
+        residuals[:] = parameters[0] / peer.PRIOR
+        if jacobians is not None and jacobians[0] is not None:
+            jacobians[0][:] = np.diag(1.0 / peer.PRIOR).ravel()
         return True
 
 
@@ -38,15 +54,22 @@ def main(path: Path, repeats: int) -> None:
     count = data.pixels.shape[1]
 
     def fit():
-        blocks = [data.camera.copy(), np.zeros(6), np.zeros(6)]
+        shared = [data.camera.copy(), np.zeros(6), np.zeros(6)]
+        own = [[np.zeros(6)] if data.corrected else [] for _ in data.pixels]
         problem = pyceres.Problem()
-        costs = [Cost(peer.View(data, k), count) for k in range(len(data.pixels))]
-        for cost in costs:
-            problem.add_residual_block(cost, None, blocks)
+        costs = [Cost(peer.View(data, k), count, data.corrected) for k in range(len(data.pixels))]
+        priors = [Prior() for mine in own if mine]
+        for cost, mine in zip(costs, own, strict=True):
+            problem.add_residual_block(cost, None, shared + mine)
+        for prior, mine in zip(priors, own, strict=False):
+            problem.add_residual_block(prior, None, mine)
         options = pyceres.SolverOptions()
-        options.linear_solver_type = pyceres.LinearSolverType.DENSE_NORMAL_CHOLESKY
+        kinds = pyceres.LinearSolverType
+        corrected = data.corrected
+        options.linear_solver_type = kinds.DENSE_SCHUR if corrected else kinds.DENSE_NORMAL_CHOLESKY
         options.function_tolerance = 1e-12
         options.num_threads = 1
+        options.max_num_iterations = 100
         options.logging_type = pyceres.LoggingType.SILENT
         summary = pyceres.SolverSummary()
         pyceres.solve(options, problem, summary)

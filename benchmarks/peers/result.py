@@ -9,21 +9,27 @@ from typing import TypeVar
 
 Found = TypeVar("Found")
 
+PATIENCE = 30.0
+"""Seconds after which a fit is not repeated once more."""
+
 
 def timed(fit: Callable[[], Found], repeats: int, start: float) -> tuple[Found, list[float], float]:
     """What a fit found, seconds of each repeat, and of the first answer since the process began."""
     found = fit()
     cold = time.perf_counter() - start
-    seconds = []
-    for _ in range(repeats):
+    seconds: list[float] = []
+    while len(seconds) < repeats and (not seconds or sum(seconds) < PATIENCE):
         began = time.perf_counter()
         found = fit()
         seconds.append(time.perf_counter() - began)
     return found, seconds, cold
 
 
-def report(seconds: list[float], cost: float, iterations: float, cold: float) -> None:
-    """Seconds of each repeat, final cost, iterations, and the first answer from process start."""
+def report(seconds: list[float], cost: float | None, iterations: float, cold: float) -> None:
+    """Seconds of each repeat, final cost, iterations, and the first answer from process start.
+
+    The cost is None of a peer whose lens is another: it has another optimum.
+    """
     print(
         json.dumps(
             {
