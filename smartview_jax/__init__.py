@@ -6,6 +6,7 @@ Conventions, kept by every function and file:
 - metres, radians, pixels; the centre of the top-left pixel is (0, 0);
 - the camera looks along +z, x to the right, y down;
 - tangents of rigid transforms are translation first, then rotation;
+- a robot's error is a twist at the tool: `tool_from_base = exp(twist) @ reported`;
 - float64: importing this package turns on JAX's x64 mode, because calibration is
   ill-conditioned in single precision.
 """
@@ -19,6 +20,7 @@ _jax.config.update("jax_enable_x64", True)
 
 from . import cameras as cameras  # noqa: E402
 from . import io as io  # noqa: E402
+from . import robots as robots  # noqa: E402
 from . import simulation as simulation  # noqa: E402
 from . import targets as targets  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402

@@ -1,0 +1,174 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+from scipy.spatial.transform import Rotation
+
+from smartview_jax import Calibration
+from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.robots import AbstractField, LinearInPose, LinearInPosition, RobotError
+
+
+class Sag(AbstractField):
+    """A user's own: the arm bends down by a coefficient times its reach."""
+
+    softness: jax.Array
+
+    @property
+    def groups(self):
+        return (("sag", 1),)
+
+    def basis(self, base_from_tool):
+        reach = jnp.linalg.norm(base_from_tool.translation(), axis=-1)
+        nothing = jnp.zeros_like(reach)
+        down = jnp.stack([nothing, nothing, -self.softness * reach], axis=-1)
+        shift = base_from_tool.rotation().inverse().apply(down)
+        return jnp.concatenate([shift, jnp.zeros_like(shift)], axis=-1)[..., None]
+
+
+@pytest.fixture(scope="module")
+def poses():
+    rng = np.random.default_rng(0)
+    return SE3.exp(jnp.asarray(rng.normal(size=(12, 6)) * [0.2, 0.3, 0.1, 0.8, 0.8, 0.8]))
+
+
+@pytest.fixture(scope="module", params=["position", "pose", "own"])
+def error(request, poses):
+    field = {
+        "position": lambda: LinearInPosition.over(poses),
+        "pose": lambda: LinearInPose.over(poses),
+        "own": lambda: Sag(jnp.asarray(1.5)),
+    }[request.param]()
+    rng = np.random.default_rng(1)
+    return RobotError(field, jnp.asarray(1e-3 * rng.normal(size=field.size)))
+
+
+def test_there_are_18_and_54_coefficients(poses):
+    assert LinearInPosition.over(poses).size == 18
+    assert LinearInPose.over(poses).size == 54
+
+
+def test_groups_names_and_columns_agree(error, poses):
+    field = error.field
+    assert len(set(field.names)) == field.size
+    assert field.basis(poses).shape == (12, 6, field.size)
+    assert field.basis(SE3(poses.wxyz_xyz[3])).shape == (6, field.size)
+
+
+def test_the_twist_is_linear_in_the_position_in_base_axes(poses):
+    """Worked out with SciPy: a matrix times the scaled offset, turned into the tool's frame."""
+    field = LinearInPosition.over(poses)
+    rng = np.random.default_rng(2)
+    shift, turn = 1e-3 * rng.normal(size=(2, 3, 3))
+    coefficients = jnp.concatenate([jnp.asarray(shift).ravel(), jnp.asarray(turn).ravel()])
+    positions = np.asarray(poses.translation())
+    spread = 1.7 * np.sqrt(np.mean(np.var(positions, axis=0)))
+    offset = (positions - positions.mean(axis=0)) / spread
+    base_from_tool = Rotation.from_quat(np.asarray(poses.rotation().wxyz), scalar_first=True)
+    expected = [base_from_tool.inv().apply(offset @ matrix) for matrix in (shift, turn)]
+    found = RobotError(field, coefficients).twist(poses)
+    np.testing.assert_allclose(found, np.concatenate(expected, axis=1), atol=1e-15)
+
+
+def test_a_field_in_the_pose_sees_turns_that_one_in_position_does_not(poses):
+    turned = SE3.from_rotation_and_translation(
+        SE3.exp(jnp.ones(6)).rotation() @ poses.rotation(), poses.translation()
+    )
+    for kind, changes in ((LinearInPosition, False), (LinearInPose, True)):
+        field = kind.over(poses)
+        # In base axes: the tool's own frame has turned.
+        seen = [pose.rotation().as_matrix() @ field.basis(pose)[:, :3] for pose in (poses, turned)]
+        assert bool(jnp.allclose(*seen, atol=1e-12)) is not changes
+
+
+def test_true_and_reported_poses_are_each_others_inverse(error, poses):
+    back = error.reported_pose(error.true_pose(poses))
+    np.testing.assert_allclose((poses.inverse() @ back).log(), 0.0, atol=1e-13)
+    forth = error.true_pose(error.reported_pose(poses))
+    np.testing.assert_allclose((poses.inverse() @ forth).log(), 0.0, atol=1e-13)
+
+
+def test_what_the_robot_says_and_where_it_is_differ_by_the_twist(error, poses):
+    tool_from_base = SE3.exp(error.twist(poses)) @ poses.inverse()
+    np.testing.assert_allclose((tool_from_base @ error.true_pose(poses)).log(), 0.0, atol=1e-14)
+
+
+def test_works_under_jit_vmap_and_grad(error, poses):
+    one_by_one = jax.vmap(lambda x: error.reported_pose(SE3(x)).wxyz_xyz)(poses.wxyz_xyz)
+    np.testing.assert_allclose(
+        one_by_one, eqx.filter_jit(error.reported_pose)(poses).wxyz_xyz, atol=1e-15
+    )
+
+    def lift(coefficients):
+        moved = RobotError(error.field, coefficients).reported_pose(poses)
+        return jnp.sum(moved.translation()[..., 2])
+
+    along = jnp.ones_like(error.coefficients)
+    slope = jax.grad(lift)(error.coefficients) @ along
+    step = 1e-5
+    ahead, behind = (lift(error.coefficients + s * along) for s in (step, -step))
+    np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), rtol=1e-6)
+
+
+def calibration_with(error, mount="eye_in_hand"):
+    camera = Camera(800.0, 790.0, 321.0, 239.0, Pinhole(), (640, 480))
+    return Calibration(
+        camera, SE3.exp(jnp.full(6, 0.1)), SE3.exp(jnp.full(6, -0.2)), mount, 1.01, error
+    )
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_a_calibration_predicts_and_commands_by_where_the_tool_is(error, poses, mount):
+    calibration = calibration_with(error, mount)
+    bare = calibration_with(None, mount)
+    seen = calibration.camera_from_world(poses)
+    expected = bare.camera_from_world(error.true_pose(poses))
+    np.testing.assert_allclose((seen.inverse() @ expected).log(), 0.0, atol=1e-13)
+    told = calibration.command_for(seen)
+    np.testing.assert_allclose((told.inverse() @ poses).log(), 0.0, atol=1e-12)
+
+
+def test_the_bare_chain_is_there_on_request(error, poses):
+    calibration, bare = calibration_with(error), calibration_with(None)
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    for found, expected in (
+        (calibration.project(poses, points, corrected=False), bare.project(poses, points)),
+        (calibration.project(poses, points), None),
+    ):
+        if expected is None:
+            assert not np.allclose(found[0], bare.project(poses, points)[0], equal_nan=True)
+        else:
+            np.testing.assert_array_equal(found[0], expected[0])
+    told = calibration.command_for(bare.camera_from_world(poses), corrected=False)
+    np.testing.assert_allclose((told.inverse() @ poses).log(), 0.0, atol=1e-12)
+
+
+def test_files_keep_the_field(error, tmp_path, poses):
+    calibration = calibration_with(error)
+    path = tmp_path / "calibration.yaml"
+    calibration.save(path)
+    own = error.field if isinstance(error.field, Sag) else None
+    assert eqx.tree_equal(Calibration.load(path, field=own), calibration)
+
+
+def test_a_field_the_library_does_not_know_is_named(tmp_path):
+    error = RobotError(Sag(jnp.asarray(1.0)), jnp.zeros(1))
+    path = tmp_path / "calibration.yaml"
+    calibration_with(error).save(path)
+    with pytest.raises(ValueError, match=r"calibration.yaml: field is one of .*found 'Sag'"):
+        Calibration.load(path)
+
+
+def test_missing_coefficients_are_named(tmp_path, poses):
+    error = RobotError.none(LinearInPosition.over(poses))
+    content = calibration_with(error).to_dict()
+    del content["robot_error"]["coefficients"]["rotation_by_position.3"]
+    with pytest.raises(ValueError, match=r"robot_error.coefficients: expected .*by_position.3"):
+        Calibration.from_dict(content)
+
+
+def test_a_robot_that_only_turned_has_a_field_without_infinities():
+    turns = SE3.exp(jnp.asarray([[0.0, 0.0, 0.0, 0.1 * k, 0.0, 0.0] for k in range(5)]))
+    assert bool(jnp.isfinite(LinearInPose.over(turns).basis(turns)).all())
