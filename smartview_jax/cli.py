@@ -29,11 +29,21 @@ class BadViews(StrEnum):
     MASK = "mask"
 
 
+class NoiseModel(StrEnum):
+    """What the joint fit takes the robot's reported poses for."""
+
+    TRUSTED = "trusted"
+    ESTIMATED = "estimated"
+
+
 DatasetArgument = Annotated[
     Path | None, typer.Argument(help="Data-set folder; the sample of the package if not given.")
 ]
 LensOption = Annotated[
     str, typer.Option(help="pinhole, radial, weng, opencv4, opencv5, opencv8 or fisheye.")
+]
+NoiseOption = Annotated[
+    NoiseModel, typer.Option(help="The robot's poses are exact, or the sizes of all errors found.")
 ]
 BadViewsOption = Annotated[
     BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
@@ -80,6 +90,7 @@ def calibrate(
     dataset: DatasetArgument = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("calibration"),
     lens: LensOption = "radial",
+    noise: NoiseOption = NoiseModel.TRUSTED,
     held_out: Annotated[
         bool, typer.Option(help="Also refit without some views and predict those.")
     ] = True,
@@ -93,8 +104,8 @@ def calibrate(
 
         with _progress() as say:
             data, name = _load(dataset, bad_views, say)
-            fit = fit_both(data, lens, progress=say)
-            unseen = _held_out(data, lens, say) if held_out else {}
+            fit = fit_both(data, lens, noise=noise.value, progress=say)
+            unseen = _held_out(data, lens, noise, say) if held_out else {}
             write_page(out / "report.html", fit, data, unseen, f"Calibration of {name}", say)
             fit.calibration.save(out / "calibration.yaml")
             fit.staged.calibration.save(out / "calibration_staged.yaml")
@@ -179,7 +190,9 @@ def _load(
     return load_dataset(dataset, bad_views, progress=say), dataset.resolve().name
 
 
-def _held_out(data: "Dataset", lens: str, say: Callable[[str], None]) -> "dict[str, HeldOut]":
+def _held_out(
+    data: "Dataset", lens: str, noise: NoiseModel, say: Callable[[str], None]
+) -> "dict[str, HeldOut]":
     """Held-out error of both fits, each fold fitted once."""
     from .evaluation import refit, score
     from .joint import calibrate as fit_both
@@ -187,7 +200,11 @@ def _held_out(data: "Dataset", lens: str, say: Callable[[str], None]) -> "dict[s
     if len(data.usable_views()) < 4:
         say("held-out error needs at least 4 usable views: left out")
         return {}
-    fits = refit(data, lambda part: fit_both(part, lens), progress=lambda s: say(f"held-out: {s}"))
+    fits = refit(
+        data,
+        lambda part: fit_both(part, lens, noise=noise.value),
+        progress=lambda s: say(f"held-out: {s}"),
+    )
     return {
         "staged": score(fits, data, lambda fit, _: fit.staged),
         "joint": score(fits, data, lambda fit, _: fit.joint),

@@ -57,6 +57,7 @@ def standard_methods(lens: str | AbstractLens = "radial") -> dict[str, Method]:
         "linear interpolation": Method(both, lambda fit, data: fit.staged.interpolation(data)),
         "one view's intrinsics": Method(fit_one_view_intrinsics),
         "joint": Method(both),
+        "joint, errors estimated": Method(lambda data: calibrate(data, lens, noise="estimated")),
         "free pose a view": Method(both, measure=free_pose_deviations),
     }
 

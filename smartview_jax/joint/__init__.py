@@ -6,6 +6,9 @@ from .calibrate import calibrate as calibrate
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_filter as batch_filter
 from .camera_fit import fit_camera as fit_camera
+from .estimate import Alternative as Alternative
+from .estimate import NoiseEstimate as NoiseEstimate
+from .estimate import estimate_noise as estimate_noise
 from .fit import JointFit as JointFit
 from .fit import fit_joint as fit_joint
 from .losses import AbstractLoss as AbstractLoss

@@ -1,5 +1,6 @@
 """From a user's words to a problem: lens, noise, what is free, what is held, what is known."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
@@ -10,9 +11,10 @@ from jaxtyping import Bool, Float
 from ..calibration import Calibration
 from ..cameras import AbstractLens, start_lens
 from ..dataset import Dataset
+from ..robots import AbstractField, RobotError
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
-from .parameters import Parameters, Step, parameter_names, select
+from .parameters import ROBOT_ERROR, Parameters, Step, parameter_names, select
 from .priors import Prior
 from .problem import JointProblem, valid_at_start
 
@@ -49,15 +51,21 @@ def build_problem(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
+    field: AbstractField | None = None,
 ) -> Built:
-    """The least-squares problem that `fit_joint` solves; arguments and errors as there."""
+    """The least-squares problem that `fit_joint` solves; arguments and errors as there.
+
+    A field's coefficients start where the start has them, if the field is its own. Without a field
+    the start's error of the robot stays as it is.
+    """
     if not (noise == "trusted" or isinstance(noise, Noise)):
         raise ValueError(
-            f'noise is "trusted" or a Noise(pixel, translation, rotation); found {noise!r}'
+            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation); '
+            f"found {noise!r}"
         )
     if start.mount != data.mount:
         raise ValueError(f"the start is {start.mount}, the data {data.mount}")
-    start = with_lens(start, lens)
+    start = with_field(with_lens(start, lens), field)
     priors = dict(priors or {})
     views = data.usable_views()
     if len(views) < 3 and not priors:
@@ -69,9 +77,10 @@ def build_problem(
     parameters = Parameters(start)
     count = parameters.shared_size
     names = parameter_names(start, data.view_ids if known else ())
-    moves = ~select(names, ("target_scale",)) | select(names, free)
+    held = ("target_scale",) if field is not None else _held(start)
+    moves = ~select(names, held) | select(names, free)
     moves &= ~select(names, fixed)
-    mean, weight = _priors(names, count, priors, known)
+    mean, weight = _priors(names, count, priors, known, field)
     if known is not None:
         # A view that shows too little to place it keeps its pose, unless a prior says where it is.
         placed = np.isin(np.arange(data.view_count), views).repeat(6)
@@ -79,7 +88,7 @@ def build_problem(
     problem = JointProblem(
         parameters,
         data.observations,
-        jnp.asarray(known.pixel if known else 1.0),
+        jnp.asarray(known.pixel if known else 1.0, dtype=float),
         tuple(int(k) for k in np.flatnonzero(moves[:count])),
         jnp.asarray(moves[count:].reshape(-1, 6)),
         _as_step(mean, count),
@@ -107,15 +116,37 @@ def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibratio
     return eqx.tree_at(lambda c: c.camera.lens, start, start_lens(lens, start.camera.lens))
 
 
+def with_field(start: Calibration, field: AbstractField | None) -> Calibration:
+    """The start with a field for the robot's error; None keeps its own."""
+    known = start.robot_error
+    if field is None or (known is not None and bool(eqx.tree_equal(known.field, field))):
+        return start
+    return dataclasses.replace(start, robot_error=RobotError.none(field))
+
+
+def _held(start: Calibration) -> tuple[str, ...]:
+    return ("target_scale",) if start.robot_error is None else ("target_scale", ROBOT_ERROR)
+
+
 def _priors(
     names: tuple[str, ...],
     shared: int,
     priors: Mapping[str, Prior],
     noise: Noise | None,
+    field: AbstractField | None,
 ) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
     """Mean (NaN: the start's own) and weight of every parameter; a weight of zero is no prior."""
     mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
+    groups = () if field is None else field.groups
     if noise is not None:
+        if len(noise.field) != len(groups):
+            raise ValueError(
+                f"Noise.field: expected one deviation for each of the field's {len(groups)} "
+                f"groups, found {len(noise.field)}"
+            )
+        for (group, _), deviation in zip(groups, noise.field, strict=True):
+            chosen = select(names, (f"{ROBOT_ERROR}.{group}",))
+            mean[chosen], weight[chosen] = 0.0, 1.0 / deviation
         deviations = np.repeat([noise.translation, noise.rotation], 3)
         weight[shared:] = np.tile(1.0 / deviations, (len(names) - shared) // 6)
     for path, prior in priors.items():

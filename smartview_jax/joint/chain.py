@@ -22,13 +22,14 @@ class Chain(eqx.Module):
     Attributes:
         calibration: the step away from the start.
         camera_from_world: `(views)`.
-        by_shared: by both transforms' translation and rotation step, and the target's scale.
+        by_shared: by both transforms' translation and rotation step, the target's scale, and the
+            coefficients of the robot's error.
         by_own: by each view's own correction; no views where there are none.
     """
 
     calibration: Calibration
     camera_from_world: SE3
-    by_shared: Float[Array, "views 6 13"]
+    by_shared: Float[Array, "views 6 chained"]
     by_own: Float[Array, "corrected 6 6"]
 
 
@@ -45,13 +46,19 @@ def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> 
     before, after = (
         (identity, base_from_tool.inverse()) if eye_in_hand else (base_from_tool, identity)
     )
-    signed = corrections if eye_in_hand else -corrections
+    error = calibration.robot_error
+    basis = None if error is None else error.field.basis(base_from_tool)
+    twist = corrections
+    if error is not None:
+        smooth = error.twist(base_from_tool)
+        twist = smooth + corrections if len(corrections) else smooth
+    signed = twist if eye_in_hand else -twist
     camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])
     holder_from_world = SE3(calibration.holder_from_world.wxyz_xyz[None])
     camera_from_correction = camera_from_mount @ before
     camera_from_holder = (
         camera_from_correction @ SE3.exp(signed) @ after
-        if len(corrections)
+        if len(twist)
         else camera_from_correction @ after
     )
     camera_from_world = camera_from_holder @ holder_from_world
@@ -61,20 +68,20 @@ def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> 
     # it is looks as the same target, nearer by the same factor.
     nearer = -camera_from_world.translation() / calibration.target_scale
     by_scale = jnp.concatenate([nearer, jnp.zeros((views, 3))], axis=1)[..., None]
-    by_shared = jnp.concatenate(
-        [
-            jnp.broadcast_to(by_mount[None], (views, 6, 6)),
-            camera_from_holder.adjoint() @ by_holder[None],
-            by_scale,
-        ],
-        axis=2,
-    )
-    by_own = jnp.zeros((0, 6, 6))
-    if len(corrections):
+    columns = [
+        jnp.broadcast_to(by_mount[None], (views, 6, 6)),
+        camera_from_holder.adjoint() @ by_holder[None],
+        by_scale,
+    ]
+    by_twist = jnp.zeros((0, 6, 6))
+    if len(twist):
         inner = jax.vmap(exp_jacobian)(signed)
         inner = inner if eye_in_hand else -inner
-        by_own = camera_from_correction.adjoint() @ inner
-    return Chain(calibration, camera_from_world, by_shared, by_own)
+        by_twist = camera_from_correction.adjoint() @ inner
+    if basis is not None:
+        columns.append(by_twist @ basis)
+    by_own = by_twist if len(corrections) else by_twist[:0]
+    return Chain(calibration, camera_from_world, jnp.concatenate(columns, axis=2), by_own)
 
 
 def _by_own_step(moved: SE3, step: Float[Array, "6"]) -> Float[Array, "6 6"]:

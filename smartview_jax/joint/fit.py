@@ -1,7 +1,8 @@
 """The joint fit: every observation through the whole chain at once."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -14,9 +15,11 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..dataset import Dataset, chain_residuals
+from ..robots import AbstractField
 from ..staged import FitCode, FitResult
-from .build import Built, build_problem
+from .build import Built, build_problem, with_lens
 from .covariance import UnitColumns, covariance, own_std, variance_factor
+from .estimate import NoiseEstimate, estimate_noise
 from .losses import AbstractLoss
 from .noise import Noise
 from .observability import Observability, observability
@@ -40,7 +43,9 @@ class JointFit(eqx.Module):
             `parameter_names`, own units.
         std: standard deviation by name, of pose corrections too; infinite where the data do not
             tell.
-        noise: as assumed; None where the robot was trusted.
+        noise: as assumed or estimated; None where the robot was trusted.
+        estimate: how the noise was estimated, and what the alternatives would have given; None
+            where it was not.
         pixel_sigma: of u and of v, px: as given, or from the residuals' degrees of freedom.
         residuals: measured minus predicted through the chain *without* pose corrections, px.
         inliers: observations within the gate around the fit.
@@ -63,6 +68,7 @@ class JointFit(eqx.Module):
     solution: Solution
     std: dict[str, float]
     noise: Noise | None = eqx.field(static=True)
+    estimate: NoiseEstimate | None
     rejected: tuple[tuple[str, int | None, str], ...] = eqx.field(static=True)
     observability: Observability = eqx.field(static=True)
     parameter_names: tuple[str, ...] = eqx.field(static=True)
@@ -74,6 +80,7 @@ def fit_joint(
     start: Calibration,
     lens: str | AbstractLens | None = None,
     noise: str | Noise = "trusted",
+    field: AbstractField | Literal[False] | None = None,
     loss: str | AbstractLoss | None = None,
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
@@ -89,7 +96,9 @@ def fit_joint(
         start: any calibration near enough, such as the staged fit's.
         lens: another model than the start's own.
         noise: `"trusted"` takes the reported poses as exact; a `Noise` lets every view correct its
-            pose under a prior.
+            pose under a prior; `"estimated"` finds a `Noise`, and chooses a field, by likelihood.
+        field: of the robot's error: one of `robots`, or your own. None: chosen by likelihood where
+            the noise is estimated, otherwise the start's own stays as it is; False: none.
         loss: robust loss on the points: a name or an `AbstractLoss`.
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
@@ -104,18 +113,28 @@ def fit_joint(
             cannot be projected at all.
     """
     say = progress or (lambda _: None)
-    built = build_problem(data, start, lens, noise, loss, fixed, free, priors)
+    start, estimate = with_lens(start, lens), None
+    if noise == "estimated":
+        estimate = estimate_noise(data, start, field, fixed, free, priors, progress)
+        noise, field, start = estimate.noise, estimate.field, estimate.start
+    if field is False:
+        start, field = dataclasses.replace(start, robot_error=None), None
+    built = build_problem(data, start, None, noise, loss, fixed, free, priors, field)
     count = len(built.names) + len(built.own_names)
     say(f"joint fit: {count} parameters, {data.observation_count} observations")
     if devices is None:
         solution, equations = solve(built.problem, solver)
     else:
         solution, equations = solve_on(devices, built.problem, solver)
-    return _assemble(data, built, solution, equations)
+    return _assemble(data, built, solution, equations, estimate)
 
 
 def _assemble(
-    data: Dataset, built: Built, solution: Solution, equations: NormalEquations
+    data: Dataset,
+    built: Built,
+    solution: Solution,
+    equations: NormalEquations,
+    estimate: NoiseEstimate | None,
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
@@ -146,6 +165,7 @@ def _assemble(
         solution=solution,
         std=dict(zip(names, map(float, (*std, *own)), strict=True)),
         noise=built.noise,
+        estimate=estimate,
         rejected=_rejected(data, visible & ~inliers, built.lost),
         observability=observability(columns, built.names, calibration),
         parameter_names=built.names,

@@ -87,6 +87,8 @@ def fit_many(
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_alike(data, starts)
     starts = [with_lens(one, lens) for one in starts]
+    if noise == "estimated":
+        raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
     built = build_problem(data[0], starts[0], None, noise, loss, fixed, free, priors)
     problems = eqx.tree_at(
         _own_parts, built.problem, (_stacked(starts), _stacked([d.observations for d in data]))
@@ -151,7 +153,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool) -> tuple:
     """Calibration, corrections, covariance, cost, steps, and whether it converged."""
     visible = problem.observations.visible & valid_at_start(problem)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
-    z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS)
+    z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS, problem.start())
     calibration, corrections = problem.calibration(z)
     factor = 1.0 if sigma_known else variance_factor(problem, problem.squares(z))
     return (

@@ -15,15 +15,24 @@ class Noise:
         pixel: of u and of v, px.
         translation: of the reported position, per axis at the tool, m; infinite for none known.
         rotation: of the reported orientation, per axis at the tool, rad; infinite for none known.
+        field: of the coefficients of the robot's error, one for each of the field's groups.
+        white_pixel: of u and of v about a view's own best pose, px; None where it is `pixel`. Real
+            pixels err together, so that a view tells less of the camera and of its pose than its
+            many points suggest: `pixel` is what weighs them, and this what predicts them.
     """
 
     pixel: float
     translation: float
     rotation: float
+    field: tuple[float, ...] = ()
+    white_pixel: float | None = None
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            if not (value > 0.0 and (name != "pixel" or value < math.inf)):
+        named = [("translation", self.translation), ("rotation", self.rotation)]
+        finite = [("pixel", self.pixel), *(("field", value) for value in self.field)]
+        finite += [] if self.white_pixel is None else [("white_pixel", self.white_pixel)]
+        for name, value in named + finite:
+            if not (value > 0.0 and ((name, value) in named or value < math.inf)):
                 raise ValueError(f"Noise.{name}: expected a positive number, found {value}")
 
     @property

@@ -1,7 +1,8 @@
 """The parameters of a calibration by name: one name a number, addressed by path.
 
     camera.alpha_u  camera.lens.k1  camera_from_tool.translation.x  camera_from_tool.rotation.z
-    base_from_world.translation.y  target_scale  pose_corrections.<view>.translation.x
+    base_from_world.translation.y  target_scale  robot_error.translation_by_position.0
+    pose_corrections.<view>.translation.x
 
 A path selects every name that it begins. A fit moves the numbers by an additive step, except for
 rotations, which turn by a rotation vector about the axes of the target frame
@@ -21,9 +22,11 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
+from ..robots import RobotError
 
 _AXES = ("x", "y", "z")
 CORRECTIONS = "pose_corrections"
+ROBOT_ERROR = "robot_error"
 
 
 def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> tuple[str, ...]:
@@ -49,7 +52,9 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
         for part in ("translation", "rotation")
         for axis in _AXES
     ]
-    return (*camera, *transforms, "target_scale", *corrections)
+    error = calibration.robot_error
+    fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
+    return (*camera, *transforms, "target_scale", *fields, *corrections)
 
 
 def select(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
@@ -98,12 +103,14 @@ class Parameters(eqx.Module):
 
     @property
     def shared_size(self) -> int:
-        """Numbers that all views share: camera, two transforms, target scale."""
-        return self.camera_size + 13
+        """Numbers that all views share: camera, two transforms, target scale, robot's error."""
+        error = self.start.robot_error
+        return self.camera_size + 13 + (0 if error is None else error.field.size)
 
     def values(self) -> Float[Array, "shared"]:
         """The start's own numbers; rotations, which are steps, are zero."""
         start = self.start
+        error = start.robot_error
         return jnp.concatenate(
             [
                 ravel_pytree(start.camera)[0],
@@ -112,6 +119,7 @@ class Parameters(eqx.Module):
                 start.holder_from_world.translation(),
                 jnp.zeros(3),
                 start.target_scale[None],
+                jnp.zeros(0) if error is None else error.coefficients,
             ]
         )
 
@@ -119,12 +127,16 @@ class Parameters(eqx.Module):
         """The calibration a step away from the start, and the pose corrections."""
         n, shared = self.camera_size, step.shared
         numbers, rebuild = ravel_pytree(self.start.camera)
+        error = self.start.robot_error
+        if error is not None:
+            error = RobotError(error.field, error.coefficients + shared[n + 13 :])
         calibration = Calibration(
             rebuild(numbers + shared[:n]),
             _moved_transform(self.start.camera_from_mount, shared[n : n + 6]),
             _moved_transform(self.start.holder_from_world, shared[n + 6 : n + 12]),
             self.start.mount,
             self.start.target_scale + shared[n + 12],
+            error,
         )
         return calibration, step.corrections
 

@@ -87,13 +87,16 @@ class JointProblem(eqx.Module):
     def _chain(self, z: Step) -> tuple[Calibration, SE3]:
         """Calibration and corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
-        poses = self.observations.base_from_tool
-        return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
+        poses, error = self.observations.base_from_tool, calibration.robot_error
+        if len(corrections) == 0:
+            return calibration, poses if error is None else error.true_pose(poses)
+        twist = corrections if error is None else corrections + error.twist(poses)
+        return calibration, poses @ SE3.exp(-twist)
 
     def _whitened(
         self, calibration: Calibration, poses: SE3, seen: Observations
     ) -> Float[Array, "*views points 2"]:
-        predicted, valid = calibration.project(poses, seen.points)
+        predicted, valid = calibration.project(poses, seen.points, corrected=False)
         residual = seen.residuals(predicted, valid) / self.pixel_sigma
         lost = seen.visible & ~valid
         return jnp.where(lost[..., None], FAR_OFF, residual)
@@ -117,10 +120,14 @@ class JointProblem(eqx.Module):
 
     def normal_equations(self, z: Step) -> NormalEquations:
         """The same problem, linearised; robust losses by iterative reweighting."""
+        return self._with_priors(self.step(z), self.observed(z))
+
+    def observed(self, z: Step) -> NormalEquations:
+        """`normal_equations` of the observations alone, without priors."""
         step = self.step(z)
         chain = linearise_chain(self.parameters, step, self.observations.base_from_tool)
         views = self._linearised(chain)
-        return self._with_priors(step, *self._through_chain(chain, views), jnp.sum(views.cost))
+        return NormalEquations(jnp.sum(views.cost), *self._through_chain(chain, views))
 
     def _linearised(self, chain: Chain) -> ViewBlocks:
         """Every view's normal equations, each on the device that holds the view."""
@@ -166,10 +173,8 @@ class JointProblem(eqx.Module):
         own_gradient = jnp.einsum("vki,vk->vi", own, views.gradient[seen, n:])
         return Step(gradient, own_gradient), BlockArrow(matrix, border, corner)
 
-    def _with_priors(
-        self, step: Step, gradient: Step, matrix: BlockArrow, cost: Float[Array, ""]
-    ) -> NormalEquations:
-        chosen = self._chosen
+    def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
+        chosen, gradient, matrix = self._chosen, observed.gradient, observed.matrix
         residual, own_residual = self._prior_residuals(step)
         weight = self.prior_weight.shared[chosen] * self.scale.shared
         # A correction that is held has no column: a one keeps its equation solvable.
@@ -177,7 +182,7 @@ class JointProblem(eqx.Module):
         own_weight = own_weight * self.scale.corrections
         diagonal = jnp.where(self.own_free, own_weight**2, 1.0)
         return NormalEquations(
-            cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(own_residual**2)),
+            observed.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(own_residual**2)),
             Step(
                 gradient.shared + weight * residual[chosen],
                 gradient.corrections + own_weight * own_residual,
@@ -189,11 +194,15 @@ class JointProblem(eqx.Module):
             ),
         )
 
-    def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
+    def off_mean(self, step: Step) -> Step:
+        """How far every parameter is from the mean of its prior, in its own units."""
         values, mean = self.parameters.values(), self.prior_mean.shared
         shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
-        own = step.corrections - jnp.nan_to_num(self.prior_mean.corrections)
-        return shared * self.prior_weight.shared, own * self.prior_weight.corrections
+        return Step(shared, step.corrections - jnp.nan_to_num(self.prior_mean.corrections))
+
+    def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
+        off, weight = self.off_mean(step), self.prior_weight
+        return off.shared * weight.shared, off.corrections * weight.corrections
 
 
 @eqx.filter_jit

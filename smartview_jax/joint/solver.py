@@ -215,8 +215,15 @@ def solve(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,
     maximum_steps: int = MAXIMUM_STEPS,
+    start: Step | None = None,
 ) -> tuple[Solution, NormalEquations]:
     """Minimise a problem from its start; never raises for a fit that failed.
+
+    Args:
+        problem: in the parameters' own units.
+        solver: any of optimistix's; None is `StructuredLM`.
+        maximum_steps: after which it stops.
+        start: a step from which to begin instead.
 
     Returns:
         The solution, and the normal equations there.
@@ -225,7 +232,8 @@ def solve(
         solver = StructuredLM()
     elif not isinstance(solver, StructuredLM):
         problem = _scaled(problem)
-    z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps)
+    start = problem.start() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
+    z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps, start)
     cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
     share, converged = gain / max(cost, 1e-300), bool(next_to_nothing(gain, cost))
     costs = (*record[np.isfinite(record)].tolist(), cost)
@@ -240,16 +248,19 @@ def _scaled(problem: JointProblem) -> JointProblem:
 
 
 def run(
-    problem: JointProblem, solver: optx.AbstractLeastSquaresSolver, maximum_steps: int
+    problem: JointProblem,
+    solver: optx.AbstractLeastSquaresSolver,
+    maximum_steps: int,
+    start: Step,
 ) -> tuple[Step, Array, Array, NormalEquations, Array]:
-    """Minimise a problem from its start, inside `jit`.
+    """Minimise a problem from a step in its units, inside `jit`.
 
     Returns:
         The step, the number of solver steps, the costs on the way, the normal equations there, and
         what one more Gauss-Newton step would save.
     """
     found = optx.least_squares(
-        _residuals, solver, problem.start(), args=problem, max_steps=maximum_steps, throw=False
+        _residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
     )
     z = jax.tree.map(jnp.multiply, found.value, problem.scale)
     if isinstance(solver, StructuredLM):

@@ -150,6 +150,7 @@ def _facts(
             f"camera motion over robot motion {fit.staged.conventions.length_ratio:.3f}",
         ),
     ]
+    facts += tables.errors_found(fit.joint, data)
     if unseen:
         folds = next(iter(unseen.values())).folds
         facts.append(("held-out error", f"{len(folds)} folds by view, all refitted in each"))

@@ -1,12 +1,13 @@
 """The result as rows of text, for the terminal and for the page alike."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
 from ..dataset import Dataset
 from ..evaluation import Deviations, HeldOut, Row, count_rejected, deviations, rejected_by
-from ..joint import CalibrationFit
+from ..joint import CalibrationFit, JointFit
 
 
 class Summary(NamedTuple):
@@ -107,6 +108,38 @@ def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
     order = {view: k for k, view in enumerate(data.view_ids)}
     for (view, reason), which in sorted(points.items(), key=lambda item: order[item[0][0]]):
         lines.append((view, f"{len(which)} points {reason}"))
+    return lines
+
+
+def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
+    """What the joint fit took for the sizes of errors, and why; nothing where it was not asked."""
+    noise, estimate = joint.noise, joint.estimate
+    if noise is None or estimate is None:
+        return []
+    gains = ", ".join(f"{other.name} {other.gain:.0f}" for other in estimate.alternatives)
+    white = "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
+    lines = [
+        (
+            "errors of the robot",
+            f"{estimate.name}; twice the logarithm of likelihood over a trusted robot: {gains}",
+        ),
+        (
+            "sizes of errors",
+            f"pixels {noise.pixel:.3f} px{white}; poses, each by itself, "
+            f"{1e3 * noise.translation:.3f} mm and {np.rad2deg(noise.rotation):.4f} deg",
+        ),
+    ]
+    if joint.calibration.robot_error is not None:
+        bare = dataclasses.replace(joint.calibration, robot_error=None)
+        lines.append(
+            (
+                "without the correction",
+                f"{deviations(bare, data).rms:.2f} px RMS: what a program sees that takes the "
+                "transforms from here and leaves the robot's error out",
+            )
+        )
+    if not estimate.settled:
+        lines.append(("sizes of errors", "still changing when the search ended: take with care"))
     return lines
 
 

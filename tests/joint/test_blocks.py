@@ -12,6 +12,7 @@ from smartview_jax import Calibration, Noise, Prior
 from smartview_jax.cameras import AbstractPerspectiveLens
 from smartview_jax.joint import blocks
 from smartview_jax.joint.build import build_problem
+from smartview_jax.robots import LinearInPose
 from smartview_jax.simulation import paper_points, random_scene
 
 NOISE = Noise(0.15, 1e-3, 1e-2)
@@ -78,14 +79,32 @@ def test_every_lens(scene, lens):
     assert_same(*dense_and_structured(problem))
 
 
+def mounted(scene, mount):
+    """Data and start with the camera on the hand, or the same pictures with it on the base."""
+    data, start = scene.data, nudged(scene.calibration)
+    if mount == "eye_in_hand":
+        return data, start
+    start = Calibration(start.camera, start.camera_from_mount, start.holder_from_world, mount)
+    data = type(data).from_arrays(
+        data.points, data.pixels, data.base_from_tool.inverse(), data.image_size, mount=mount
+    )
+    return data, start
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+@pytest.mark.parametrize("corrected", [True, False])
+def test_a_field_of_the_robots_error(scene, mount, corrected):
+    data, start = mounted(scene, mount)
+    field = LinearInPose.over(data.base_from_tool)
+    noise = Noise(0.15, 1e-3, 1e-2, field=(1e-3, 2e-3, 3e-3, 4e-3)) if corrected else "trusted"
+    priors = {} if corrected else {"robot_error": Prior(1e-3, mean=0.0)}
+    problem = build_problem(data, start, noise=noise, priors=priors, field=field).problem
+    assert_same(*dense_and_structured(problem, 3e-2))
+
+
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
 def test_corrections_scale_and_priors(scene, mount):
-    data, start = scene.data, nudged(scene.calibration)
-    if mount == "eye_to_hand":
-        start = Calibration(start.camera, start.camera_from_mount, start.holder_from_world, mount)
-        data = type(data).from_arrays(
-            data.points, data.pixels, data.base_from_tool.inverse(), data.image_size, mount=mount
-        )
+    data, start = mounted(scene, mount)
     problem = build_problem(
         data,
         start,

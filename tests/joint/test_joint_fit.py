@@ -278,7 +278,7 @@ def test_one_rotation_axis_is_named(noisy):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"noise": "estimated"}, 'noise is "trusted" or a Noise'),
+        ({"noise": "guessed"}, 'noise is "trusted", "estimated" or a Noise'),
         ({"fixed": ("camera.alpha",)}, r"no parameter is called 'camera.alpha'; did you mean"),
         ({"loss": "l7"}, "loss is one of huber, cauchy"),
         ({"lens": "bottle"}, "lens is one of pinhole"),

@@ -87,6 +87,8 @@ def test_what_is_not_alike_is_named(scenes):
     start = paper_calibration()
     with pytest.raises(ValueError, match="at least one data set"):
         fit_many([], start)
+    with pytest.raises(ValueError, match="takes the noise as given"):
+        fit_many(scenes, start, noise="estimated")
     with pytest.raises(ValueError, match="start: expected one, or 3, found 2"):
         fit_many(scenes, [start, start])
     with pytest.raises(ValueError, match=r"data\[1\]: expected 6 views of 14 points .*\(5, 14\)"):

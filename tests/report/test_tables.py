@@ -1,7 +1,15 @@
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 
+from smartview_jax import Noise, fit_joint
 from smartview_jax.evaluation import Deviations, HeldOut, Rejection, Row
+from smartview_jax.joint import Alternative, NoiseEstimate
 from smartview_jax.report import COMPARED, compared, remarks
+from smartview_jax.report.tables import errors_found
+from smartview_jax.robots import LinearInPosition, RobotError
+from smartview_jax.simulation import random_scene
 
 FITTED = Deviations(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
 UNSEEN = HeldOut(
@@ -34,3 +42,26 @@ def test_remarks_say_what_the_figures_leave_out():
     assert remarks("joint", None, None, "no pose at all") == ["joint: no pose at all"]
     whole = Deviations(np.ones((1, 2)), np.ones((1, 2)))
     assert remarks("joint", whole, HeldOut(whole, ((0,),), ())) == []
+
+
+def test_the_errors_found_are_in_the_units_people_use():
+    """A field that moves every tool by 2 mm along its x: some 20 px, left out or not."""
+    scene = random_scene(0, 4, pixel_noise=0.0)
+    noise = Noise(0.4, 1e-4, np.deg2rad(0.02), field=(1e-3, 1e-3), white_pixel=0.1)
+    tried = (Alternative("trusted", 0.0, noise), Alternative("position", 31.4, noise))
+    field = LinearInPosition.over(scene.data.base_from_tool)
+    error = RobotError(field, jnp.full(18, 1e-3))
+    bent = dataclasses.replace(scene.calibration, robot_error=error)
+    estimate = NoiseEstimate("position", noise, field, bent, tried, settled=False)
+    trusting = fit_joint(scene.data, scene.calibration)
+    assert errors_found(trusting, scene.data) == []
+    joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
+    lines = errors_found(joint, scene.data)
+    assert lines[0][1].startswith("position; ")
+    assert lines[0][1].endswith("trusted 0, position 31")
+    assert "0.400 px (within a view 0.100)" in lines[1][1]
+    assert "0.100 mm and 0.0200 deg" in lines[1][1]
+    # The scene was made without any error: taking the field away leaves nothing.
+    assert lines[2][0] == "without the correction"
+    assert "0.00 px RMS" in lines[2][1]
+    assert "still changing" in lines[3][1]

@@ -1,0 +1,320 @@
+"""Choose the noise model of a joint fit from the data: how large which errors are."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..calibration import Calibration
+from ..dataset import Dataset
+from ..robots import AbstractField, LinearInPose, LinearInPosition, RobotError, field_name
+from .build import Built, build_problem
+from .likelihood import LEAST, Deviations, LinearisedViews, best_step, likeliest
+from .noise import Noise
+from .parameters import CORRECTIONS, ROBOT_ERROR, Step
+from .priors import Prior
+from .problem import JointProblem, NormalEquations
+from .solver import compiled, solve
+
+ROUNDS = 6
+"""Of linearising anew with the sizes found, at most."""
+
+SETTLED = 0.02
+"""Change of every deviation, as a share of it, after which they count as found."""
+
+FEW = 8
+"""Views below which white noise of poses cannot be told from errors of the camera.
+
+There the robot is trusted, unless a field is likelier than white noise by `DECISIVE`. Left out one
+by one, the views of a set of seven err by 1.8 px with white noise, and by 1.3 px without.
+"""
+
+DECISIVE = 10.0
+
+PLAIN = ("trusted", "white")
+"""Alternatives without a field."""
+
+FINEST = 1e-4
+"""Sigma of pixels, px, below which data count as free of noise."""
+
+TOO_LARGE = 5.0
+"""Times the first guess."""
+
+NONE = 1e-7
+"""Deviation, m or rad, next to which a change does not count."""
+
+PENALTY = 1.0
+"""Deviance that each further size of the field has to gain.
+
+Akaike's 2 is for parameters that may have either sign. The deviance that a size gains where there
+is nothing to find is half a chi-square's, since half of the time the best size is zero.
+"""
+
+
+class Alternative(NamedTuple):
+    """A model of the robot's error that was tried.
+
+    Attributes:
+        name: "trusted", where the robot has no error; "white", where it has no field; or the
+            field's.
+        gain: deviance below the trusted robot's (twice the logarithm of the likelihoods' ratio).
+        sizes: the errors that would make the data likeliest.
+    """
+
+    name: str
+    gain: float
+    sizes: Noise
+
+
+class NoiseEstimate(NamedTuple):
+    """A noise model chosen by likelihood.
+
+    Attributes:
+        name: of the alternative that was chosen.
+        noise: the sizes of all errors.
+        field: of the robot's error; None where the likelihood has no use for one.
+        start: the calibration that the estimate ended at.
+        alternatives: every field that was tried.
+        settled: whether the sizes stopped changing.
+    """
+
+    name: str
+    noise: Noise
+    field: AbstractField | None
+    start: Calibration
+    alternatives: tuple[Alternative, ...]
+    settled: bool
+
+
+def estimate_noise(
+    data: Dataset,
+    start: Calibration,
+    field: AbstractField | Literal[False] | None = None,
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> NoiseEstimate:
+    """Choose a field, and find the sizes of all errors, by restricted likelihood.
+
+    Args:
+        data: the more views the better; below about eight nothing is reliable.
+        start: any calibration near enough, with the lens that is to be fitted.
+        field: None chooses between a robot without error, one with white noise, and one with a
+            field besides, linear in position or in the pose; False is white noise alone; a field of
+            `robots`, or your own, is taken as it is.
+        fixed: as `fit_joint` takes them, and so are `free` and `priors`.
+        free: see there.
+        priors: see there.
+        progress: told what is being done.
+
+    Raises:
+        ValueError: as `fit_joint` does, and for a prior on what is estimated here.
+    """
+    say = progress or (lambda _: None)
+    for path in priors or ():
+        if path.split(".")[0] in (ROBOT_ERROR, CORRECTIONS):
+            raise ValueError(
+                f"prior on {path!r}: its size is what noise='estimated' finds; give a Noise instead"
+            )
+    basis = LinearInPose.over(data.base_from_tool) if field is None else field or None
+    unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
+    built = build_problem(
+        data, start, noise=unit, field=basis, fixed=fixed, free=free, priors=priors
+    )
+    groups = _groups(built)
+    solution, equations = solve(_loose(built, groups))
+    placed = data.usable_views()
+    views = _Statistics(built, groups, placed, 2.0 * float(equations.cost))
+    white, z = views.white_sigma, solution.z
+
+    tried = _candidates(field, basis, views.count)
+    guess, linearised = _first_guess(z.corrections, basis, white), views.linearised(z)
+    best = {
+        name: _likeliest(linearised, guess, jnp.asarray(active)) for name, active in tried.items()
+    }
+    last, active = list(tried.items())[-1]
+    # A size near zero has next to no slope: a second search begins from errors far too large.
+    again = _likeliest(linearised, _times(guess, TOO_LARGE), jnp.asarray(active))
+    best[last] = again if again[1] < best[last][1] else best[last]
+    gains = {name: float(best["trusted"][1] - value) for name, (_, value) in best.items()}
+    name = _choice(gains, tried, len(placed)) if field is None else list(tried)[-1]
+    say(f"errors of the robot: {name}")
+    z, sizes, settled = _settled(views, z, best[name][0], tried[name])
+    alternatives = tuple(
+        Alternative(other, gains[other], _noise(found, white, tried[other]))
+        for other, (found, _) in best.items()
+    )
+    calibration, _ = built.problem.calibration(z)
+    noise = _noise(sizes, white, tried[name])
+    return NoiseEstimate(name, noise, *_kept(calibration, name, basis), alternatives, settled)
+
+
+class _Statistics:
+    """What the free poses and the free camera left, and the chain linearised where one asks."""
+
+    def __init__(
+        self,
+        built: Built,
+        groups: Int[np.ndarray, "free"],
+        placed: Int[np.ndarray, "placed"],
+        inner: float,
+    ):
+        problem = built.problem
+        camera = sum(name.startswith("camera.") for name in built.names)
+        self.problem, self.groups, self.inner = problem, jnp.asarray(groups), inner
+        self.count = camera + int(np.asarray(problem.own_free)[placed].sum())
+        seen = int(np.asarray(problem.observations.visible).sum())
+        white = np.sqrt(inner / max(2 * seen - self.count, 1))
+        self.white_sigma = max(float(white), FINEST)
+        known = np.asarray(problem.prior_weight.shared)[list(problem.free)]
+        self.known_weight = jnp.asarray(np.where(groups < 0, known, 0.0))
+
+    def linearised(self, z: Step) -> LinearisedViews:
+        observed, off = _observed(self.problem, z)
+        return LinearisedViews(
+            matrix=observed.matrix,
+            gradient=observed.gradient,
+            between=2.0 * observed.cost - self.inner,
+            off_mean=off,
+            known_weight=self.known_weight,
+            group=self.groups,
+            own_free=self.problem.own_free,
+            count=jnp.asarray(float(self.count)),
+            white_sigma=jnp.asarray(self.white_sigma),
+        )
+
+
+def _settled(
+    views: _Statistics, z: Step, sizes: Deviations, active: Bool[np.ndarray, "robot"]
+) -> tuple[Step, Deviations, bool]:
+    """Parameters and sizes that agree: those fitted with these, these likeliest there."""
+    for _ in range(ROUNDS):
+        ahead = jax.tree.map(jnp.add, z, _best_step(views.linearised(z), sizes))
+        z = solve(_weighed(views.problem, sizes, views.groups), start=ahead)[0].z
+        before, (sizes, _) = sizes, _likeliest(views.linearised(z), sizes, jnp.asarray(active))
+        change = np.abs(np.log((sizes.numbers + NONE) / (before.numbers + NONE)))
+        if (change < SETTLED).all():
+            return z, sizes, True
+    return z, sizes, False
+
+
+def _choice(
+    gains: dict[str, float], tried: dict[str, Bool[np.ndarray, "robot"]], views: int
+) -> str:
+    """Trusted, white, or the largest field: its groups switch themselves off."""
+    field = list(tried)[-1]
+    likely = gains[field] - gains["white"]
+    if views < FEW:
+        return field if likely >= DECISIVE else "trusted"
+    if likely >= PENALTY * (tried[field].sum() - tried["white"].sum()):
+        return field
+    return "white" if gains["white"] >= PENALTY * tried["white"].sum() else "trusted"
+
+
+def _loose(built: Built, groups: Int[np.ndarray, "free"]) -> JointProblem:
+    """The problem in which every view has a pose of its own: the same program, other priors."""
+    problem = built.problem
+    weight = problem.prior_weight
+    chained = ~np.array([name.startswith("camera.") for name in built.names], dtype=bool)
+    held = np.asarray(problem.free)[chained | (groups >= 0)]
+    return eqx.tree_at(
+        lambda p: p.prior_weight,
+        problem,
+        Step(weight.shared.at[held].set(1.0 / LEAST), jnp.zeros_like(weight.corrections)),
+    )
+
+
+def _candidates(
+    field: AbstractField | Literal[False] | None, basis: AbstractField | None, statistics: int
+) -> dict[str, Bool[np.ndarray, "robot"]]:
+    """What is tried by name: which of translation, rotation, groups of the basis have a size.
+
+    The last has the most of them. A field that is not asked for is tried only where the views
+    outnumber its coefficients and the chain's twelve numbers.
+    """
+    place = np.arange(2 + (0 if basis is None else len(basis.groups)))
+    tried = {"trusted": place < 0, "white": place < 2}
+    if basis is None or field is not None:
+        return tried if basis is None else {**tried, field_name(basis): place >= 0}
+    for name, count, groups in (("position", 18, 2), ("pose", 54, 4)):
+        if statistics >= count + 12:
+            tried[name] = place < 2 + groups
+    return tried
+
+
+def _first_guess(
+    poses: Float[Array, "views 6"], basis: AbstractField | None, white: float
+) -> Deviations:
+    """From how the views' own best poses scatter about the start's chain."""
+    size = np.median(np.abs(np.asarray(poses)).reshape(-1, 2, 3), axis=(0, 2))
+    translation, rotation = np.maximum(size, 1e-6)
+    groups = [] if basis is None else [name for name, _ in basis.groups]
+    field = [translation if name.startswith("translation") else rotation for name in groups]
+    numbers = jnp.array([3.0 * white, translation, rotation, *field])
+    return Deviations(numbers[0], numbers[1], numbers[2], numbers[3:])
+
+
+@compiled
+def _observed(problem: JointProblem, z: Step) -> tuple[NormalEquations, Step]:
+    off = problem.off_mean(problem.step(z))
+    return problem.observed(z), Step(off.shared[jnp.array(problem.free)], off.corrections)
+
+
+def _groups(built: Built) -> Int[np.ndarray, "free"]:
+    """Number of the field's group that each free shared parameter belongs to; -1 for others."""
+    error = built.problem.parameters.start.robot_error
+    groups = () if error is None else error.field.groups
+    prefixes = [f"{ROBOT_ERROR}.{group}." for group, _ in groups]
+    return np.array(
+        [
+            next((k for k, prefix in enumerate(prefixes) if name.startswith(prefix)), -1)
+            for name in built.names
+        ]
+    )
+
+
+@eqx.filter_jit
+def _weighed(problem: JointProblem, sizes: Deviations, groups: Array) -> JointProblem:
+    """The problem with priors of these sizes."""
+    field = jnp.concatenate([sizes.field, jnp.ones(1)])[groups]
+    chosen = jnp.array(problem.free)
+    shared = problem.prior_weight.shared
+    shared = shared.at[chosen].set(jnp.where(groups >= 0, 1.0 / field, shared[chosen]))
+    each = jnp.repeat(jnp.stack([sizes.translation, sizes.rotation]), 3)
+    own = jnp.broadcast_to(1.0 / each[None], problem.own_free.shape)
+    return eqx.tree_at(
+        lambda p: (p.pixel_sigma, p.prior_weight), problem, (sizes.pixel, Step(shared, own))
+    )
+
+
+def _times(sizes: Deviations, factor: float) -> Deviations:
+    return jax.tree.map(lambda size: factor * size, sizes)
+
+
+_likeliest, _best_step = eqx.filter_jit(likeliest), eqx.filter_jit(best_step)
+
+
+def _noise(sizes: Deviations, white: float, active: Bool[np.ndarray, "robot"]) -> Noise:
+    field = tuple(float(size) for size in np.asarray(sizes.field)[active[2:]])
+    numbers = (float(sizes.pixel), float(sizes.translation), float(sizes.rotation))
+    return Noise(*numbers, field=field, white_pixel=white)
+
+
+def _kept(
+    calibration: Calibration, name: str, basis: AbstractField | None
+) -> tuple[AbstractField | None, Calibration]:
+    """The field that was chosen, and the calibration with no other."""
+    error = calibration.robot_error
+    if name in PLAIN or error is None:
+        return None, dataclasses.replace(calibration, robot_error=None)
+    if name == "position" and isinstance(basis, LinearInPose):
+        field = LinearInPosition(basis.centre, basis.reach)
+        error = RobotError(field, error.coefficients[: field.size])
+        return field, dataclasses.replace(calibration, robot_error=error)
+    return basis, calibration

@@ -1,0 +1,144 @@
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from shared_data import shared_pairs
+from starts import nudged
+
+from smartview_jax import Noise, Prior, fit_joint, fit_staged
+from smartview_jax.evaluation import deviations
+from smartview_jax.robots import LinearInPose, LinearInPosition, RobotError
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+
+VIEWS = 20
+POINTS = paper_points((0.0, 0.02))[::3]
+TRANSLATION, ROTATION, PIXEL = 2e-4, 5e-4, 0.15
+
+
+def white_scene(seed):
+    return random_scene(seed, VIEWS, POINTS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
+
+
+def fit(scene, **options):
+    return fit_joint(scene.data, nudged(scene.calibration), noise="estimated", **options)
+
+
+@pytest.fixture(scope="module")
+def white():
+    return [fit(white_scene(seed), field=False) for seed in range(12)]
+
+
+def test_white_noise_is_found_at_its_size(white):
+    """Variances are unbiased; twelve sets of twenty views tell them to a tenth or so."""
+    found = [[f.noise.translation, f.noise.rotation, f.noise.white_pixel] for f in white]
+    sizes = np.sqrt(np.mean(np.square(found), axis=0))
+    np.testing.assert_allclose(sizes, [TRANSLATION, ROTATION, PIXEL], rtol=0.15)
+
+
+def test_pixels_that_err_alone_are_weighed_as_they_scatter(white):
+    times = [one.noise.pixel / one.noise.white_pixel for one in white]
+    assert min(times) >= 1.0
+    assert np.median(times) < 1.2
+    assert all(one.estimate.settled for one in white)
+
+
+def test_a_robot_with_white_noise_is_not_given_a_field():
+    names = [fit(white_scene(seed)).estimate.name for seed in range(4)]
+    assert names.count("white") >= 3
+
+
+@pytest.fixture(scope="module")
+def crooked():
+    """A robot whose error is smooth, and views of it on which to judge."""
+    rng = np.random.default_rng(1)
+    poses = random_scene(0, VIEWS, POINTS).data.base_from_tool
+    field = LinearInPose.over(poses)
+    sizes = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
+    error = RobotError(field, jnp.asarray(sizes * rng.normal(size=field.size)))
+    truth = dataclasses.replace(paper_calibration(), robot_error=error)
+    small = {"translation_noise": 2e-5, "rotation_noise": 5e-5}
+    seen, unseen = (random_scene(k, VIEWS, POINTS, truth, **small) for k in (0, 7))
+    return seen, unseen, fit(dataclasses.replace(seen, calibration=paper_calibration()))
+
+
+def test_a_smooth_error_is_found_and_corrected(crooked):
+    seen, unseen, found = crooked
+    assert found.estimate.name == "pose"
+    assert found.estimate.alternatives[-1].gain > found.estimate.alternatives[1].gain + 50.0
+    trusting = fit_joint(seen.data, nudged(paper_calibration()))
+    errors = [deviations(f.calibration, unseen.data).rms for f in (found, trusting)]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_its_twist_is_the_true_one_up_to_what_no_data_tell(crooked):
+    """A constant part of the error is the mount's or the world's: compare differences of views."""
+    seen, _, found = crooked
+    poses = seen.data.base_from_tool
+    true, fitted = (c.camera_from_world(poses) for c in (seen.calibration, found.calibration))
+    bare = found.calibration.camera_from_world(poses, corrected=False)
+    left = np.linalg.norm(np.asarray((true @ fitted.inverse()).translation()), axis=-1)
+    before = np.linalg.norm(np.asarray((true @ bare.inverse()).translation()), axis=-1)
+    assert np.median(left) < 0.5 * np.median(before)
+
+
+def test_a_field_is_kept_with_the_calibration_and_priors_say_its_size(crooked):
+    _, _, found = crooked
+    assert isinstance(found.calibration.robot_error.field, LinearInPose)
+    assert len(found.noise.field) == 4
+    assert "robot_error.translation_by_position.0" in found.std
+    assert found.pose_corrections.shape == (VIEWS, 6)
+
+
+def test_a_field_that_is_asked_for_is_taken(crooked):
+    seen, _, _ = crooked
+    field = LinearInPosition.over(seen.data.base_from_tool)
+    start = nudged(paper_calibration())
+    found = fit_joint(seen.data, start, noise="estimated", field=field)
+    assert found.estimate.name == "position"
+    assert eqx.tree_equal(found.calibration.robot_error.field, field)
+    none = fit_joint(seen.data, start, noise="estimated", field=False)
+    assert none.calibration.robot_error is None
+
+
+def test_with_few_views_the_robot_is_trusted():
+    scene = random_scene(3, 6, POINTS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
+    assert fit(scene).estimate.name == "trusted"
+
+
+def test_data_without_any_noise_are_fitted_exactly():
+    scene = random_scene(0, VIEWS, POINTS, pixel_noise=0.0)
+    found = fit(scene)
+    assert found.result.converged
+    assert all(np.isfinite(size) for size in found.std.values())
+    assert found.noise.translation < 1e-7
+    apart = found.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool
+    np.testing.assert_allclose(apart.log(), 0.0, atol=1e-7)
+
+
+def test_a_prior_on_what_is_estimated_is_refused():
+    scene = random_scene(0, VIEWS, POINTS)
+    with pytest.raises(ValueError, match=r"prior on 'pose_corrections.3': .* give a Noise"):
+        fit(scene, priors={"pose_corrections.3": Prior(1e-3)})
+
+
+def test_a_field_of_given_size_needs_a_deviation_for_each_group(crooked):
+    seen, _, _ = crooked
+    field = LinearInPosition.over(seen.data.base_from_tool)
+    with pytest.raises(ValueError, match=r"Noise.field: .*the field's 2 groups, found 1"):
+        fit_joint(
+            seen.data, seen.calibration, noise=Noise(0.2, 1e-4, 1e-4, field=(1e-3,)), field=field
+        )
+
+
+def test_a_real_robot_has_a_field():
+    """rct: the chain is off by pixels, smoothly; what is left after the field is half of it."""
+    data, _ = shared_pairs("rct_circle10x10")
+    staged = fit_staged(data)
+    found = fit_joint(data, staged.calibration, lens="opencv4", noise="estimated")
+    assert found.estimate.name == "pose"
+    trusting = fit_joint(data, staged.calibration, lens="opencv4")
+    assert found.noise.white_pixel < 0.2 < found.noise.pixel
+    errors = [deviations(f.calibration, data).rms for f in (found, trusting)]
+    assert errors[0] < 0.6 * errors[1]
