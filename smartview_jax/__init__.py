@@ -27,7 +27,9 @@ from .calibration import Calibration as Calibration  # noqa: E402
 from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
 from .evaluation import compare as compare  # noqa: E402
+from .evaluation import cramer_rao as cramer_rao  # noqa: E402
 from .evaluation import held_out as held_out  # noqa: E402
+from .evaluation import std_of as std_of  # noqa: E402
 from .geometry import se3_from_xyzoat as se3_from_xyzoat  # noqa: E402
 from .geometry import xyzoat as xyzoat  # noqa: E402
 from .io import load_dataset as load_dataset  # noqa: E402

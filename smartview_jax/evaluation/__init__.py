@@ -4,6 +4,8 @@ from .compare import Method as Method
 from .compare import Row as Row
 from .compare import compare as compare
 from .compare import standard_methods as standard_methods
+from .cramer_rao import Bound as Bound
+from .cramer_rao import cramer_rao as cramer_rao
 from .free_poses import free_pose_deviations as free_pose_deviations
 from .held_out import HeldOut as HeldOut
 from .held_out import Refit as Refit
@@ -18,3 +20,6 @@ from .rejections import Rejection as Rejection
 from .rejections import RejectionCount as RejectionCount
 from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by
+from .uncertainty import Estimate as Estimate
+from .uncertainty import covariance_of as covariance_of
+from .uncertainty import std_of as std_of
