@@ -58,6 +58,7 @@ def write_page(
             for d in fit.joint.observability.weak
         ],
         parameters=tables.parameter_rows(fit),
+        errors_estimated=fit.joint.estimate is not None,
         figures=[
             (name, text, _embedded(figure)) for name, text, figure in _figures(fit, data, rows)
         ],
