@@ -153,6 +153,11 @@ class Calibration(eqx.Module):
         mount_frame, holder_frame = mount_frames(self.mount)
         return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
 
+    @property
+    def uncorrected(self) -> "Calibration":
+        """The same without the robot's error: what programs have that take the transforms alone."""
+        return dataclasses.replace(self, robot_error=None)
+
     def camera_from_world(self, base_from_tool: PoseLike, corrected: bool = True) -> SE3:
         """Extrinsics at the given robot poses, `(*views)` (Eq. 10).
 

@@ -169,6 +169,11 @@ class View:
         return residual.ravel(), jacobian.reshape(residual.size, -1)
 
 
+def columns_of(jacobian: np.ndarray) -> list[np.ndarray]:
+    """A view's Jacobian by block: camera, both steps, and the correction where there is one."""
+    return np.split(jacobian, [k for k in (5, 11, 17) if k < jacobian.shape[1]], axis=1)
+
+
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """`a @ b` of two 3 x 4 transforms."""
     return np.column_stack([a[:, :3] @ b[:, :3], a[:, :3] @ b[:, 3] + a[:, 3]])

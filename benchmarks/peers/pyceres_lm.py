@@ -26,8 +26,7 @@ class Cost(pyceres.CostFunction):
         r, J = self.view(*parameters)
         residuals[:] = r
         if jacobians is not None:
-            columns_of = np.split(J, [5, 11, 17][: len(parameters) - 1], axis=1)
-            for block, columns in zip(jacobians, columns_of, strict=True):
+            for block, columns in zip(jacobians, peer.columns_of(J), strict=True):
                 if block is not None:
                     block[:] = columns.ravel()
         return True
@@ -65,8 +64,9 @@ def main(path: Path, repeats: int) -> None:
             problem.add_residual_block(prior, None, mine)
         options = pyceres.SolverOptions()
         kinds = pyceres.LinearSolverType
-        corrected = data.corrected
-        options.linear_solver_type = kinds.DENSE_SCHUR if corrected else kinds.DENSE_NORMAL_CHOLESKY
+        options.linear_solver_type = (
+            kinds.DENSE_SCHUR if data.corrected else kinds.DENSE_NORMAL_CHOLESKY
+        )
         options.function_tolerance = 1e-12
         options.num_threads = 1
         options.max_num_iterations = 100

@@ -64,18 +64,13 @@ def _spread(
         raise ValueError(f"the data leave something open, add views or a prior: {words}")
     names = parameter_names(estimate.calibration)
     where = np.array([names.index(name) for name in estimate.parameter_names], dtype=int)
-    values, vectors = np.linalg.eigh(_in_units(estimate.covariance))
     lengths = np.sqrt(np.diagonal(estimate.covariance))
+    # Of the correlations: pixels beside radians would cost the eigenvectors their digits.
+    values, vectors = np.linalg.eigh(estimate.covariance / np.outer(lengths, lengths))
     roots = (vectors * np.sqrt(np.maximum(values, 0.0))).T * lengths
     steps = np.zeros((len(roots), len(names)))
     steps[:, where] = roots
     return _moves(estimate.calibration, function, jnp.asarray(steps))
-
-
-def _in_units(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Correlations: pixels beside radians would cost the eigenvectors their digits."""
-    lengths = np.sqrt(np.diagonal(covariance))
-    return covariance / np.outer(lengths, lengths)
 
 
 @eqx.filter_jit

@@ -77,7 +77,9 @@ def build_problem(
     parameters = Parameters(start)
     count = parameters.shared_size
     names = parameter_names(start, data.view_ids if known else ())
-    held = ("target_scale",) if field is not None else _held(start)
+    held = ["target_scale"]
+    if field is None and start.robot_error is not None:
+        held.append(ROBOT_ERROR)
     moves = ~select(names, held) | select(names, free)
     moves &= ~select(names, fixed)
     mean, weight = _priors(names, count, priors, known, field)
@@ -122,10 +124,6 @@ def with_field(start: Calibration, field: AbstractField | None) -> Calibration:
     if field is None or (known is not None and bool(eqx.tree_equal(known.field, field))):
         return start
     return dataclasses.replace(start, robot_error=RobotError.none(field))
-
-
-def _held(start: Calibration) -> tuple[str, ...]:
-    return ("target_scale",) if start.robot_error is None else ("target_scale", ROBOT_ERROR)
 
 
 def _priors(

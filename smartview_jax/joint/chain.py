@@ -47,10 +47,10 @@ def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> 
         (identity, base_from_tool.inverse()) if eye_in_hand else (base_from_tool, identity)
     )
     error = calibration.robot_error
-    basis = None if error is None else error.field.basis(base_from_tool)
-    twist = corrections
+    basis, twist = None, corrections
     if error is not None:
-        smooth = error.twist(base_from_tool)
+        basis = error.field.basis(base_from_tool)
+        smooth = basis @ error.coefficients
         twist = smooth + corrections if len(corrections) else smooth
     signed = twist if eye_in_hand else -twist
     camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])

@@ -14,7 +14,7 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..robots import AbstractField, LinearInPose, LinearInPosition, RobotError, field_name
 from .build import Built, build_problem
-from .likelihood import LEAST, Deviations, LinearisedViews, best_step, likeliest
+from .likelihood import LEAST, LinearisedViews, Sizes, best_step, likeliest
 from .noise import Noise
 from .parameters import CORRECTIONS, ROBOT_ERROR, Step
 from .priors import Prior
@@ -79,7 +79,7 @@ class NoiseEstimate(NamedTuple):
         noise: the sizes of all errors.
         field: of the robot's error; None where the likelihood has no use for one.
         start: the calibration that the estimate ended at.
-        alternatives: every field that was tried.
+        alternatives: every model of the robot's error that was tried.
         settled: whether the sizes stopped changing.
     """
 
@@ -128,7 +128,7 @@ def estimate_noise(
         data, start, noise=unit, field=basis, fixed=fixed, free=free, priors=priors
     )
     groups = _groups(built)
-    solution, equations = solve(_loose(built, groups))
+    solution, equations = solve(_loose(built.problem))
     placed = data.usable_views()
     views = _Statistics(built, groups, placed, 2.0 * float(equations.cost))
     white, z = views.white_sigma, solution.z
@@ -166,7 +166,7 @@ class _Statistics:
         inner: float,
     ):
         problem = built.problem
-        camera = sum(name.startswith("camera.") for name in built.names)
+        camera = sum(k < problem.parameters.camera_size for k in problem.free)
         self.problem, self.groups, self.inner = problem, jnp.asarray(groups), inner
         self.count = camera + int(np.asarray(problem.own_free)[placed].sum())
         seen = int(np.asarray(problem.observations.visible).sum())
@@ -191,8 +191,8 @@ class _Statistics:
 
 
 def _settled(
-    views: _Statistics, z: Step, sizes: Deviations, active: Bool[np.ndarray, "robot"]
-) -> tuple[Step, Deviations, bool]:
+    views: _Statistics, z: Step, sizes: Sizes, active: Bool[np.ndarray, "robot"]
+) -> tuple[Step, Sizes, bool]:
     """Parameters and sizes that agree: those fitted with these, these likeliest there."""
     for _ in range(ROUNDS):
         ahead = jax.tree.map(jnp.add, z, _best_step(views.linearised(z), sizes))
@@ -217,12 +217,10 @@ def _choice(
     return "white" if gains["white"] >= PENALTY * tried["white"].sum() else "trusted"
 
 
-def _loose(built: Built, groups: Int[np.ndarray, "free"]) -> JointProblem:
+def _loose(problem: JointProblem) -> JointProblem:
     """The problem in which every view has a pose of its own: the same program, other priors."""
-    problem = built.problem
-    weight = problem.prior_weight
-    chained = ~np.array([name.startswith("camera.") for name in built.names], dtype=bool)
-    held = np.asarray(problem.free)[chained | (groups >= 0)]
+    weight, free = problem.prior_weight, np.asarray(problem.free)
+    held = free[free >= problem.parameters.camera_size]
     return eqx.tree_at(
         lambda p: p.prior_weight,
         problem,
@@ -242,22 +240,22 @@ def _candidates(
     tried = {"trusted": place < 0, "white": place < 2}
     if basis is None or field is not None:
         return tried if basis is None else {**tried, field_name(basis): place >= 0}
-    for name, count, groups in (("position", 18, 2), ("pose", 54, 4)):
-        if statistics >= count + 12:
+    for name, groups in (("position", 2), ("pose", 4)):
+        if statistics >= sum(count for _, count in basis.groups[:groups]) + 12:
             tried[name] = place < 2 + groups
     return tried
 
 
 def _first_guess(
     poses: Float[Array, "views 6"], basis: AbstractField | None, white: float
-) -> Deviations:
+) -> Sizes:
     """From how the views' own best poses scatter about the start's chain."""
     size = np.median(np.abs(np.asarray(poses)).reshape(-1, 2, 3), axis=(0, 2))
     translation, rotation = np.maximum(size, 1e-6)
     groups = [] if basis is None else [name for name, _ in basis.groups]
     field = [translation if name.startswith("translation") else rotation for name in groups]
     numbers = jnp.array([3.0 * white, translation, rotation, *field])
-    return Deviations(numbers[0], numbers[1], numbers[2], numbers[3:])
+    return Sizes(numbers[0], numbers[1], numbers[2], numbers[3:])
 
 
 @compiled
@@ -280,27 +278,23 @@ def _groups(built: Built) -> Int[np.ndarray, "free"]:
 
 
 @eqx.filter_jit
-def _weighed(problem: JointProblem, sizes: Deviations, groups: Array) -> JointProblem:
+def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem:
     """The problem with priors of these sizes."""
-    field = jnp.concatenate([sizes.field, jnp.ones(1)])[groups]
-    chosen = jnp.array(problem.free)
-    shared = problem.prior_weight.shared
-    shared = shared.at[chosen].set(jnp.where(groups >= 0, 1.0 / field, shared[chosen]))
-    each = jnp.repeat(jnp.stack([sizes.translation, sizes.rotation]), 3)
-    own = jnp.broadcast_to(1.0 / each[None], problem.own_free.shape)
-    return eqx.tree_at(
-        lambda p: (p.pixel_sigma, p.prior_weight), problem, (sizes.pixel, Step(shared, own))
-    )
+    chosen, shared = jnp.array(problem.free), problem.prior_weight.shared
+    weights = sizes.weights(groups, shared[chosen])
+    own = jnp.broadcast_to(weights.corrections, problem.own_free.shape)
+    weight = Step(shared.at[chosen].set(weights.shared), own)
+    return eqx.tree_at(lambda p: (p.pixel_sigma, p.prior_weight), problem, (sizes.pixel, weight))
 
 
-def _times(sizes: Deviations, factor: float) -> Deviations:
+def _times(sizes: Sizes, factor: float) -> Sizes:
     return jax.tree.map(lambda size: factor * size, sizes)
 
 
 _likeliest, _best_step = eqx.filter_jit(likeliest), eqx.filter_jit(best_step)
 
 
-def _noise(sizes: Deviations, white: float, active: Bool[np.ndarray, "robot"]) -> Noise:
+def _noise(sizes: Sizes, white: float, active: Bool[np.ndarray, "robot"]) -> Noise:
     field = tuple(float(size) for size in np.asarray(sizes.field)[active[2:]])
     numbers = (float(sizes.pixel), float(sizes.translation), float(sizes.rotation))
     return Noise(*numbers, field=field, white_pixel=white)
@@ -312,7 +306,7 @@ def _kept(
     """The field that was chosen, and the calibration with no other."""
     error = calibration.robot_error
     if name in PLAIN or error is None:
-        return None, dataclasses.replace(calibration, robot_error=None)
+        return None, calibration.uncorrected
     if name == "position" and isinstance(basis, LinearInPose):
         field = LinearInPosition(basis.centre, basis.reach)
         error = RobotError(field, error.coefficients[: field.size])

@@ -1,6 +1,5 @@
 """The joint fit: every observation through the whole chain at once."""
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -118,7 +117,7 @@ def fit_joint(
         estimate = estimate_noise(data, start, field, fixed, free, priors, progress)
         noise, field, start = estimate.noise, estimate.field, estimate.start
     if field is False:
-        start, field = dataclasses.replace(start, robot_error=None), None
+        start, field = start.uncorrected, None
     built = build_problem(data, start, None, noise, loss, fixed, free, priors, field)
     count = len(built.names) + len(built.own_names)
     say(f"joint fit: {count} parameters, {data.observation_count} observations")

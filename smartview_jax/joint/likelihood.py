@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .parameters import Step
 from .schur import BlockArrow, SchurCholesky
@@ -66,7 +66,7 @@ class LinearisedViews(eqx.Module):
     white_sigma: Float[Array, ""]
 
 
-class Deviations(eqx.Module):
+class Sizes(eqx.Module):
     """Standard deviations, all positive.
 
     Attributes:
@@ -88,23 +88,33 @@ class Deviations(eqx.Module):
             [jnp.stack([self.pixel, self.translation, self.rotation]), self.field]
         )
 
+    def weights(self, group: Int[Array, "shared"], known: Float[Array, "shared"]) -> Step:
+        """One over the deviation of every parameter's prior; one row for the views' own.
 
-def deviance(views: LinearisedViews, sizes: Deviations) -> Float[Array, ""]:
+        Args:
+            group: of each shared parameter, as in `LinearisedViews`.
+            known: the weights of those in no group.
+        """
+        field = jnp.concatenate([self.field, jnp.ones(1)])[group]
+        each = jnp.repeat(jnp.stack([self.translation, self.rotation]), 3)
+        return Step(jnp.where(group >= 0, 1.0 / field, known), 1.0 / each[None])
+
+
+def deviance(views: LinearisedViews, sizes: Sizes) -> Float[Array, ""]:
     """Twice the negative logarithm of the restricted likelihood, up to a constant."""
     return _integrated(views, sizes)[0]
 
 
-def best_step(views: LinearisedViews, sizes: Deviations) -> Step:
+def best_step(views: LinearisedViews, sizes: Sizes) -> Step:
     """From the point of linearisation to the likeliest parameters, for errors of given sizes."""
     return _integrated(views, sizes)[1]
 
 
-def _integrated(views: LinearisedViews, sizes: Deviations) -> tuple[Float[Array, ""], Step]:
+def _integrated(views: LinearisedViews, sizes: Sizes) -> tuple[Float[Array, ""], Step]:
     unknown = views.group >= 0
-    field = jnp.concatenate([sizes.field, jnp.ones(1)])[views.group]
-    weight = jnp.where(unknown, 1.0 / field, views.known_weight)
-    each = jnp.repeat(jnp.stack([sizes.translation, sizes.rotation]), 3)
-    own_weight = jnp.where(views.own_free, 1.0 / each[None], 0.0)
+    weights = sizes.weights(views.group, views.known_weight)
+    weight, each = weights.shared, weights.corrections
+    own_weight = jnp.where(views.own_free, each, 0.0)
     precision, matrix = sizes.pixel**-2, views.matrix
 
     shared = precision * matrix.shared
@@ -127,7 +137,7 @@ def _integrated(views: LinearisedViews, sizes: Deviations) -> tuple[Float[Array,
     penalty = jnp.sum((weight * off.shared) ** 2) + jnp.sum((own_weight * off.corrections) ** 2)
     determinant = _log_diagonal(state.factor) + _log_diagonal(state.elimination.own_factor)
     priors = jnp.sum(jnp.where(unknown, jnp.log(weight**2), 0.0))
-    priors = priors + jnp.sum(jnp.where(views.own_free, 2.0 * jnp.log(1.0 / each[None]), 0.0))
+    priors = priors + jnp.sum(jnp.where(views.own_free, 2.0 * jnp.log(each), 0.0))
     value = -views.count * jnp.log(precision) + precision * views.between + penalty + gained
     return value + determinant - priors, step
 
@@ -138,8 +148,8 @@ def _log_diagonal(factor: Float[Array, "*batch n n"]) -> Float[Array, ""]:
 
 
 def likeliest(
-    views: LinearisedViews, start: Deviations, active: Bool[Array, "robot"]
-) -> tuple[Deviations, Float[Array, ""]]:
+    views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
+) -> tuple[Sizes, Float[Array, ""]]:
     """The sizes of errors that make the views' statistics likeliest.
 
     Args:
@@ -153,11 +163,11 @@ def likeliest(
     """
     begin = jnp.log(start.numbers)
 
-    def sizes(x: Float[Array, "kinds"]) -> Deviations:
+    def sizes(x: Float[Array, "kinds"]) -> Sizes:
         free = jnp.exp(begin + WIDEST * jnp.tanh(x / WIDEST))
         pixel = jnp.hypot(views.white_sigma, free[0])
         robot = jnp.where(active, jnp.hypot(LEAST, free[1:]), LEAST)
-        return Deviations(pixel, robot[0], robot[1], robot[2:])
+        return Sizes(pixel, robot[0], robot[1], robot[2:])
 
     found = optx.minimise(
         lambda x, _: deviance(views, sizes(x)),

@@ -1,6 +1,5 @@
 """The result as rows of text, for the terminal and for the page alike."""
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -130,11 +129,11 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         ),
     ]
     if joint.calibration.robot_error is not None:
-        bare = dataclasses.replace(joint.calibration, robot_error=None)
+        left = deviations(joint.calibration.uncorrected, data).rms
         lines.append(
             (
                 "without the correction",
-                f"{deviations(bare, data).rms:.2f} px RMS: what a program sees that takes the "
+                f"{left:.2f} px RMS: what a program sees that takes the "
                 "transforms from here and leaves the robot's error out",
             )
         )

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from smartview_jax.joint.likelihood import (
-    Deviations,
     LinearisedViews,
+    Sizes,
     best_step,
     deviance,
     likeliest,
@@ -36,7 +36,7 @@ def world():
     return information, design
 
 
-TRUTH = Deviations(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
+TRUTH = Sizes(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
 GROUP = np.repeat([-1, 0, 1], [CAMERA + MOUNT, *FIELD])
 
 
@@ -99,8 +99,8 @@ def textbook(world, observed, sizes):
 GROUP_FIXED = np.concatenate([GROUP < 0, np.zeros(6 * VIEWS, dtype=bool)])
 
 OTHERS = (
-    Deviations(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
-    Deviations(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
+    Sizes(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
+    Sizes(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
 )
 
 
@@ -132,12 +132,9 @@ def test_it_does_not_matter_where_the_chain_is_linearised(world):
 
 def test_its_gradient_is_that_of_differences(world):
     views = linearised(world, drawn(world, 5))
-    slope = jax.grad(lambda t: deviance(views, Deviations(TRUTH.pixel, t, *rest())))(
-        TRUTH.translation
-    )
+    slope = jax.grad(lambda t: deviance(views, Sizes(TRUTH.pixel, t, *rest())))(TRUTH.translation)
     ahead, behind = (
-        deviance(views, Deviations(TRUTH.pixel, TRUTH.translation + s, *rest()))
-        for s in (1e-5, -1e-5)
+        deviance(views, Sizes(TRUTH.pixel, TRUTH.translation + s, *rest())) for s in (1e-5, -1e-5)
     )
     np.testing.assert_allclose(slope, (ahead - behind) / 2e-5, rtol=1e-6)
 
@@ -152,7 +149,7 @@ def search():
 
 
 def test_the_sizes_found_are_true_on_average(world, search):
-    start = Deviations(*map(jnp.asarray, (0.1, 0.1, 0.1)), jnp.array([0.1, 0.1]))
+    start = Sizes(*map(jnp.asarray, (0.1, 0.1, 0.1)), jnp.array([0.1, 0.1]))
     active = jnp.ones(4, dtype=bool)
     found = [
         search(linearised(world, drawn(world, seed)), start, active)[0].numbers
@@ -174,7 +171,7 @@ def test_the_search_ends_at_an_optimum(world, search):
     for k in range(len(best)):
         for factor in (0.97, 1.03):
             other = best.at[k].multiply(factor)
-            moved = Deviations(other[0], other[1], other[2], other[3:])
+            moved = Sizes(other[0], other[1], other[2], other[3:])
             assert float(deviance(views, moved)) > values[0]
 
 
