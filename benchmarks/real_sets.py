@@ -55,6 +55,9 @@ def load(folder: str, prefix: str) -> tuple[sv.Dataset, dict]:
         path / f"{prefix}corners.csv",
         image_size=tuple(reference["image_size"]),
     )
+    if folder == "lwr4_joint":
+        joints = np.loadtxt(path / "joint_angles.csv", delimiter=",")
+        data = data.with_joints(joints, sv.robots.kuka_lwr4())
     return data, reference
 
 

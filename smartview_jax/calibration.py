@@ -16,13 +16,26 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from .cameras import AbstractLens, Camera, lens_by_name, lens_name
+from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
 from .files import dump_yaml, read_yaml, write_atomically
-from .geometry import PoseLike, as_se3, transform_points
-from .robots import AbstractField, RobotError, field_by_name, field_name
+from .geometry import (
+    PoseLike,
+    as_se3,
+    transform_from_dict,
+    transform_points,
+    transform_to_dict,
+)
+from .robots import (
+    AbstractField,
+    CommandLike,
+    RobotError,
+    as_command,
+    robot_error_from_dict,
+    robot_error_to_dict,
+)
 
 FORMAT_VERSION = 1
 
@@ -158,36 +171,66 @@ class Calibration(eqx.Module):
         """The same without the robot's error: what programs have that take the transforms alone."""
         return dataclasses.replace(self, robot_error=None)
 
-    def camera_from_world(self, base_from_tool: PoseLike, corrected: bool = True) -> SE3:
+    def camera_from_world(self, base_from_tool: CommandLike, corrected: bool = True) -> SE3:
         """Extrinsics at the given robot poses, `(*views)` (Eq. 10).
 
         Args:
-            base_from_tool: what the robot reports.
+            base_from_tool: what the robot reports: poses, or `arm.command(joints)`.
             corrected: for the robot's error, where one was fitted; if not, the bare chain.
         """
-        reported, error = as_se3(base_from_tool), self.robot_error if corrected else None
-        pose = reported if error is None else error.true_pose(reported)
+        reported, error = as_command(base_from_tool), self.robot_error if corrected else None
+        pose = reported.base_from_tool if error is None else error.true_pose(reported)
         robot = mount_from_holder(self.mount, pose)
         return self.camera_from_mount @ robot @ self.holder_from_world
 
-    def command_for(self, camera_from_world: PoseLike, corrected: bool = True) -> SE3:
+    def command_for(
+        self,
+        camera_from_world: PoseLike,
+        corrected: bool = True,
+        near: Float[Array, "*views joints"] | np.ndarray | None = None,
+    ) -> SE3:
         """The robot pose `base_from_tool` that puts the camera at a wanted pose (Eq. 19).
 
         Args:
             camera_from_world: wanted, `(*views)`.
             corrected: for the robot's error: what to tell the robot so that it gets there.
+            near: joint angles in whose neighbourhood to look, where an arm's own errors were
+                fitted; NaN comes back where they find no way to reach the pose.
+
+        Raises:
+            ValueError: the errors of an arm were fitted, and `near` is not given.
         """
+        true_pose = self._pose_for(camera_from_world)
+        if self.robot_error is None or not corrected:
+            return true_pose
+        return self.robot_error.command(true_pose, near).base_from_tool
+
+    def joints_for(
+        self,
+        camera_from_world: PoseLike,
+        near: Float[Array, "*views joints"] | np.ndarray,
+    ) -> Float[Array, "*views joints"]:
+        """As `command_for`, in joint angles, where an arm's own errors were fitted."""
+        error = self.robot_error
+        joints = None
+        if error is not None:
+            joints = error.command(self._pose_for(camera_from_world), near).joints
+        if joints is None:
+            raise ValueError("this calibration knows no arm; robots.joints_near finds joint angles")
+        return joints
+
+    def _pose_for(self, camera_from_world: PoseLike) -> SE3:
+        """Where the tool has to be."""
         robot = (
             self.camera_from_mount.inverse()
             @ as_se3(camera_from_world)
             @ self.holder_from_world.inverse()
         )
-        pose, error = mount_from_holder(self.mount, robot), self.robot_error if corrected else None
-        return pose if error is None else error.reported_pose(pose)
+        return mount_from_holder(self.mount, robot)
 
     def points_in_camera(
         self,
-        base_from_tool: PoseLike,
+        base_from_tool: CommandLike,
         points: Float[Array, "*points 3"] | np.ndarray,
         corrected: bool = True,
     ) -> Float[Array, "*moved 3"]:
@@ -197,14 +240,14 @@ class Calibration(eqx.Module):
 
     def project(
         self,
-        base_from_tool: PoseLike,
+        base_from_tool: CommandLike,
         points: Float[Array, "*points 3"] | np.ndarray,
         corrected: bool = True,
     ) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
         """Pixels of target points seen from the given robot poses, and where they are valid.
 
         Args:
-            base_from_tool: what the robot reports, `(*views)` transforms.
+            base_from_tool: what the robot reports, `(*views)` poses, or `arm.command(joints)`.
             points: `(N, 3)` for all views or `(*views, N, 3)`, in the target frame, m.
             corrected: for the robot's error, where one was fitted; if not, the bare chain.
 
@@ -215,27 +258,18 @@ class Calibration(eqx.Module):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers with their names and units, as written by `save`."""
-        camera = self.camera
-        lens = {name: float(value) for name, value in vars(camera.lens).items()}
         content: dict[str, Any] = {
             "smartview_calibration": FORMAT_VERSION,
             "units": {"length": "m", "angle": "rad", "image": "px"},
             "mount": self.mount,
-            "camera": {
-                "image_size": list(camera.image_size),
-                **{key: float(getattr(camera, key)) for key in ("alpha_u", "alpha_v", "u0", "v0")},
-                "lens": {"model": lens_name(camera.lens), **lens},
-            },
+            "camera": camera_to_dict(self.camera),
         }
         transforms = (self.camera_from_mount, self.holder_from_world)
         for name, transform in zip(self.transform_names, transforms, strict=True):
-            content[name] = {
-                "translation": np.asarray(transform.translation()).tolist(),
-                "quaternion_wxyz": np.asarray(transform.rotation().wxyz).tolist(),
-            }
+            content[name] = transform_to_dict(transform)
         content["target_scale"] = float(self.target_scale)
         if self.robot_error is not None:
-            content["robot_error"] = _robot_error_to_dict(self.robot_error)
+            content["robot_error"] = robot_error_to_dict(self.robot_error)
         return content
 
     @classmethod
@@ -256,8 +290,8 @@ class Calibration(eqx.Module):
         try:
             mount = content["mount"]
             names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
-            camera = _camera_from_dict(content["camera"], lens)
-            mounted, held = (_transform_from_dict(name, content[name]) for name in names)
+            camera = camera_from_dict(content["camera"], lens)
+            mounted, held = (transform_from_dict(name, content[name]) for name in names)
             error = content.get("robot_error")
             return cls(
                 camera,
@@ -265,7 +299,7 @@ class Calibration(eqx.Module):
                 held,
                 mount,
                 float(content["target_scale"]),
-                None if error is None else _robot_error_from_dict(error, field),
+                None if error is None else robot_error_from_dict(error, field),
             )
         except KeyError as error:
             raise ValueError(f"entry {error.args[0]!r} is missing") from error
@@ -294,53 +328,3 @@ class Calibration(eqx.Module):
 
 
 _TRANSFORM_PATTERNS = ("camera_from_{0}", "{1}_from_world")
-
-
-def _camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Camera:
-    numbers = dict(content["lens"])
-    model = numbers.pop("model")
-    template = lens_by_name(model) if lens is None else lens
-    if set(numbers) != set(vars(template)):
-        raise ValueError(
-            f"camera.lens: expected the numbers {sorted(vars(template))}, found {sorted(numbers)}"
-        )
-    fitted = type(template)(**{name: float(value) for name, value in numbers.items()})
-    width, height = content["image_size"]
-    alpha_u, alpha_v, u0, v0 = (float(content[key]) for key in ("alpha_u", "alpha_v", "u0", "v0"))
-    return Camera(alpha_u, alpha_v, u0, v0, fitted, (int(width), int(height)))
-
-
-def _transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
-    translation = np.asarray(content["translation"], dtype=float)
-    quaternion = np.asarray(content["quaternion_wxyz"], dtype=float)
-    if translation.shape != (3,) or quaternion.shape != (4,):
-        raise ValueError(f"{name}: expected 3 and 4 numbers")
-    if not (np.isfinite(translation).all() and abs(np.linalg.norm(quaternion) - 1.0) < 1e-6):
-        raise ValueError(f"{name}: not a finite translation and a unit quaternion")
-    return SE3.from_rotation_and_translation(SO3(jnp.asarray(quaternion)), jnp.asarray(translation))
-
-
-def _robot_error_to_dict(error: RobotError) -> dict[str, Any]:
-    """Every coefficient by name, so that the file can be read without this library."""
-    numbers = {name: np.asarray(value).tolist() for name, value in vars(error.field).items()}
-    coefficients = np.asarray(error.coefficients).tolist()
-    return {
-        "field": {"model": field_name(error.field), **numbers},
-        "coefficients": dict(zip(error.field.names, coefficients, strict=True)),
-    }
-
-
-def _robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) -> RobotError:
-    numbers = dict(content["field"])
-    model = numbers.pop("model")
-    kind = field_by_name(model) if field is None else type(field)
-    known = {part.name for part in dataclasses.fields(kind)}
-    if set(numbers) != known:
-        raise ValueError(f"robot_error.field: expected {sorted(known)}, found {sorted(numbers)}")
-    basis = kind(**{name: jnp.asarray(value, dtype=float) for name, value in numbers.items()})
-    given = content["coefficients"]
-    if set(given) != set(basis.names):
-        raise ValueError(
-            f"robot_error.coefficients: expected {', '.join(basis.names)}; found {', '.join(given)}"
-        )
-    return RobotError(basis, jnp.array([float(given[name]) for name in basis.names]))

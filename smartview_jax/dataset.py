@@ -1,5 +1,6 @@
 """Observations of a target from several robot poses, checked once, at the door."""
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,10 @@ from jaxtyping import Array, Bool, Float
 
 from .calibration import Calibration, mount_frames
 from .geometry import PoseLike, as_se3, check_rigid
+from .robots import Command, SerialArm
+
+AGREEING = (1e-3, np.deg2rad(0.1))
+"""How far, m and rad, reported poses may be from an arm's own forward kinematics."""
 
 
 class Observations(eqx.Module):
@@ -23,12 +28,19 @@ class Observations(eqx.Module):
         pixels: where they were seen, px; NaN where not visible.
         visible: which of them were seen.
         base_from_tool: what the robot reported, one transform a view.
+        joints: readings of the robot's joints, rad or m; None where not known.
     """
 
     points: Float[Array, "*views points 3"]
     pixels: Float[Array, "*views points 2"]
     visible: Bool[Array, "*views points"]
     base_from_tool: SE3
+    joints: Float[Array, "*views joints"] | None = None
+
+    @property
+    def command(self) -> Command:
+        """What the robot reported, with its joints where they are known."""
+        return Command(self.base_from_tool, self.joints)
 
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]
@@ -45,7 +57,7 @@ def chain_residuals(
     """Measured minus predicted by the reported poses, px; zero where not seen."""
 
     def view(seen: Observations) -> Float[Array, "points 2"]:
-        return seen.residuals(*calibration.project(seen.base_from_tool, seen.points))
+        return seen.residuals(*calibration.project(seen.command, seen.points))
 
     # View by view: a projection of everything at once takes several times the data's memory.
     return jax.lax.map(view, observations)
@@ -62,6 +74,8 @@ class Dataset(eqx.Module):
         masked_views: view id and reason of every view that is kept but not used.
         pictures: one file a view, where known.
         target: the description of the target, where known (a member of `targets`).
+        joints: as in `Observations`.
+        arm: whose joints these are, where known.
     """
 
     points: Float[Array, "views points 3"]
@@ -74,13 +88,15 @@ class Dataset(eqx.Module):
     masked_views: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
     pictures: tuple[Path, ...] | None = eqx.field(static=True, default=None)
     target: Any = eqx.field(static=True, default=None)
+    joints: Float[Array, "views joints"] | None = None
+    arm: SerialArm | None = None
 
     @classmethod
     def from_arrays(
         cls,
         points: np.ndarray | Array,
         pixels: np.ndarray | Array,
-        base_from_tool: PoseLike,
+        base_from_tool: PoseLike | None,
         image_size: tuple[int, int],
         visible: np.ndarray | Array | None = None,
         view_ids: Sequence[str | int] | None = None,
@@ -89,13 +105,16 @@ class Dataset(eqx.Module):
         masked_views: Sequence[tuple[str, str]] = (),
         pictures: Sequence[Path] | None = None,
         target: Any = None,
+        joints: np.ndarray | Array | None = None,
+        arm: SerialArm | None = None,
     ) -> "Dataset":
         """A data set from one's own arrays.
 
         Args:
             points: `(N, 3)` or `(M, N, 3)` target points in the target (= world) frame, m.
             pixels: `(M, N, 2)` px; NaN where not seen.
-            base_from_tool: `(M,)` robot poses: an `SE3` or `(M, 4, 4)`, m.
+            base_from_tool: `(M,)` robot poses: an `SE3` or `(M, 4, 4)`, m; None where joints and an
+                arm say where the tool is.
             image_size: width and height, px.
             visible: `(M, N)`; by default wherever `pixels` has numbers.
             view_ids: one name a view; by default 0, 1, ...
@@ -105,6 +124,9 @@ class Dataset(eqx.Module):
             masked_views: views already known to be unusable, with the reason.
             pictures: one picture file a view.
             target: the description of the target.
+            joints: `(M, joints)` readings, rad, m for a joint that slides.
+            arm: whose joints these are, as its controller believes it to be. Poses that are given
+                as well must agree with it.
 
         Raises:
             ValueError: a wrong shape, a duplicate id, or, unless masked, a wrong value; the
@@ -118,8 +140,10 @@ class Dataset(eqx.Module):
             raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
         view_count, point_count = pixels.shape[:2]
         points = _points_per_view(np.asarray(points, dtype=float), view_count, point_count)
-        matrices = _pose_matrices(base_from_tool, view_count)
         ids = _view_ids(view_ids, view_count)
+        if base_from_tool is None:
+            base_from_tool = _by_joints(joints, arm, ids)
+        matrices = _pose_matrices(base_from_tool, view_count)
         seen = _visible(visible, pixels, ids)
 
         problems = dict(masked_views)
@@ -140,7 +164,7 @@ class Dataset(eqx.Module):
         if not known[seen].all():
             raise ValueError("points: a target point that was seen has NaN coordinates")
         pixels[~seen] = np.nan
-        return cls(
+        data = cls(
             points=jnp.broadcast_to(jnp.nan_to_num(jnp.asarray(points)), (*seen.shape, 3)),
             pixels=jnp.asarray(pixels),
             visible=jnp.asarray(seen),
@@ -152,11 +176,38 @@ class Dataset(eqx.Module):
             pictures=None if pictures is None else tuple(Path(p) for p in pictures),
             target=target,
         )
+        return data if joints is None and arm is None else data.with_joints(joints, arm)
+
+    def with_joints(self, joints: np.ndarray | Array | None, arm: SerialArm | None) -> "Dataset":
+        """The same, commanded by joints: the poses become those that the arm's numbers give.
+
+        Args:
+            joints: `(views, joints)` readings, rad, m for a joint that slides.
+            arm: whose joints these are, as its controller believes it to be.
+
+        Raises:
+            ValueError: a wrong shape, or a view whose reported pose is not where the joints put the
+                tool; the message names it.
+        """
+        own = _by_joints(joints, arm, self.view_ids)
+        masked = {view for view, _ in self.masked_views}
+        used = np.array([view not in masked for view in self.view_ids], dtype=bool)
+        _refuse_other_poses(own, self.base_from_tool, used, self.view_ids)
+        poses = jnp.where(used[:, None], own.wxyz_xyz, self.base_from_tool.wxyz_xyz)
+        readings = jnp.nan_to_num(jnp.asarray(joints, dtype=float))
+        return dataclasses.replace(self, base_from_tool=SE3(poses), joints=readings, arm=arm)
 
     @property
     def observations(self) -> Observations:
         """The arrays alone."""
-        return Observations(self.points, self.pixels, self.visible, self.base_from_tool)
+        return Observations(
+            self.points, self.pixels, self.visible, self.base_from_tool, self.joints
+        )
+
+    @property
+    def command(self) -> Command:
+        """What the robot reported, with its joints where they are known."""
+        return Command(self.base_from_tool, self.joints)
 
     @property
     def view_count(self) -> int:
@@ -186,6 +237,8 @@ class Dataset(eqx.Module):
             masked_views=tuple(entry for entry in self.masked_views if entry[0] in ids),
             pictures=None if self.pictures is None else tuple(self.pictures[i] for i in index),
             target=self.target,
+            joints=None if self.joints is None else self.joints[index],
+            arm=self.arm,
         )
 
 
@@ -199,6 +252,43 @@ def _points_per_view(points: np.ndarray, views: int, count: int) -> np.ndarray:
             f"found {points.shape}"
         )
     return points
+
+
+AGREEING = (1e-3, np.deg2rad(0.1))
+"""How far, m and rad, reported poses may be from an arm's own forward kinematics."""
+
+
+def _by_joints(
+    joints: np.ndarray | Array | None, arm: SerialArm | None, ids: tuple[str, ...]
+) -> SE3:
+    """Where an arm's own numbers put the tool in every view."""
+    if joints is None or arm is None:
+        raise ValueError(
+            "expected poses, or joints and the arm they are of; found "
+            f"{'neither' if joints is arm else 'joints alone' if arm is None else 'an arm alone'}"
+        )
+    readings = np.asarray(joints, dtype=float)
+    if readings.shape != (len(ids), arm.size):
+        raise ValueError(
+            f"joints: expected shape ({len(ids)}, {arm.size}), one reading a joint in every view, "
+            f"found {readings.shape}"
+        )
+    return arm.base_from_tool(readings)
+
+
+def _refuse_other_poses(
+    own: SE3, reported: SE3, used: Bool[np.ndarray, "views"], ids: tuple[str, ...]
+) -> None:
+    """Reported poses that are not an arm's own say that tool frame, convention or arm is wrong."""
+    twist = np.abs(np.asarray((own.inverse() @ reported).log())).reshape(-1, 2, 3).max(axis=2)
+    for view in np.flatnonzero(used):
+        shift, turn = twist[view]
+        if not (shift <= AGREEING[0] and turn <= AGREEING[1]):
+            raise ValueError(
+                f"view {ids[view]}: the reported pose is {1e3 * shift:.3g} mm and "
+                f"{np.rad2deg(turn):.3g} deg from where the arm's joints put the tool: another "
+                "tool frame, convention or arm?"
+            )
 
 
 def _pose_matrices(base_from_tool: PoseLike, views: int) -> np.ndarray:

@@ -4,6 +4,7 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import Dataset
+from smartview_jax.robots import kuka_lwr4
 
 VIEWS, POINTS = 4, 6
 
@@ -149,3 +150,48 @@ def test_wrong_mount_and_picture_size(arrays):
         Dataset.from_arrays(**arrays, bad_views="drop")
     with pytest.raises(ValueError, match="image_size"):
         Dataset.from_arrays(**{**arrays, "image_size": (0, 480)})
+
+
+@pytest.fixture
+def by_joints(arrays):
+    joints = np.random.default_rng(1).uniform(-1.0, 1.0, (VIEWS, 7))
+    return {**arrays, "base_from_tool": None, "joints": joints, "arm": kuka_lwr4()}
+
+
+def test_joints_of_an_arm_take_the_place_of_poses(by_joints):
+    data = Dataset.from_arrays(**by_joints)
+    expected = kuka_lwr4().base_from_tool(by_joints["joints"])
+    np.testing.assert_array_equal(data.base_from_tool.wxyz_xyz, expected.wxyz_xyz)
+    np.testing.assert_array_equal(data.select([2, 0]).joints, by_joints["joints"][[2, 0]])
+    np.testing.assert_array_equal(data.command.joints, by_joints["joints"])
+    assert data.observations.joints is data.joints
+
+
+def test_poses_beside_joints_must_be_the_arms(by_joints):
+    poses = np.array(kuka_lwr4().base_from_tool(by_joints["joints"]).as_matrix())
+    poses[1, 0, 3] += 4e-4
+    Dataset.from_arrays(**{**by_joints, "base_from_tool": poses})
+    poses[2, 0, 3] += 0.02
+    with pytest.raises(ValueError, match=r"view 2: the reported pose is .*another tool frame"):
+        Dataset.from_arrays(**{**by_joints, "base_from_tool": poses})
+
+
+def test_a_view_without_joints_is_masked_or_an_error(by_joints):
+    by_joints["joints"][3, 2] = np.nan
+    with pytest.raises(ValueError, match="view 3: the pose contains NaN"):
+        Dataset.from_arrays(**by_joints)
+    data = Dataset.from_arrays(**by_joints, bad_views="mask")
+    assert [view for view, _ in data.masked_views] == ["3"]
+    assert np.isfinite(data.base_from_tool.wxyz_xyz).all()
+    assert np.isfinite(data.joints).all()
+
+
+def test_joints_and_arm_go_together(by_joints, arrays):
+    with pytest.raises(ValueError, match="found joints alone"):
+        Dataset.from_arrays(**{**by_joints, "arm": None})
+    with pytest.raises(ValueError, match="found an arm alone"):
+        Dataset.from_arrays(**arrays, arm=kuka_lwr4())
+    with pytest.raises(ValueError, match="found neither"):
+        Dataset.from_arrays(**{**arrays, "base_from_tool": None})
+    with pytest.raises(ValueError, match=r"joints: expected shape \(4, 7\).*found \(4, 6\)"):
+        Dataset.from_arrays(**{**by_joints, "joints": by_joints["joints"][:, :6]})

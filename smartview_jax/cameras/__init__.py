@@ -14,5 +14,7 @@ from .opencv import OpenCV4 as OpenCV4
 from .opencv import OpenCV5 as OpenCV5
 from .opencv import OpenCV8 as OpenCV8
 from .pinhole import Pinhole as Pinhole
+from .plain import camera_from_dict as camera_from_dict
+from .plain import camera_to_dict as camera_to_dict
 from .radial import Radial as Radial
 from .weng import Weng as Weng

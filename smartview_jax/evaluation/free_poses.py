@@ -28,7 +28,7 @@ def free_pose_deviations(calibration: Calibration, data: Dataset) -> Deviations:
         calibration: its camera and target scale are kept; its chain is where each pose starts.
         data: views with at least four visible points are fitted, others keep the chain's pose.
     """
-    started = calibration.camera_from_world(data.base_from_tool)
+    started = calibration.camera_from_world(data.command)
     points = calibration.target_scale * data.points
     enough = data.visible.sum(axis=1, keepdims=True) >= 4
     pixels = jnp.where(data.visible[..., None], data.pixels, 0.0)

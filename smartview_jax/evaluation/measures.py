@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
 from ..dataset import Dataset
-from ..geometry import PoseLike
+from ..robots import CommandLike
 
 
 @runtime_checkable
@@ -19,9 +19,9 @@ class Predictor(Protocol):
     @property
     def camera(self) -> Camera: ...
 
-    def points_in_camera(self, base_from_tool: PoseLike, points: Array) -> Array: ...
+    def points_in_camera(self, base_from_tool: CommandLike, points: Array) -> Array: ...
 
-    def project(self, base_from_tool: PoseLike, points: Array) -> tuple[Array, Array]: ...
+    def project(self, base_from_tool: CommandLike, points: Array) -> tuple[Array, Array]: ...
 
 
 class Deviations(NamedTuple):
@@ -84,7 +84,7 @@ def _rms(values: np.ndarray) -> float:
 
 def deviations(predictor: Predictor, data: Dataset) -> Deviations:
     """Deviations of everything that was seen; infinite where it cannot be predicted."""
-    predicted, valid, depth = _predict(predictor, data.base_from_tool, data.points)
+    predicted, valid, depth = _predict(predictor, data.command, data.points)
     return measured(predictor.camera, data, predicted, valid, depth)
 
 
@@ -107,7 +107,7 @@ def measured(
 
 @eqx.filter_jit
 def _predict(
-    predictor: Predictor, base_from_tool: PoseLike, points: Array
+    predictor: Predictor, command: CommandLike, points: Array
 ) -> tuple[Array, Bool[Array, "views points"], Array]:
-    pixels, valid = predictor.project(base_from_tool, points)
-    return pixels, valid, predictor.points_in_camera(base_from_tool, points)[..., 2]
+    pixels, valid = predictor.project(command, points)
+    return pixels, valid, predictor.points_in_camera(command, points)[..., 2]

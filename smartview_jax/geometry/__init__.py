@@ -6,6 +6,8 @@ from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
 from .oat import xyzoat as xyzoat
+from .plain import transform_from_dict as transform_from_dict
+from .plain import transform_to_dict as transform_to_dict
 from .pose_codecs import ANGLE_UNITS as ANGLE_UNITS
 from .pose_codecs import LENGTH_UNITS as LENGTH_UNITS
 from .pose_codecs import POSE_CODECS as POSE_CODECS

@@ -9,8 +9,9 @@
     pictures: {pattern: "images/{view}.png"}
 
 `poses.csv` has a column `view` and the codec's columns; `{view}` in the pattern is that name, and
-`{height}` the number of the height for a board at several heights. Pictures and poses are paired by
-view, never by position.
+`{height}` the number of the height for a board at several heights. In place of poses, or beside
+them, there may be joints (see `joints.py`). Pictures, poses and joints are paired by view, never by
+position.
 """
 
 import re
@@ -24,16 +25,16 @@ from jaxlie import SE3
 from ..calibration import mount_frames
 from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
-from ..geometry import PoseCodec, pose_codec
+from ..geometry import pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
+from .commands import read_commands
 from .detections import DETECTIONS, read_detections, write_detections
+from .joints import write_joints
 from .pictures import from_pictures, refuse_strays
-from .tables import duplicates, numbers, read_table, write_table
+from .tables import write_table
 
 FORMAT_VERSION = 1
 DESCRIPTION = "dataset.yaml"
-
-_DIRECTIONS = ("base_from_tool", "tool_from_base")
 
 
 def load_folder(
@@ -51,7 +52,7 @@ def load_folder(
             f"{where}: smartview_dataset: expected {FORMAT_VERSION}, "
             f"found {content['smartview_dataset']!r}"
         )
-    for key in ("camera", "target", "poses"):
+    for key in ("camera", "target", "joints" if "joints" in content else "poses"):
         _require(content, key, where)
     image_size = _image_size(content["camera"], where)
     mount = content.get("mount", "eye_in_hand")
@@ -60,34 +61,36 @@ def load_folder(
         target = target_from_dict(content["target"])
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-    views, poses, masked = _read_poses(folder, content["poses"], where, bad_views)
+    commands = read_commands(folder, content, where, bad_views)
     if "pictures" in content:
-        return from_pictures(
-            _picture_files(
-                folder, content["pictures"], views, target, folder / content["poses"]["file"], where
-            ),
-            poses,
+        table = folder / content["poses" if "poses" in content else "joints"]["file"]
+        files = _picture_files(folder, content["pictures"], commands.views, target, table, where)
+        data = from_pictures(
+            files,
+            commands.poses,
             target,
             mount,
             image_size,
             bad_views,
-            masked,
+            commands.masked,
             progress,
             folder / DETECTIONS if keep_detections else None,
         )
+        return commands.with_joints(data)
     if not (folder / DETECTIONS).is_file():
         raise ValueError(f"{where}: entry 'pictures' is missing, and there is no {DETECTIONS}")
-    return Dataset.from_arrays(
+    data = Dataset.from_arrays(
         target.points,
-        read_detections(folder / DETECTIONS, views, len(target.points)),
-        poses,
+        read_detections(folder / DETECTIONS, commands.views, len(target.points)),
+        commands.poses,
         image_size,
-        view_ids=views,
+        view_ids=commands.views,
         mount=mount,
         bad_views=bad_views,
-        masked_views=list(masked.items()),
+        masked_views=list(commands.masked.items()),
         target=target,
     )
+    return commands.with_joints(data)
 
 
 def save_dataset(data: Dataset, folder: str | Path) -> None:
@@ -100,7 +103,13 @@ def save_dataset(data: Dataset, folder: str | Path) -> None:
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
     write_detections(folder / DETECTIONS, data.view_ids, np.asarray(data.pixels))
-    write_folder(folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount)
+    joints = {}
+    if data.arm is not None and data.joints is not None:
+        entry = write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
+        joints = {"joints": entry}
+    write_folder(
+        folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount, joints
+    )
 
 
 def write_folder(
@@ -110,7 +119,7 @@ def write_folder(
     image_size: tuple[int, int],
     target: AbstractTarget,
     mount: str,
-    pictures: str | None = None,
+    more: dict[str, Any] | None = None,
 ) -> None:
     """Write `poses.csv` and `dataset.yaml`; the description last, so that no half is read.
 
@@ -121,7 +130,7 @@ def write_folder(
         image_size: width and height, px.
         target: what was seen.
         mount: where the camera is.
-        pictures: pattern of their names; None where there are detections alone.
+        more: further entries of the description: of pictures, of joints.
     """
     codec = pose_codec("matrix")
     rows = codec.encode(base_from_tool)
@@ -142,7 +151,7 @@ def write_folder(
             "angle_unit": "rad",
             "direction": "base_from_tool",
         },
-        **({} if pictures is None else {"pictures": {"pattern": pictures}}),
+        **(more or {}),
     }
     write_atomically(folder / DESCRIPTION, dump_yaml(description))
 
@@ -159,58 +168,10 @@ def _image_size(camera: dict[str, Any], where: Path) -> tuple[int, int]:
     return size[0], size[1]
 
 
-def _read_poses(
-    folder: Path, content: dict[str, Any], where: Path, bad_views: str
-) -> tuple[list[str], SE3, dict[str, str]]:
-    """View ids, poses, and the views whose pose is masked, with reasons."""
-    for key in ("file", "codec", "length_unit", "angle_unit", "direction"):
-        if key not in content:
-            raise ValueError(f"{where}: entry 'poses.{key}' is missing: units are never guessed")
-    if content["direction"] not in _DIRECTIONS:
-        raise ValueError(
-            f"{where}: poses.direction is one of {', '.join(_DIRECTIONS)}; "
-            f"found {content['direction']!r}"
-        )
-    path = folder / content["file"]
-    try:
-        codec = pose_codec(content["codec"])
-    except ValueError as error:
-        raise ValueError(f"{where}: poses.codec: {error}") from error
-    table = read_table(path, ("view", *codec.columns))
-    views = [row["view"] for row in table]
-    if duplicates(views):
-        raise ValueError(f"{path}: view {', '.join(duplicates(views))} has more than one row")
-    if not views:
-        raise ValueError(f"{path}: no poses")
-    rows = np.stack([numbers(path, row, codec.columns, row["view"]) for row in table])
-    units = (content["length_unit"], content["angle_unit"])
-    masked = _undecodable(codec, rows, units, views) if bad_views == "mask" else {}
-    good = [view not in masked for view in views]
-    # The pose of a masked view is never used; any other stands in for it.
-    rows = np.where(np.array(good)[:, None], rows, rows[good.index(True) if any(good) else 0])
-    try:
-        poses = codec.decode(rows, *units, labels=views)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    return views, poses if content["direction"] == "base_from_tool" else poses.inverse(), masked
-
-
-def _undecodable(
-    codec: PoseCodec, rows: np.ndarray, units: tuple[str, str], views: list[str]
-) -> dict[str, str]:
-    problems = {}
-    for view, row in zip(views, rows, strict=True):
-        try:
-            codec.decode(row[None], *units, labels=[view])
-        except ValueError as error:
-            problems[view] = str(error)
-    return problems
-
-
 def _picture_files(
     folder: Path,
     content: dict[str, Any],
-    views: list[str],
+    views: Sequence[str],
     target: AbstractTarget,
     poses: Path,
     where: Path,

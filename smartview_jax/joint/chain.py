@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..geometry import exp_jacobian
+from ..robots import Command
 from .parameters import Parameters, Step
 
 
@@ -33,7 +34,7 @@ class Chain(eqx.Module):
     by_own: Float[Array, "corrected 6 6"]
 
 
-def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> Chain:
+def linearise_chain(parameters: Parameters, step: Step, reported: Command) -> Chain:
     """The chain a step away from the start; see `Chain`."""
     calibration, corrections = parameters.moved(step)
     n = parameters.camera_size
@@ -41,29 +42,22 @@ def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> 
     by_holder = _by_own_step(calibration.holder_from_world, step.shared[n + 6 : n + 12])
     eye_in_hand = calibration.mount == "eye_in_hand"
 
-    # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
-    identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, base_from_tool.wxyz_xyz.shape))
-    before, after = (
-        (identity, base_from_tool.inverse()) if eye_in_hand else (base_from_tool, identity)
-    )
     error = calibration.robot_error
-    basis, twist = None, corrections
-    if error is not None:
-        basis = error.field.basis(base_from_tool)
-        smooth = basis @ error.coefficients
-        twist = smooth + corrections if len(corrections) else smooth
-    signed = twist if eye_in_hand else -twist
+    pose = reported.base_from_tool if error is None else error.true_pose(reported)
+    # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
+    identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, pose.wxyz_xyz.shape))
+    before, after = (identity, pose.inverse()) if eye_in_hand else (pose, identity)
+    signed = corrections if eye_in_hand else -corrections
     camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])
     holder_from_world = SE3(calibration.holder_from_world.wxyz_xyz[None])
-    camera_from_correction = camera_from_mount @ before
-    camera_from_holder = (
-        camera_from_correction @ SE3.exp(signed) @ after
-        if len(twist)
-        else camera_from_correction @ after
-    )
+    camera_from_before = camera_from_mount @ before
+    camera_from_after = camera_from_before
+    if len(corrections):
+        camera_from_after = camera_from_before @ SE3.exp(signed)
+    camera_from_holder = camera_from_after @ after
     camera_from_world = camera_from_holder @ holder_from_world
 
-    views = base_from_tool.get_batch_axes()[0]
+    views = len(pose.wxyz_xyz)
     # Pixels do not change where all distances from the camera do: a larger target seen from where
     # it is looks as the same target, nearer by the same factor.
     nearer = -camera_from_world.translation() / calibration.target_scale
@@ -73,14 +67,15 @@ def linearise_chain(parameters: Parameters, step: Step, base_from_tool: SE3) -> 
         camera_from_holder.adjoint() @ by_holder[None],
         by_scale,
     ]
-    by_twist = jnp.zeros((0, 6, 6))
-    if len(twist):
+    if error is not None:
+        # The pose and its twist at the tool stand left of the correction, or, inverted, right.
+        camera_from_tool = camera_from_after if eye_in_hand else camera_from_before
+        twist = error.by_coefficients(reported)
+        columns.append(camera_from_tool.adjoint() @ (-twist if eye_in_hand else twist))
+    by_own = jnp.zeros((0, 6, 6))
+    if len(corrections):
         inner = jax.vmap(exp_jacobian)(signed)
-        inner = inner if eye_in_hand else -inner
-        by_twist = camera_from_correction.adjoint() @ inner
-    if basis is not None:
-        columns.append(by_twist @ basis)
-    by_own = by_twist if len(corrections) else by_twist[:0]
+        by_own = camera_from_before.adjoint() @ (inner if eye_in_hand else -inner)
     return Chain(calibration, camera_from_world, jnp.concatenate(columns, axis=2), by_own)
 
 

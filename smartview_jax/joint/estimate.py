@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..dataset import Dataset
-from ..robots import AbstractField, LinearInPose, LinearInPosition, RobotError, field_name
+from ..robots import AbstractField, DHErrors, LinearInPose, RobotError, field_name
 from .build import Built, build_problem
 from .likelihood import LEAST, LinearisedViews, Sizes, best_step, likeliest
 from .noise import Noise
@@ -106,8 +106,9 @@ def estimate_noise(
         data: the more views the better; below about eight nothing is reliable.
         start: any calibration near enough, with the lens that is to be fitted.
         field: None chooses between a robot without error, one with white noise, and one with a
-            field besides, linear in position or in the pose; False is white noise alone; a field of
-            `robots`, or your own, is taken as it is.
+            field besides, linear in position or in the pose, or, where an arm's joints are known,
+            of their zeros or of all its Denavit-Hartenberg numbers; False is white noise alone; a
+            field of `robots`, or your own, is taken as it is.
         fixed: as `fit_joint` takes them, and so are `free` and `priors`.
         free: see there.
         priors: see there.
@@ -122,7 +123,7 @@ def estimate_noise(
             raise ValueError(
                 f"prior on {path!r}: its size is what noise='estimated' finds; give a Noise instead"
             )
-    basis = LinearInPose.over(data.base_from_tool) if field is None else field or None
+    basis = _largest_field(data) if field is None else field or None
     unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
     built = build_problem(
         data, start, noise=unit, field=basis, fixed=fixed, free=free, priors=priors
@@ -152,7 +153,7 @@ def estimate_noise(
     )
     calibration, _ = built.problem.calibration(z)
     noise = _noise(sizes, white, tried[name])
-    return NoiseEstimate(name, noise, *_kept(calibration, name, basis), alternatives, settled)
+    return NoiseEstimate(name, noise, *_kept(calibration, name), alternatives, settled)
 
 
 class _Statistics:
@@ -240,10 +241,15 @@ def _candidates(
     tried = {"trusted": place < 0, "white": place < 2}
     if basis is None or field is not None:
         return tried if basis is None else {**tried, field_name(basis): place >= 0}
-    for name, groups in (("position", 2), ("pose", 4)):
-        if statistics >= sum(count for _, count in basis.groups[:groups]) + 12:
-            tried[name] = place < 2 + groups
+    for smaller in basis.nested:
+        if statistics >= smaller.size + 12:
+            tried[field_name(smaller)] = place < 2 + len(smaller.groups)
     return tried
+
+
+def _largest_field(data: Dataset) -> AbstractField:
+    """That of the arm itself where its joints are known, otherwise linear in the pose."""
+    return LinearInPose.over(data.base_from_tool) if data.arm is None else DHErrors(data.arm)
 
 
 def _first_guess(
@@ -300,15 +306,11 @@ def _noise(sizes: Sizes, white: float, active: Bool[np.ndarray, "robot"]) -> Noi
     return Noise(*numbers, field=field, white_pixel=white)
 
 
-def _kept(
-    calibration: Calibration, name: str, basis: AbstractField | None
-) -> tuple[AbstractField | None, Calibration]:
+def _kept(calibration: Calibration, name: str) -> tuple[AbstractField | None, Calibration]:
     """The field that was chosen, and the calibration with no other."""
     error = calibration.robot_error
     if name in PLAIN or error is None:
         return None, calibration.uncorrected
-    if name == "position" and isinstance(basis, LinearInPose):
-        field = LinearInPosition(basis.centre, basis.reach)
-        error = RobotError(field, error.coefficients[: field.size])
-        return field, dataclasses.replace(calibration, robot_error=error)
-    return basis, calibration
+    field = next(part for part in error.field.nested if field_name(part) == name)
+    error = RobotError(field, error.coefficients[: field.size])
+    return field, dataclasses.replace(calibration, robot_error=error)

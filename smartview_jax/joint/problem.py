@@ -88,10 +88,9 @@ class JointProblem(eqx.Module):
         """Calibration and corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
-        if len(corrections) == 0:
-            return calibration, poses if error is None else error.true_pose(poses)
-        twist = corrections if error is None else corrections + error.twist(poses)
-        return calibration, poses @ SE3.exp(-twist)
+        if error is not None:
+            poses = error.true_pose(self.observations.command)
+        return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
 
     def _whitened(
         self, calibration: Calibration, poses: SE3, seen: Observations
@@ -125,7 +124,7 @@ class JointProblem(eqx.Module):
     def observed(self, z: Step) -> NormalEquations:
         """`normal_equations` of the observations alone, without priors."""
         step = self.step(z)
-        chain = linearise_chain(self.parameters, step, self.observations.base_from_tool)
+        chain = linearise_chain(self.parameters, step, self.observations.command)
         views = self._linearised(chain)
         return NormalEquations(jnp.sum(views.cost), *self._through_chain(chain, views))
 
@@ -211,5 +210,5 @@ def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
     start = problem.parameters.start
     # View by view: a projection of everything at once takes several times the data's memory.
     return jax.lax.map(
-        lambda seen: start.project(seen.base_from_tool, seen.points)[1], problem.observations
+        lambda seen: start.project(seen.command, seen.points)[1], problem.observations
     )

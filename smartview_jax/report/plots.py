@@ -37,7 +37,7 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
     shown = slice(len(target.board.points) if isinstance(target, StackedTarget) else None)
     figure, axes = _figure(7.5, 5.8)
     axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
-    predicted, valid = calibration.project(data.base_from_tool, data.points)
+    predicted, valid = calibration.project(data.command, data.points)
     u, v = np.asarray(predicted)[view, shown][np.asarray(valid)[view, shown]].T
     axes.plot(u, v, "+", color=RED, markersize=9, markeredgewidth=1.2, label="predicted")
     seen = np.asarray(data.pixels)[view, shown][np.asarray(data.visible)[view, shown]]
@@ -120,7 +120,7 @@ def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
     """Cameras, tools and the target, in the frame the target stands in."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
-    world_from_camera = calibration.camera_from_world(data.base_from_tool).inverse()
+    world_from_camera = calibration.camera_from_world(data.command).inverse()
     centres = np.asarray(world_from_camera.translation())
     rotations = np.asarray(world_from_camera.rotation().as_matrix())
     seen = np.asarray(data.visible)

@@ -1,22 +1,20 @@
 """A fitted error field: where the tool is when the robot says where it is, and the other way."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .fields import AbstractField
-
-INVERSION_STEPS = 8
-"""Of the fixed point behind `reported`; each gains the ratio of error to reach, a hundredth."""
+from .command import Command, CommandLike, as_command
+from .field import AbstractField
 
 
 class RobotError(eqx.Module):
-    """What a robot's reported poses are wrong by, as a smooth function of them.
+    """What a robot's reports are wrong by, as a smooth function of them.
 
     Attributes:
-        field: the basis.
+        field: what the coefficients mean.
         coefficients: of the field, in the order of its `names`.
     """
 
@@ -28,18 +26,21 @@ class RobotError(eqx.Module):
         """A field that corrects nothing yet."""
         return cls(field, jnp.zeros(field.size))
 
-    def twist(self, reported: SE3) -> Float[Array, "*views 6"]:
-        """At the tool: translation (m), then rotation (rad)."""
-        return self.field.basis(reported) @ self.coefficients
-
-    def true_pose(self, reported: SE3) -> SE3:
+    def true_pose(self, reported: CommandLike) -> SE3:
         """`base_from_tool` as it is, from what the robot reports, `(*views)`."""
-        return reported @ SE3.exp(-self.twist(reported))
+        return self.field.true_pose(as_command(reported), self.coefficients)
 
-    def reported_pose(self, true: SE3) -> SE3:
-        """What the robot reports, and is to be told, to be at a pose; inverts `true_pose`."""
+    def by_coefficients(self, reported: CommandLike) -> Float[Array, "views 6 coefficients"]:
+        """Twist of the true pose at the tool, translation (m) first, per unit of each."""
+        return self.field.by_coefficients(as_command(reported), self.coefficients)
 
-        def closer(reported: SE3, _: None) -> tuple[SE3, None]:
-            return true @ SE3.exp(self.twist(reported)), None
+    def command(
+        self, true: SE3, near: Float[Array, "*views joints"] | np.ndarray | None = None
+    ) -> Command:
+        """What the robot reports, and is to be told, to be at a pose; inverts `true_pose`.
 
-        return jax.lax.scan(closer, true, length=INVERSION_STEPS)[0]
+        Args:
+            true: wanted, `(*views)`.
+            near: joint angles in whose neighbourhood to look; for fields of joints alone.
+        """
+        return self.field.command(true, self.coefficients, near)

@@ -144,6 +144,6 @@ def write_pictures(
         calibration.camera.image_size,
         target,
         calibration.mount,
-        pictures=pattern,
+        {"pictures": {"pattern": pattern}},
     )
     return folder

@@ -13,7 +13,8 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..geometry import PoseLike, as_se3, transform_points
+from ..geometry import transform_points
+from ..robots import CommandLike, as_command
 
 
 class Interpolation(eqx.Module):
@@ -44,20 +45,20 @@ class Interpolation(eqx.Module):
         b = jnp.concatenate([jnp.ones_like(position[..., :1]), position], axis=-1)
         return b @ jnp.linalg.pinv(A).T
 
-    def camera_from_world(self, base_from_tool: PoseLike) -> SE3:
+    def camera_from_world(self, base_from_tool: CommandLike) -> SE3:
         """Extrinsics at the given robot poses, `(*views)`."""
-        e = self.weights(as_se3(base_from_tool).translation()) @ self.extrinsics
+        e = self.weights(as_command(base_from_tool).base_from_tool.translation()) @ self.extrinsics
         rotation = SO3.from_rpy_radians(e[..., 2], e[..., 1], e[..., 0])
         return SE3.from_rotation_and_translation(rotation, e[..., 3:])
 
     def points_in_camera(
-        self, base_from_tool: PoseLike, points: Float[Array, "*points 3"]
+        self, base_from_tool: CommandLike, points: Float[Array, "*points 3"]
     ) -> Float[Array, "*moved 3"]:
         """Target points in the camera frame, m."""
         return transform_points(self.camera_from_world(base_from_tool), jnp.asarray(points, float))
 
     def project(
-        self, base_from_tool: PoseLike, points: Float[Array, "*points 3"]
+        self, base_from_tool: CommandLike, points: Float[Array, "*points 3"]
     ) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
         """Pixels of target points, shapes as in `Calibration.project`."""
         return self.camera.project(self.points_in_camera(base_from_tool, points))

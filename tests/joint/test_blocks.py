@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from jaxlie import SE3
 from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior
 from smartview_jax.cameras import AbstractPerspectiveLens
 from smartview_jax.joint import blocks
 from smartview_jax.joint.build import build_problem
-from smartview_jax.robots import LinearInPose
+from smartview_jax.robots import DHErrors, LinearInPose, six_axes
 from smartview_jax.simulation import paper_points, random_scene
 
 NOISE = Noise(0.15, 1e-3, 1e-2)
@@ -100,6 +101,25 @@ def test_a_field_of_the_robots_error(scene, mount, corrected):
     priors = {} if corrected else {"robot_error": Prior(1e-3, mean=0.0)}
     problem = build_problem(data, start, noise=noise, priors=priors, field=field).problem
     assert_same(*dense_and_structured(problem, 3e-2))
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_the_errors_of_an_arm(scene, mount):
+    """An arm that moves a little; the target goes where its first view sees it as before."""
+    data, start = mounted(scene, mount)
+    arm, rng = six_axes(), np.random.default_rng(0)
+    joints = np.array([0.1, 0.4, 0.2, 0.1, -0.9, 0.0]) + 0.02 * rng.normal(size=(6, 6))
+    first, own = SE3(data.base_from_tool.wxyz_xyz[0]), arm.base_from_tool(joints[0])
+    moved = own @ first.inverse() if mount == "eye_in_hand" else own.inverse() @ first
+    start = Calibration(
+        start.camera, start.camera_from_mount, moved @ start.holder_from_world, mount
+    )
+    data = type(data).from_arrays(
+        data.points, data.pixels, None, data.image_size, mount=mount, joints=joints, arm=arm
+    )
+    noise = Noise(0.15, 1e-3, 1e-2, field=(1e-2, 2e-3, 3e-3))
+    problem = build_problem(data, start, noise=noise, field=DHErrors(arm)).problem
+    assert_same(*dense_and_structured(problem, 1e-2))
 
 
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])

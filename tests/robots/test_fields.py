@@ -8,10 +8,17 @@ from scipy.spatial.transform import Rotation
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robots import AbstractField, LinearInPose, LinearInPosition, RobotError
+from smartview_jax.robots import (
+    AbstractField,
+    AbstractLinearField,
+    LinearInPose,
+    LinearInPosition,
+    RobotError,
+    as_command,
+)
 
 
-class Sag(AbstractField):
+class Sag(AbstractLinearField):
     """A user's own: the arm bends down by a coefficient times its reach."""
 
     softness: jax.Array
@@ -68,7 +75,7 @@ def test_the_twist_is_linear_in_the_position_in_base_axes(poses):
     offset = (positions - positions.mean(axis=0)) / spread
     base_from_tool = Rotation.from_quat(np.asarray(poses.rotation().wxyz), scalar_first=True)
     expected = [base_from_tool.inv().apply(offset @ matrix) for matrix in (shift, turn)]
-    found = RobotError(field, coefficients).twist(poses)
+    found = field.twist(poses, coefficients)
     np.testing.assert_allclose(found, np.concatenate(expected, axis=1), atol=1e-15)
 
 
@@ -84,25 +91,33 @@ def test_a_field_in_the_pose_sees_turns_that_one_in_position_does_not(poses):
 
 
 def test_true_and_reported_poses_are_each_others_inverse(error, poses):
-    back = error.reported_pose(error.true_pose(poses))
+    back = error.command(error.true_pose(poses)).base_from_tool
     np.testing.assert_allclose((poses.inverse() @ back).log(), 0.0, atol=1e-13)
-    forth = error.true_pose(error.reported_pose(poses))
+    forth = error.true_pose(error.command(poses))
     np.testing.assert_allclose((poses.inverse() @ forth).log(), 0.0, atol=1e-13)
 
 
+def test_the_twist_of_each_coefficient_is_the_derivative_of_the_pose(error, poses):
+    """The closed form of the linear fields, against the derivative that any field inherits."""
+    reported = as_command(poses)
+    found = error.field.by_coefficients(reported, error.coefficients)
+    expected = AbstractField.by_coefficients(error.field, reported, error.coefficients)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 def test_what_the_robot_says_and_where_it_is_differ_by_the_twist(error, poses):
-    tool_from_base = SE3.exp(error.twist(poses)) @ poses.inverse()
+    tool_from_base = SE3.exp(error.field.twist(poses, error.coefficients)) @ poses.inverse()
     np.testing.assert_allclose((tool_from_base @ error.true_pose(poses)).log(), 0.0, atol=1e-14)
 
 
 def test_works_under_jit_vmap_and_grad(error, poses):
-    one_by_one = jax.vmap(lambda x: error.reported_pose(SE3(x)).wxyz_xyz)(poses.wxyz_xyz)
+    one_by_one = jax.vmap(lambda x: error.command(SE3(x)).base_from_tool.wxyz_xyz)(poses.wxyz_xyz)
     np.testing.assert_allclose(
-        one_by_one, eqx.filter_jit(error.reported_pose)(poses).wxyz_xyz, atol=1e-15
+        one_by_one, eqx.filter_jit(error.command)(poses).base_from_tool.wxyz_xyz, atol=1e-15
     )
 
     def lift(coefficients):
-        moved = RobotError(error.field, coefficients).reported_pose(poses)
+        moved = RobotError(error.field, coefficients).command(poses).base_from_tool
         return jnp.sum(moved.translation()[..., 2])
 
     along = jnp.ones_like(error.coefficients)

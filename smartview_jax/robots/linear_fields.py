@@ -1,50 +1,16 @@
-"""Error fields: the part of a robot's error that is a smooth function of its pose.
+"""Fields for any robot: twists linear in where the tool is, and in how it is turned."""
 
-A robot whose joints, links and gears are not quite what its controller believes reports poses that
-are wrong by much the same amount wherever it comes back to. A field writes that error as a twist at
-the tool, linear in coefficients:
-
-    tool_from_base = exp(basis(base_from_tool) @ coefficients) @ reported
-"""
-
-import abc
-
-import equinox as eqx
 import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
+
+from .field import AbstractField, AbstractLinearField
 
 SPREAD = 1.7
 """Standard deviations of the positions that count as one unit: the half width of a uniform box."""
 
 
-class AbstractField(eqx.Module):
-    """A basis for the twist by which the robot errs, and which coefficients share a size.
-
-    A field of your own subclasses this; everything that takes a field takes it.
-    """
-
-    @property
-    @abc.abstractmethod
-    def groups(self) -> tuple[tuple[str, int], ...]:
-        """Name and number of coefficients of each group, in order; a group has one variance."""
-
-    @abc.abstractmethod
-    def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 coefficients"]:
-        """Twists at the tool, translation (m) first, per unit of each coefficient."""
-
-    @property
-    def size(self) -> int:
-        """Number of coefficients."""
-        return sum(count for _, count in self.groups)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """One name a coefficient: its group, and its number there."""
-        return tuple(f"{group}.{k}" for group, count in self.groups for k in range(count))
-
-
-class LinearInPosition(AbstractField):
+class LinearInPosition(AbstractLinearField):
     """Translation and rotation linear in the tool's position: 18 coefficients.
 
     Attributes:
@@ -70,7 +36,7 @@ class LinearInPosition(AbstractField):
         return _both_parts(base_from_tool, offset)
 
 
-class LinearInPose(AbstractField):
+class LinearInPose(AbstractLinearField):
     """Translation and rotation linear in the tool's position and orientation: 54 coefficients.
 
     Attributes:
@@ -98,6 +64,10 @@ class LinearInPose(AbstractField):
             ("translation_by_orientation", 18),
             ("rotation_by_orientation", 18),
         )
+
+    @property
+    def nested(self) -> tuple[AbstractField, ...]:
+        return (LinearInPosition(self.centre, self.reach), self)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 54"]:
         offset = _beyond(self.centre, base_from_tool.translation()) / self.reach
@@ -137,29 +107,4 @@ def _both_parts(
             jnp.concatenate([nothing, part], axis=-1),
         ],
         axis=-2,
-    )
-
-
-FIELDS: dict[str, type[LinearInPosition] | type[LinearInPose]] = {
-    "position": LinearInPosition,
-    "pose": LinearInPose,
-}
-"""Fields by the name that files and options use."""
-
-
-def field_by_name(name: str) -> type[LinearInPosition] | type[LinearInPose]:
-    """The class of a field.
-
-    Raises:
-        ValueError: no field is called so.
-    """
-    if name not in FIELDS:
-        raise ValueError(f"field is one of {', '.join(FIELDS)}; found {name!r}")
-    return FIELDS[name]
-
-
-def field_name(field: AbstractField) -> str:
-    """What `field_by_name` knows a field by; the class's own name for others."""
-    return next(
-        (name for name, kind in FIELDS.items() if type(field) is kind), type(field).__name__
     )

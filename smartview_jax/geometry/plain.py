@@ -1,0 +1,31 @@
+"""A rigid transform as plain numbers with their names, as files have it."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3, SO3
+
+
+def transform_to_dict(transform: SE3) -> dict[str, list[float]]:
+    """Translation, m, and unit quaternion."""
+    return {
+        "translation": np.asarray(transform.translation()).tolist(),
+        "quaternion_wxyz": np.asarray(transform.rotation().wxyz).tolist(),
+    }
+
+
+def transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
+    """The inverse of `transform_to_dict`.
+
+    Raises:
+        ValueError: not a rigid transform; the message has its name.
+        KeyError: an entry is missing.
+    """
+    translation = np.asarray(content["translation"], dtype=float)
+    quaternion = np.asarray(content["quaternion_wxyz"], dtype=float)
+    if translation.shape != (3,) or quaternion.shape != (4,):
+        raise ValueError(f"{name}: expected 3 and 4 numbers")
+    if not (np.isfinite(translation).all() and abs(np.linalg.norm(quaternion) - 1.0) < 1e-6):
+        raise ValueError(f"{name}: not a finite translation and a unit quaternion")
+    return SE3.from_rotation_and_translation(SO3(jnp.asarray(quaternion)), jnp.asarray(translation))

@@ -1,0 +1,83 @@
+"""Joint angles in a data-set folder: `joints.csv`, and the arm they are of.
+
+    joints: {file: joints.csv, angle_unit: deg, length_unit: m, arm: kuka_lwr4}
+
+The file has a column `view` and one a joint: `q1`, `q2`, ... In place of a name `arm` may hold the
+Denavit-Hartenberg numbers, rad and m: rows `theta`, `d`, `a`, `alpha`, the `convention`, which
+joints are `prismatic`, and `flange_from_tool`.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..geometry import ANGLE_UNITS, LENGTH_UNITS
+from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
+from .tables import duplicates, numbers, read_table, write_table
+
+JOINTS = "joints.csv"
+
+
+def read_joints(
+    folder: Path, content: dict[str, Any], where: Path, views: Sequence[str] | None
+) -> tuple[tuple[str, ...], Float[np.ndarray, "views joints"], SerialArm]:
+    """Views, readings (rad, m) and arm of the entry `joints` of a description.
+
+    Args:
+        folder: of the data set.
+        content: the entry.
+        where: the description, for messages.
+        views: in the order wanted; None takes them as they come.
+
+    Raises:
+        ValueError: naming the file and the entry or view that is wrong.
+        FileNotFoundError: the table is missing.
+    """
+    for key, units in (("file", None), ("angle_unit", ANGLE_UNITS), ("length_unit", LENGTH_UNITS)):
+        if key not in content:
+            raise ValueError(f"{where}: entry 'joints.{key}' is missing: units are never guessed")
+        if units is not None and content[key] not in units:
+            raise ValueError(
+                f"{where}: joints.{key} is one of {', '.join(units)}; found {content[key]!r}"
+            )
+    arm = _arm(content.get("arm"), where)
+    path, columns = folder / content["file"], _columns(arm)
+    rows = read_table(path, ("view", *columns))
+    table = {row["view"]: row for row in rows}
+    if repeated := duplicates([row["view"] for row in rows]):
+        raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
+    wanted = tuple(table) if views is None else tuple(views)
+    if set(wanted) != set(table) or not table:
+        other = sorted(set(wanted) ^ set(table))
+        raise ValueError(f"{path}: poses and joints are not of the same views: {', '.join(other)}")
+    readings = np.stack([numbers(path, table[view], columns, view) for view in wanted])
+    length, angle = LENGTH_UNITS[content["length_unit"]], ANGLE_UNITS[content["angle_unit"]]
+    return wanted, readings * np.where(arm.prismatic, length, angle), arm
+
+
+def write_joints(
+    folder: Path,
+    views: Sequence[str],
+    joints: Float[np.ndarray, "views joints"],
+    arm: SerialArm,
+) -> dict[str, Any]:
+    """Write the table; the entry of the description that goes with it."""
+    rows = [(view, *map(float, row)) for view, row in zip(views, joints, strict=True)]
+    write_table(folder / JOINTS, ("view", *_columns(arm)), rows)
+    return {"file": JOINTS, "angle_unit": "rad", "length_unit": "m", "arm": arm_to_dict(arm)}
+
+
+def _columns(arm: SerialArm) -> tuple[str, ...]:
+    return tuple(f"q{1 + k}" for k in range(arm.size))
+
+
+def _arm(content: Any, where: Path) -> SerialArm:
+    try:
+        return arm_from_dict(content) if isinstance(content, dict) else arm_by_name(content)
+    except KeyError as error:
+        raise ValueError(f"{where}: entry 'joints.arm.{error.args[0]}' is missing") from error
+    except ValueError as error:
+        raise ValueError(f"{where}: joints.arm: {error}") from error

@@ -1,0 +1,120 @@
+"""What is wrong with an arm itself: zeros of its joints, and its Denavit-Hartenberg numbers.
+
+Unlike the linear fields these are exact: the tool is where forward kinematics with the corrected
+numbers puts it. An error at either end of the chain that is the same in all views is also a
+displacement of the base or of the tool: the zero of the last joint cannot be told from the
+hand-eye transform, nor that of the first from where the target stands. Their prior keeps them at
+nothing.
+"""
+
+import abc
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Float
+
+from .command import Command
+from .field import AbstractField
+from .inverse_kinematics import joints_near
+from .serial_arm import SerialArm
+
+
+class AbstractArmErrors(AbstractField):
+    """Errors of the numbers that forward kinematics goes by.
+
+    Attributes:
+        arm: as its controller believes it to be.
+    """
+
+    arm: SerialArm
+
+    @abc.abstractmethod
+    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        """The arm as it is."""
+
+    def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
+        """`base_from_tool` as it is.
+
+        Raises:
+            ValueError: a pose without the joints' readings.
+        """
+        if reported.joints is None:
+            raise ValueError(
+                "the errors of an arm are corrected by its joints: give arm.command(joints) "
+                "instead of a pose, or corrected=False for the bare chain"
+            )
+        return self.corrected(coefficients).base_from_tool(reported.joints)
+
+    def command(
+        self,
+        true: SE3,
+        coefficients: Float[Array, "coefficients"],
+        near: Float[Array, "*views joints"] | np.ndarray | None = None,
+    ) -> Command:
+        """What to tell the robot; see `AbstractField`. NaN where the arm does not reach.
+
+        Raises:
+            ValueError: without `near`: an arm reaches a pose in several ways.
+        """
+        if near is None:
+            raise ValueError(
+                "an arm reaches a pose in several ways: give near=joints, angles in whose "
+                "neighbourhood to look"
+            )
+        joints, reached = joints_near(self.corrected(coefficients), true, near)
+        return self.arm.command(jnp.where(reached[..., None], joints, jnp.nan))
+
+
+class JointOffsets(AbstractArmErrors):
+    """The zero of every joint: added to its reading, rad (m where it slides)."""
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        return (("joint_offset", self.arm.size),)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return _by_joint(("joint_offset",), self.arm)
+
+    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        return _with_offsets(self.arm, coefficients)
+
+
+class DHErrors(AbstractArmErrors):
+    """The zero of every joint, the lengths `d` and `a` (m) and the twist `alpha` (rad) of links."""
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        n = self.arm.size
+        return (("joint_offset", n), ("link_length", 2 * n), ("link_twist", n))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        parts = ("joint_offset", "link_length.d", "link_length.a", "link_twist")
+        return _by_joint(parts, self.arm)
+
+    @property
+    def nested(self) -> tuple[AbstractField, ...]:
+        return (JointOffsets(self.arm), self)
+
+    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        offset, d, a, alpha = jnp.split(coefficients, 4)
+        arm = _with_offsets(self.arm, offset)
+        return dataclasses.replace(arm, d=arm.d + d, a=arm.a + a, alpha=arm.alpha + alpha)
+
+
+def _with_offsets(arm: SerialArm, offset: Float[Array, "joints"]) -> SerialArm:
+    slides = jnp.array(arm.prismatic)
+    nothing = jnp.zeros_like(offset)
+    return dataclasses.replace(
+        arm,
+        theta=arm.theta + jnp.where(slides, nothing, offset),
+        d=arm.d + jnp.where(slides, offset, nothing),
+    )
+
+
+def _by_joint(parts: tuple[str, ...], arm: SerialArm) -> tuple[str, ...]:
+    """Joints count from one, as they do on robots."""
+    return tuple(f"{part}.{1 + k}" for part in parts for k in range(arm.size))

@@ -1,0 +1,30 @@
+"""Fields by the name that files and options use."""
+
+from .arm_errors import DHErrors, JointOffsets
+from .field import AbstractField
+from .linear_fields import LinearInPose, LinearInPosition
+
+FIELDS: dict[str, type[AbstractField]] = {
+    "position": LinearInPosition,
+    "pose": LinearInPose,
+    "joint_offsets": JointOffsets,
+    "dh": DHErrors,
+}
+
+
+def field_by_name(name: str) -> type[AbstractField]:
+    """The class of a field.
+
+    Raises:
+        ValueError: no field is called so.
+    """
+    if name not in FIELDS:
+        raise ValueError(f"field is one of {', '.join(FIELDS)}; found {name!r}")
+    return FIELDS[name]
+
+
+def field_name(field: AbstractField) -> str:
+    """What `field_by_name` knows a field by; the class's own name for others."""
+    return next(
+        (name for name, kind in FIELDS.items() if type(field) is kind), type(field).__name__
+    )

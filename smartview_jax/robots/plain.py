@@ -1,0 +1,81 @@
+"""A robot's error as plain numbers with their names, as files have it."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..geometry import transform_from_dict, transform_to_dict
+from .field import AbstractField
+from .names import field_by_name, field_name
+from .robot_error import RobotError
+from .serial_arm import SerialArm
+
+_ROWS = ("theta", "d", "a", "alpha")
+
+
+def robot_error_to_dict(error: RobotError) -> dict[str, Any]:
+    """Every coefficient by name, so that the file can be read without this library."""
+    coefficients = np.asarray(error.coefficients).tolist()
+    parts = {
+        name: arm_to_dict(value) if isinstance(value, SerialArm) else np.asarray(value).tolist()
+        for name, value in vars(error.field).items()
+    }
+    return {
+        "field": {"model": field_name(error.field), **parts},
+        "coefficients": dict(zip(error.field.names, coefficients, strict=True)),
+    }
+
+
+def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) -> RobotError:
+    """The inverse of `robot_error_to_dict`; `field` stands for one the library does not know.
+
+    Raises:
+        ValueError: other numbers than the field has.
+        KeyError: an entry is missing.
+    """
+    parts = dict(content["field"])
+    model = parts.pop("model")
+    kind = field_by_name(model) if field is None else type(field)
+    known = {part.name for part in dataclasses.fields(kind)}
+    if set(parts) != known:
+        raise ValueError(f"robot_error.field: expected {sorted(known)}, found {sorted(parts)}")
+    basis = kind(
+        **{
+            name: arm_from_dict(value) if name == "arm" else jnp.asarray(value, dtype=float)
+            for name, value in parts.items()
+        }
+    )
+    given = content["coefficients"]
+    if set(given) != set(basis.names):
+        raise ValueError(
+            f"robot_error.coefficients: expected {', '.join(basis.names)}; found {', '.join(given)}"
+        )
+    return RobotError(basis, jnp.array([float(given[name]) for name in basis.names]))
+
+
+def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
+    """Denavit-Hartenberg numbers, a row each, rad and m."""
+    return {
+        "convention": arm.convention,
+        "prismatic": list(arm.prismatic),
+        **{row: np.asarray(getattr(arm, row)).tolist() for row in _ROWS},
+        "flange_from_tool": transform_to_dict(arm.flange_from_tool),
+    }
+
+
+def arm_from_dict(content: dict[str, Any]) -> SerialArm:
+    """The inverse of `arm_to_dict`; without the last two, joints turn and the flange is the tool.
+
+    Raises:
+        ValueError: not an arm's numbers.
+        KeyError: an entry is missing.
+    """
+    tool = content.get("flange_from_tool")
+    return SerialArm(
+        **{row: np.asarray(content[row], dtype=float) for row in _ROWS},
+        convention=content["convention"],
+        prismatic=content.get("prismatic"),
+        flange_from_tool=None if tool is None else transform_from_dict("flange_from_tool", tool),
+    )

@@ -1,0 +1,120 @@
+"""Serial arms by their Denavit-Hartenberg numbers: forward kinematics and its derivatives.
+
+References:
+    Denavit and Hartenberg, A kinematic notation for lower-pair mechanisms, 1955 ("standard").
+    Craig, Introduction to robotics, 1986 ("modified").
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3, SO3
+from jaxtyping import Array, Float
+
+from ..geometry import PoseLike, as_se3
+from .command import Command
+
+CONVENTIONS = ("standard", "modified")
+
+
+class SerialArm(eqx.Module):
+    """An open chain of joints. One step along it is
+
+        standard:  Rz(theta) Tz(d) Tx(a) Rx(alpha)
+        modified:  Rx(alpha) Tx(a) Rz(theta) Tz(d)
+
+    where the joint's reading is added to `theta`, or to `d` if the joint is prismatic.
+
+    Attributes:
+        theta: angle at a reading of zero, rad.
+        d: offset along the joint's axis, m.
+        a: length of the link, m.
+        alpha: twist of the link, rad.
+        flange_from_tool: what is mounted on the last link.
+        convention: `"standard"` or `"modified"`.
+        prismatic: which joints slide.
+    """
+
+    theta: Float[Array, "joints"]
+    d: Float[Array, "joints"]
+    a: Float[Array, "joints"]
+    alpha: Float[Array, "joints"]
+    flange_from_tool: SE3
+    convention: str = eqx.field(static=True)
+    prismatic: tuple[bool, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        theta: Sequence[float] | np.ndarray | Array,
+        d: Sequence[float] | np.ndarray | Array,
+        a: Sequence[float] | np.ndarray | Array,
+        alpha: Sequence[float] | np.ndarray | Array,
+        convention: str = "standard",
+        prismatic: Sequence[bool] | None = None,
+        flange_from_tool: PoseLike | None = None,
+    ):
+        if convention not in CONVENTIONS:
+            raise ValueError(f"convention is one of {', '.join(CONVENTIONS)}; found {convention!r}")
+        self.theta, self.d, self.a, self.alpha = (
+            jnp.asarray(numbers, dtype=float) for numbers in (theta, d, a, alpha)
+        )
+        slides = (False,) * len(self.d) if prismatic is None else prismatic
+        self.prismatic = tuple(map(bool, slides))
+        shapes = {name: jnp.shape(getattr(self, name)) for name in ("theta", "d", "a", "alpha")} | {
+            "prismatic": (len(self.prismatic),)
+        }
+        if len(set(shapes.values())) > 1 or self.theta.ndim != 1 or self.size == 0:
+            raise ValueError(f"an arm has one number a joint in each row; found {shapes}")
+        tool = SE3.identity() if flange_from_tool is None else as_se3(flange_from_tool)
+        self.flange_from_tool = tool
+        self.convention = convention
+
+    @property
+    def size(self) -> int:
+        """Number of joints."""
+        return len(self.theta)
+
+    def base_from_tool(self, joints: Float[Array, "*views joints"] | np.ndarray) -> SE3:
+        """Where the tool is at the joints' readings, `(*views)`.
+
+        Raises:
+            ValueError: not one reading a joint.
+        """
+        joints = jnp.asarray(joints, dtype=float)
+        if joints.shape[-1:] != (self.size,):
+            raise ValueError(
+                f"joints: expected (..., {self.size}), a reading a joint, found {joints.shape}"
+            )
+        pose = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, (*joints.shape[:-1], 7)))
+        for k in range(self.size):
+            pose = pose @ self._link(k, joints[..., k])
+        tool = jnp.broadcast_to(self.flange_from_tool.wxyz_xyz, pose.wxyz_xyz.shape)
+        return pose @ SE3(tool)
+
+    def command(self, joints: Float[Array, "*views joints"] | np.ndarray) -> Command:
+        """The joints' readings, and where the controller believes the tool to be."""
+        return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
+
+    def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
+        """Twist at the tool per unit of each joint, translation first."""
+        here = self.base_from_tool(joints).inverse()
+        return jax.jacfwd(lambda q: (here @ self.base_from_tool(q)).log())(jnp.asarray(joints))
+
+    def _link(self, k: int, reading: Float[Array, "*views"]) -> SE3:
+        slides = self.prismatic[k]
+        nothing = jnp.zeros_like(reading)
+        about = self.theta[k] + (nothing if slides else reading)
+        along = self.d[k] + (reading if slides else nothing)
+        joint = _screw(SO3.from_z_radians(about), along, 2)
+        link = _screw(SO3.from_x_radians(self.alpha[k] + nothing), self.a[k] + nothing, 0)
+        return joint @ link if self.convention == "standard" else link @ joint
+
+
+def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
+    """A rotation about a coordinate axis and a shift along it."""
+    parts = [jnp.zeros_like(distance)] * 3
+    parts[axis] = distance
+    return SE3.from_rotation_and_translation(rotation, jnp.stack(parts, axis=-1))

@@ -1,0 +1,52 @@
+"""A real arm commanded by its joints: lwr4_joint, against what SciPy found on the same corners."""
+
+import numpy as np
+import pytest
+from shared_data import shared_data, shared_pairs
+
+from smartview_jax import fit_joint, fit_staged
+from smartview_jax.evaluation import deviations
+from smartview_jax.robots import JointOffsets, kuka_lwr4
+
+
+@pytest.fixture(scope="module")
+def data():
+    seen, _ = shared_pairs("lwr4_joint")
+    joints = np.loadtxt(shared_data("lwr4_joint") / "joint_angles.csv", delimiter=",")
+    return seen.with_joints(joints, kuka_lwr4())
+
+
+@pytest.fixture(scope="module")
+def start(data):
+    return fit_staged(data, "opencv4").calibration
+
+
+def test_offsets_and_scale_are_those_of_the_reference(data, start):
+    """1.214 px; offsets of joints 2 to 6; squares of 25 x 0.8624 mm, where 25 is a guess."""
+    found = fit_joint(
+        data,
+        start,
+        noise="trusted",
+        field=JointOffsets(data.arm),
+        free=("target_scale",),
+        fixed=("robot_error.joint_offset.1", "robot_error.joint_offset.7"),
+    )
+    assert found.result.converged
+    assert deviations(found.calibration, data).rms == pytest.approx(1.214, abs=1e-3)
+    offsets = found.calibration.robot_error.coefficients
+    expected = [0.0, 0.0108, -0.0054, -0.0094, -0.0018, 0.0222, 0.0]
+    np.testing.assert_allclose(offsets, expected, atol=1e-4)
+    assert float(found.calibration.target_scale) == pytest.approx(0.8624, abs=1e-4)
+
+
+def test_the_arms_own_errors_are_what_the_likelihood_chooses(data, start):
+    found = fit_joint(data, start, noise="estimated", free=("target_scale",))
+    assert found.estimate.name in ("joint_offsets", "dh")
+    gains = {other.name: other.gain for other in found.estimate.alternatives}
+    assert gains["joint_offsets"] > gains["white"] + 100.0
+    assert deviations(found.calibration, data).rms <= 1.45
+    # The first and the last joint's zeros are the target's and the mount's: no data tell them.
+    offsets = np.asarray(found.calibration.robot_error.coefficients[:7])
+    np.testing.assert_allclose(offsets[[0, 6]], 0.0, atol=1e-5)
+    expected = [0.0108, -0.0054, -0.0094, -0.0018, 0.0222]
+    np.testing.assert_allclose(offsets[1:6], expected, atol=2e-3)

@@ -1,0 +1,145 @@
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Calibration
+from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.robots import DHErrors, JointOffsets, RobotError, SerialArm, kuka_lwr4, six_axes
+
+ARMS = [six_axes(), kuka_lwr4(), SerialArm(*np.eye(4, 3), prismatic=[False, True, False])]
+
+
+@pytest.fixture(scope="module", params=[JointOffsets, DHErrors])
+def field(request):
+    return request.param(six_axes())
+
+
+@pytest.fixture(scope="module")
+def error(field):
+    return RobotError(field, jnp.asarray(1e-3 * np.random.default_rng(0).normal(size=field.size)))
+
+
+@pytest.fixture(scope="module")
+def joints():
+    return np.random.default_rng(1).uniform(-1.0, 1.0, (5, 6))
+
+
+def calibration_with(error, mount="eye_in_hand"):
+    camera = Camera(800.0, 790.0, 321.0, 239.0, Pinhole(), (640, 480))
+    transforms = SE3.exp(jnp.full(6, 0.1)), SE3.exp(jnp.full(6, -0.2))
+    return Calibration(camera, *transforms, mount, robot_error=error)
+
+
+def test_the_tool_is_where_the_corrected_numbers_put_it(joints):
+    """An arm built with the wrong numbers, and the errors that make it the right one."""
+    arm = six_axes()
+    offset, d, a, alpha = 1e-3 * np.random.default_rng(2).normal(size=(4, 6))
+    right = dataclasses.replace(
+        arm, theta=arm.theta + offset, d=arm.d + d, a=arm.a + a, alpha=arm.alpha + alpha
+    )
+    error = RobotError(DHErrors(arm), jnp.concatenate([offset, d, a, alpha]))
+    found, expected = error.true_pose(arm.command(joints)), right.base_from_tool(joints)
+    np.testing.assert_allclose((found.inverse() @ expected).log(), 0.0, atol=1e-13)
+
+
+def test_the_smaller_field_is_the_first_part_of_the_larger(joints):
+    larger = DHErrors(six_axes())
+    smaller = larger.nested[0]
+    assert isinstance(smaller, JointOffsets)
+    assert larger.groups[: len(smaller.groups)] == smaller.groups
+    assert larger.names[: smaller.size] == smaller.names
+    offsets = jnp.linspace(-1e-3, 1e-3, smaller.size)
+    whole = jnp.zeros(larger.size).at[: smaller.size].set(offsets)
+    command = larger.arm.command(joints)
+    np.testing.assert_array_equal(
+        smaller.true_pose(command, offsets).wxyz_xyz, larger.true_pose(command, whole).wxyz_xyz
+    )
+
+
+@pytest.mark.parametrize("arm", ARMS, ids=["six", "seven", "sliding"])
+def test_no_errors_leave_the_pose_as_reported(arm):
+    reported = arm.command(np.full((2, arm.size), 0.3))
+    for field in DHErrors(arm).nested:
+        found = RobotError.none(field).true_pose(reported)
+        np.testing.assert_array_equal(found.wxyz_xyz, reported.base_from_tool.wxyz_xyz)
+
+
+def test_names_count_joints_from_one(field):
+    assert field.names[0] == "joint_offset.1"
+    assert len(set(field.names)) == field.size
+    groups = [name for name, count in field.groups for _ in range(count)]
+    assert all(
+        name.startswith(f"{group}.") for name, group in zip(field.names, groups, strict=True)
+    )
+
+
+def test_the_twist_of_each_coefficient_is_that_of_a_small_change(error, joints):
+    command, step = error.field.arm.command(joints), 1e-6
+    found = error.by_coefficients(command)
+    here = error.true_pose(command).inverse()
+    for k in range(error.field.size):
+        ahead, behind = (
+            here @ RobotError(error.field, error.coefficients.at[k].add(s)).true_pose(command)
+            for s in (step, -step)
+        )
+        twist = (ahead.log() - behind.log()) / (2.0 * step)
+        np.testing.assert_allclose(found[..., k], twist, atol=1e-8)
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_a_calibration_predicts_and_commands_through_the_arm(error, joints, mount):
+    arm, calibration = error.field.arm, calibration_with(error, mount)
+    seen = calibration.camera_from_world(arm.command(joints))
+    true = calibration_with(None, mount).camera_from_world(error.true_pose(arm.command(joints)))
+    np.testing.assert_allclose((seen.inverse() @ true).log(), 0.0, atol=1e-13)
+    near = joints + 0.03
+    np.testing.assert_allclose(calibration.joints_for(seen, near), joints, atol=1e-7)
+    told = calibration.command_for(seen, near=near)
+    np.testing.assert_allclose((told.inverse() @ arm.base_from_tool(joints)).log(), 0.0, atol=1e-8)
+
+
+def test_what_cannot_be_reached_is_nan_not_a_pose(error):
+    far = SE3.from_translation(jnp.array([9.0, 0.0, 0.0]))
+    told = calibration_with(error).command_for(far, near=np.full(6, 0.3))
+    assert np.isnan(told.translation()).all()
+
+
+def test_poses_alone_are_refused(error, joints):
+    calibration, poses = calibration_with(error), six_axes().base_from_tool(joints)
+    with pytest.raises(ValueError, match=r"give arm.command\(joints\) instead of a pose"):
+        calibration.project(poses, np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="give near=joints"):
+        calibration.command_for(poses)
+    with pytest.raises(ValueError, match="knows no arm"):
+        calibration_with(None).joints_for(poses, joints)
+    bare = calibration.project(poses, np.zeros((1, 3)), corrected=False)[0]
+    expected = calibration_with(None).project(poses, np.zeros((1, 3)))[0]
+    np.testing.assert_array_equal(bare, expected)
+
+
+def test_files_keep_the_arm(error, tmp_path):
+    path, calibration = tmp_path / "calibration.yaml", calibration_with(error)
+    calibration.save(path)
+    assert eqx.tree_equal(Calibration.load(path), calibration)
+
+
+def test_differentiable_through_the_inversion(error, joints):
+    """The joints move against what the errors move: implicit differentiation, by hand."""
+    arm, command = error.field.arm, error.field.arm.command(joints[0])
+    wanted = error.true_pose(command)
+
+    def told(coefficients):
+        return RobotError(error.field, coefficients).command(wanted, joints[0]).joints
+
+    along = jnp.ones(error.field.size)
+    _, moved = jax.jvp(told, (error.coefficients,), (along,))
+    by_joints = error.field.corrected(error.coefficients).jacobian(joints[0])
+    one = type(command)(SE3(command.base_from_tool.wxyz_xyz[None]), command.joints[None])
+    by_coefficients = error.by_coefficients(one)[0] @ along
+    np.testing.assert_allclose(by_joints @ moved, -by_coefficients, atol=1e-6)
+    assert arm.size == len(moved)

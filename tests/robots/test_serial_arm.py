@@ -1,0 +1,105 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+from shared_data import shared_data
+
+from smartview_jax.robots import SerialArm, joints_near, kuka_lwr4, six_axes
+
+
+def by_matrices(arm, joints):
+    """The textbook's 4x4 matrices, multiplied one by one."""
+    pose = np.eye(4)
+    for theta, d, a, alpha in zip(
+        np.asarray(arm.theta) + joints, arm.d, arm.a, arm.alpha, strict=True
+    ):
+        ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        if arm.convention == "standard":
+            link = [
+                [ct, -st * ca, st * sa, a * ct],
+                [st, ct * ca, -ct * sa, a * st],
+                [0.0, sa, ca, d],
+            ]
+        else:
+            link = [
+                [ct, -st, 0.0, a],
+                [st * ca, ct * ca, -sa, -sa * d],
+                [st * sa, ct * sa, ca, ca * d],
+            ]
+        pose = pose @ np.array([*link, [0.0, 0.0, 0.0, 1.0]])
+    return pose @ np.asarray(arm.flange_from_tool.as_matrix())
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+def test_forward_kinematics_are_the_textbooks(convention):
+    rng = np.random.default_rng(0)
+    tool = SE3.exp(jnp.asarray(rng.normal(size=6)))
+    arm = SerialArm(*rng.normal(size=(4, 5)), convention=convention, flange_from_tool=tool)
+    joints = rng.uniform(-np.pi, np.pi, (7, 5))
+    found = arm.base_from_tool(joints).as_matrix()
+    np.testing.assert_allclose(found, [by_matrices(arm, q) for q in joints], atol=1e-13)
+
+
+def test_a_real_arms_reported_poses_follow_from_its_joints():
+    folder = shared_data("lwr4_joint")
+    reported = np.genfromtxt(folder / "poses.csv", delimiter=",", skip_header=1)
+    joints = np.loadtxt(folder / "joint_angles.csv", delimiter=",")
+    found = np.asarray(kuka_lwr4().base_from_tool(joints).as_matrix())
+    np.testing.assert_allclose(found[:, :3], reported[:, 1:13].reshape(-1, 3, 4), atol=2e-4)
+
+
+def test_a_sliding_joint_moves_along_its_axis():
+    arm = SerialArm([0.3, 0.0], [0.1, 0.2], [0.0, 0.5], [0.0, 0.0], prismatic=[True, False])
+    rest, moved = (arm.base_from_tool(jnp.array([x, 0.4])) for x in (0.0, 0.25))
+    shift = moved.translation() - rest.translation()
+    np.testing.assert_allclose(shift, [0.0, 0.0, 0.25], atol=1e-15)
+    np.testing.assert_allclose(moved.rotation().wxyz, rest.rotation().wxyz, atol=1e-15)
+
+
+def test_the_jacobian_is_the_twist_of_small_moves():
+    arm, joints = six_axes(), jnp.array([0.3, -0.5, 0.7, 0.2, 0.9, -0.4])
+    step = 1e-6
+    here = arm.base_from_tool(joints).inverse()
+    twists = []
+    for k in range(6):
+        ahead, behind = (arm.base_from_tool(joints.at[k].add(s)) for s in (step, -step))
+        twists.append(((here @ ahead).log() - (here @ behind).log()) / (2.0 * step))
+    np.testing.assert_allclose(arm.jacobian(joints), np.array(twists).T, atol=1e-9)
+
+
+def test_works_under_jit_vmap_and_grad():
+    arm = six_axes()
+    joints = jnp.asarray(np.random.default_rng(1).normal(size=(3, 4, 6)))
+    together = arm.base_from_tool(joints).wxyz_xyz
+    one_by_one = jax.vmap(jax.vmap(jax.jit(lambda q: arm.base_from_tool(q).wxyz_xyz)))(joints)
+    np.testing.assert_allclose(together, one_by_one, atol=1e-15)
+    slope = jax.grad(lambda q: arm.base_from_tool(q).translation()[2])(joints[0, 0])
+    assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize("arm", [six_axes(), kuka_lwr4()], ids=["six", "seven"])
+def test_joints_are_found_again_near_by(arm):
+    rng = np.random.default_rng(2)
+    joints = rng.uniform(-1.0, 1.0, (8, arm.size))
+    poses = arm.base_from_tool(joints)
+    found, reached = joints_near(arm, poses, joints + 0.05 * rng.normal(size=joints.shape))
+    assert reached.all()
+    left = (arm.base_from_tool(found).inverse() @ poses).log()
+    np.testing.assert_allclose(left, 0.0, atol=1e-8)
+
+
+def test_a_pose_out_of_reach_is_said_to_be():
+    far = SE3.from_translation(jnp.array([5.0, 0.0, 0.0]))
+    joints, reached = joints_near(six_axes(), far, np.full(6, 0.3))
+    assert not reached
+    assert np.isfinite(joints).all()
+
+
+def test_wrong_input_is_named():
+    with pytest.raises(ValueError, match="convention is one of standard, modified; found 'craig'"):
+        SerialArm([0.0], [0.0], [0.0], [0.0], convention="craig")
+    with pytest.raises(ValueError, match=r"one number a joint in each row; found .*'d': \(2,\)"):
+        SerialArm([0.0], [0.0, 1.0], [0.0], [0.0])
+    with pytest.raises(ValueError, match=r"joints: expected \(..., 6\).*found \(5,\)"):
+        six_axes().base_from_tool(np.zeros(5))
