@@ -136,13 +136,7 @@ def estimate_noise(
 
     tried = _candidates(field, basis, views.count)
     guess, linearised = _first_guess(z.corrections, basis, white), views.linearised(z)
-    best = {
-        name: _likeliest(linearised, guess, jnp.asarray(active)) for name, active in tried.items()
-    }
-    last, active = list(tried.items())[-1]
-    # A size near zero has next to no slope: a second search begins from errors far too large.
-    again = _likeliest(linearised, _times(guess, TOO_LARGE), jnp.asarray(active))
-    best[last] = again if again[1] < best[last][1] else best[last]
+    best = _searched(linearised, guess, tried)
     gains = {name: float(best["trusted"][1] - value) for name, (_, value) in best.items()}
     name = _choice(gains, tried, len(placed)) if field is None else list(tried)[-1]
     say(f"errors of the robot: {name}")
@@ -154,6 +148,28 @@ def estimate_noise(
     calibration, _ = built.problem.calibration(z)
     noise = _noise(sizes, white, tried[name])
     return NoiseEstimate(name, noise, *_kept(calibration, name), alternatives, settled)
+
+
+def _searched(
+    views: LinearisedViews, guess: Sizes, tried: dict[str, Bool[np.ndarray, "robot"]]
+) -> dict[str, tuple[Sizes, Array]]:
+    """The likeliest sizes of each model, and the deviance there.
+
+    Each contains the one before. It is searched from the guess, and from where that one ended with
+    what is new far too large: a size near zero has next to no slope. It is never the worse of two.
+    """
+    best: dict[str, tuple[Sizes, Array]] = {}
+    previous, before = None, np.zeros_like(next(iter(tried.values())))
+    for name, active in tried.items():
+        found = [_likeliest(views, guess, jnp.asarray(active))]
+        if previous is not None and before.any():
+            known = jnp.concatenate([jnp.ones(1, bool), jnp.asarray(before)])
+            numbers = jnp.where(known, previous[0].numbers, TOO_LARGE * guess.numbers)
+            start = Sizes(numbers[0], numbers[1], numbers[2], numbers[3:])
+            found += [previous, _likeliest(views, start, jnp.asarray(active))]
+        previous = best[name] = min(found, key=lambda one: float(one[1]))
+        before = active
+    return best
 
 
 class _Statistics:
@@ -291,10 +307,6 @@ def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem
     own = jnp.broadcast_to(weights.corrections, problem.own_free.shape)
     weight = Step(shared.at[chosen].set(weights.shared), own)
     return eqx.tree_at(lambda p: (p.pixel_sigma, p.prior_weight), problem, (sizes.pixel, weight))
-
-
-def _times(sizes: Sizes, factor: float) -> Sizes:
-    return jax.tree.map(lambda size: factor * size, sizes)
 
 
 _likeliest, _best_step = eqx.filter_jit(likeliest), eqx.filter_jit(best_step)

@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -130,17 +131,54 @@ def test_it_does_not_matter_where_the_chain_is_linearised(world):
     np.testing.assert_allclose(steps[0].shared, at[:SHARED] + steps[1].shared, atol=1e-8)
 
 
-def test_its_gradient_is_that_of_differences(world):
-    views = linearised(world, drawn(world, 5))
-    slope = jax.grad(lambda t: deviance(views, Sizes(TRUTH.pixel, t, *rest())))(TRUTH.translation)
-    ahead, behind = (
-        deviance(views, Sizes(TRUTH.pixel, TRUTH.translation + s, *rest())) for s in (1e-5, -1e-5)
+@pytest.mark.parametrize("held", [False, True])
+def test_its_gradient_is_that_of_differences(world, held):
+    """Away from where the prior means are, with some of the views' own numbers held."""
+    at = np.random.default_rng(8).normal(size=SHARED + 6 * VIEWS)
+    views = linearised(world, drawn(world, 5), at)
+    if held:
+        free = jnp.asarray(np.random.default_rng(9).random((VIEWS, 6)) < 0.7)
+        views = with_held(views, free)
+    sizes = OTHERS[0]
+    slopes = jax.grad(lambda s: deviance(views, s))(sizes)
+    for k, slope in enumerate(slopes.numbers):
+        ahead, behind = (deviance(views, moved(sizes, k, s)) for s in (1e-5, -1e-5))
+        difference = (ahead - behind) / (2e-5 * sizes.numbers[k])
+        np.testing.assert_allclose(slope, difference, rtol=1e-5)
+
+
+def moved(sizes, k, share):
+    """One of the sizes larger by a share of it."""
+    numbers = sizes.numbers.at[k].multiply(1.0 + share)
+    return Sizes(numbers[0], numbers[1], numbers[2], numbers[3:])
+
+
+def with_held(views, free):
+    """What `JointProblem` makes of corrections that are held: no columns."""
+    own = jnp.where(free[..., None] & free[:, None], views.matrix.own, 0.0)
+    border = jnp.where(free[..., None], views.matrix.border, 0.0)
+    gradient = jnp.where(free, views.gradient.corrections, 0.0)
+    return eqx.tree_at(
+        lambda v: (v.matrix.own, v.matrix.border, v.gradient.corrections, v.own_free),
+        views,
+        (own, border, gradient, free),
     )
-    np.testing.assert_allclose(slope, (ahead - behind) / 2e-5, rtol=1e-6)
 
 
-def rest():
-    return TRUTH.rotation, TRUTH.field
+def test_it_is_differentiable_by_the_observations_and_twice_by_the_sizes(world):
+    views = linearised(world, drawn(world, 5))
+    by_gradient = jax.grad(lambda v: deviance(v, TRUTH), allow_int=True)(views).gradient.shared
+    step = jnp.zeros(SHARED).at[1].set(1e-4)
+    ahead, behind = (
+        deviance(eqx.tree_at(lambda v: v.gradient.shared, views, views.gradient.shared + s), TRUTH)
+        for s in (step, -step)
+    )
+    np.testing.assert_allclose(by_gradient[1], (ahead - behind) / 2e-4, rtol=1e-6)
+    slope = jax.grad(lambda s: deviance(views, s))
+    curved = jax.jacfwd(slope)(TRUTH).translation.translation
+    ahead, behind = (slope(moved(TRUTH, 1, s)).translation for s in (1e-6, -1e-6))
+    expected = (ahead - behind) / (2e-6 * TRUTH.translation)
+    np.testing.assert_allclose(curved, expected, rtol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -171,8 +209,8 @@ def test_the_search_ends_at_an_optimum(world, search):
     for k in range(len(best)):
         for factor in (0.97, 1.03):
             other = best.at[k].multiply(factor)
-            moved = Sizes(other[0], other[1], other[2], other[3:])
-            assert float(deviance(views, moved)) > values[0]
+            sizes = Sizes(other[0], other[1], other[2], other[3:])
+            assert float(deviance(views, sizes)) > values[0]
 
 
 def test_a_group_that_is_switched_off_stays_at_zero(world, search):
