@@ -1,5 +1,6 @@
 """The paper's staged pipeline: the baseline, and the start of the joint fit."""
 
+from .agreement import agreeing_views as agreeing_views
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
 from .closed_form import daniilidis as daniilidis
 from .closed_form import park_martin as park_martin

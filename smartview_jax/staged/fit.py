@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
 from ..dataset import Dataset, Observations, chain_residuals
+from .agreement import agreeing_views
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
@@ -52,7 +53,7 @@ class StagedFit(eqx.Module):
         step2: common camera and per-view poses, with their covariance.
         step3: the hand-eye solution with every start tried.
         residuals: measured minus predicted through the whole chain, px; 0 where not seen.
-        inliers: the observations that Step 2 kept.
+        inliers: the observations that Step 2 kept, of the views that were used.
         rejected: view id, point index (None for a whole view) and reason.
         views: indices of the views that were used.
         conventions: how well robot and camera motion agree.
@@ -144,13 +145,20 @@ def fit_staged(
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
     robot = mount_from_holder(data.mount, data.base_from_tool)
+    agreeing, doubts = agreeing_views(robot, common.camera_from_world, weights)
+    # Where the rotations alone tell, they say it more plainly.
+    doubts = {view: dict(report.suspicious_views).get(view, text) for view, text in doubts.items()}
     step3 = solve_hand_eye(
-        robot, common.camera_from_world, weights, rough_translation, length_scale
+        robot,
+        common.camera_from_world,
+        jnp.asarray(agreeing, float),
+        rough_translation,
+        length_scale,
     )
     calibration = Calibration(
         common.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )
-    inliers = common.inliers
+    inliers = common.inliers & jnp.asarray(agreeing)[:, None]
     ids = data.view_ids
     return StagedFit(
         calibration,
@@ -159,9 +167,9 @@ def fit_staged(
         step3,
         chain_residuals(calibration, data.observations),
         inliers,
-        _rejected(data, views, np.asarray(inliers), minimum)
-        + tuple((ids[view], None, text) for view, text in report.suspicious_views),
-        tuple(int(view) for view in views),
+        _rejected(data, views, np.asarray(common.inliers), minimum)
+        + tuple((ids[view], None, text) for view, text in doubts.items()),
+        tuple(int(view) for view in np.flatnonzero(agreeing)),
         report,
         _result(common, step3, calibration),
     )

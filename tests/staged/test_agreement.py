@@ -1,0 +1,83 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+from shared_data import shared_pairs
+
+from smartview_jax.calibration import mount_from_holder
+from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.staged import agreeing_views, fit_staged
+
+VIEWS = 12
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """Robot and camera of a scene, with a tenth of a millimetre and of a degree of noise."""
+    robot = mount_from_holder("eye_in_hand", random_scene(1, VIEWS).base_from_tool)
+    noise = np.random.default_rng(0).normal(size=(VIEWS, 6)) * np.repeat([1e-4, 2e-3], 3)
+    truth = paper_calibration()
+    seen = SE3(truth.camera_from_mount.wxyz_xyz[None]) @ SE3.exp(jnp.asarray(noise)) @ robot
+    return robot, seen @ SE3(truth.holder_from_world.wxyz_xyz[None])
+
+
+def test_views_that_agree_are_kept(poses):
+    kept, words = agreeing_views(*poses, jnp.ones(VIEWS))
+    assert kept.all()
+    assert words == {}
+
+
+def test_views_off_by_rotation_and_by_translation_are_left_out(poses):
+    robot, seen = poses
+    off = jnp.zeros((VIEWS, 6)).at[3, 4].set(0.3).at[8, 0].set(0.05)
+    kept, words = agreeing_views(SE3.exp(off) @ robot, seen, jnp.ones(VIEWS))
+    assert set(np.flatnonzero(~kept)) == set(words) == {3, 8}
+    assert "17.2 degrees" in words[3]
+    assert float(words[8].split("degrees and ")[1].split(" mm")[0]) == pytest.approx(50.0, abs=1.0)
+
+
+def test_a_view_that_is_not_asked_is_not_spoken_of(poses):
+    robot, seen = poses
+    off = jnp.zeros((VIEWS, 6)).at[3, 4].set(0.3)
+    kept, words = agreeing_views(SE3.exp(off) @ robot, seen, jnp.ones(VIEWS).at[3].set(0.0))
+    assert list(np.flatnonzero(~kept)) == [3]
+    assert words == {}
+
+
+def test_too_few_views_accuse_none(poses):
+    robot, seen = poses
+    off = jnp.zeros((VIEWS, 6)).at[3, 4].set(0.3)
+    five = jnp.asarray(np.arange(VIEWS) < 5, dtype=float)
+    assert agreeing_views(SE3.exp(off) @ robot, seen, five)[1] == {}
+
+
+def test_the_staged_fit_does_without_a_mispaired_view():
+    scene = random_scene(1, 10)
+    wrong = scene.data.base_from_tool.wxyz_xyz
+    wrong = SE3(wrong.at[4].set(wrong[6]))
+    data = type(scene.data).from_arrays(
+        scene.data.points, scene.data.pixels, wrong, scene.data.image_size
+    )
+    fit, clean = fit_staged(data), fit_staged(scene.data)
+    assert 4 not in fit.views
+    assert not np.asarray(fit.inliers)[4].any()
+    ((view, _, text),) = whole(fit)
+    assert view == "4"
+    assert "paired with the right pose?" in text
+    errors = [
+        np.linalg.norm(
+            (f.calibration.camera_from_tool.translation())
+            - scene.calibration.camera_from_tool.translation()
+        )
+        for f in (fit, clean)
+    ]
+    assert errors[0] < 1.5 * errors[1]
+
+
+def whole(fit):
+    return [entry for entry in fit.rejected if entry[1] is None]
+
+
+def test_real_views_agree():
+    data, _ = shared_pairs("tampere_synthetic", "cs3_")
+    assert whole(fit_staged(data)) == []
