@@ -11,6 +11,8 @@ from .estimate import NoiseEstimate as NoiseEstimate
 from .estimate import estimate_noise as estimate_noise
 from .fit import JointFit as JointFit
 from .fit import fit_joint as fit_joint
+from .fit import view_influence as view_influence
+from .influence import Influence as Influence
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure

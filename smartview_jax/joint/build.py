@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
-from ..cameras import AbstractLens, start_lens
+from ..cameras import AbstractLens, Camera, start_lens
 from ..dataset import Dataset
 from ..robots import AbstractField, RobotError
 from .losses import AbstractLoss, loss_by_name
@@ -109,6 +110,21 @@ def build_problem(
         known,
         lost,
     )
+
+
+def without_robot(
+    data: Dataset, camera: Camera, camera_from_world: SE3
+) -> tuple[Dataset, Calibration]:
+    """Data and start in which every view's own pose stands in the place of the robot's report.
+
+    With both transforms held, corrections of the reports are free poses: corrected, a view's pose
+    is `exp(correction) @ camera_from_world`.
+    """
+    still = Calibration(camera, SE3.identity(), SE3.identity(), "eye_in_hand")
+    placed = dataclasses.replace(
+        data, base_from_tool=camera_from_world.inverse(), mount="eye_in_hand"
+    )
+    return placed, still
 
 
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:

@@ -14,11 +14,11 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, Observations, chain_residuals
 from ..staged import FitCode, FitResult
 from ..staged.kalman import pixel_residuals, robust_sigma
+from .build import without_robot
 from .fit import fit_joint
 from .losses import AbstractLoss
 from .noise import Noise
@@ -95,10 +95,7 @@ def fit_camera(
     Raises:
         ValueError: as `fit_joint` does.
     """
-    still = Calibration(camera, SE3.identity(), SE3.identity(), "eye_in_hand")
-    placed = dataclasses.replace(
-        data, base_from_tool=camera_from_world.inverse(), mount="eye_in_hand"
-    )
+    placed, still = without_robot(data, camera, camera_from_world)
     fit = fit_joint(
         placed,
         still,

@@ -16,9 +16,11 @@ from ..cameras import AbstractLens
 from ..dataset import Dataset, chain_residuals
 from ..robots import AbstractField
 from ..staged import FitCode, FitResult
+from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
 from .covariance import UnitColumns, covariance, own_std, variance_factor
 from .estimate import NoiseEstimate, estimate_noise
+from .influence import Influence, moves_without, pose_scores
 from .losses import AbstractLoss
 from .noise import Noise
 from .observability import Observability, observability
@@ -26,11 +28,17 @@ from .parameters import Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
+from .screening import GATE, Rejected, robust_variance, screened, without_views
 from .sharding import solve_on
 from .solver import Solution, solve
 
-GATE = 2.0 * np.log(1e4)
-"""Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
+ABSURD = 1e-6
+"""Chance, over all views, of a pose as far off as one that is left out.
+
+Far below the usual level: real robots' errors have longer tails than the normal distribution.
+"""
+
+BAD_VIEWS = ("keep", "leave_out")
 
 
 class JointFit(eqx.Module):
@@ -52,7 +60,9 @@ class JointFit(eqx.Module):
         pose_corrections: per view, translation (m) then rotation (rad), at the tool.
         observability: what the data cannot tell.
         parameter_names: of the free parameters that all views share.
+        view_ids: of the data's views.
         start: where the fit began.
+        problem: that was solved.
         solution: iterations and costs.
         result: whether it converged.
     """
@@ -64,6 +74,7 @@ class JointFit(eqx.Module):
     inliers: Bool[Array, "views points"]
     pose_corrections: Float[Array, "views 6"]
     start: Calibration
+    problem: JointProblem
     solution: Solution
     std: dict[str, float]
     noise: Noise | None = eqx.field(static=True)
@@ -71,6 +82,7 @@ class JointFit(eqx.Module):
     rejected: tuple[tuple[str, int | None, str], ...] = eqx.field(static=True)
     observability: Observability = eqx.field(static=True)
     parameter_names: tuple[str, ...] = eqx.field(static=True)
+    view_ids: tuple[str, ...] = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
 
 
@@ -86,6 +98,7 @@ def fit_joint(
     priors: Mapping[str, Prior] | None = None,
     solver: optx.AbstractLeastSquaresSolver | None = None,
     devices: Sequence[Any] | None = None,
+    bad_views: str | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> JointFit:
     """Fit camera, hand-eye and world (and more, if asked) to all pixels at once.
@@ -105,27 +118,69 @@ def fit_joint(
         solver: any optimistix least-squares solver.
         devices: to deal the views out to, such as `jax.devices()`, also those of other processes;
             by default the fit runs on one.
+        bad_views: `"leave_out"` also leaves out gross outliers and views whose pose contradicts the
+            others', and lists them in `rejected`; `"keep"` takes the data as they are, and so does
+            None unless the noise is estimated.
         progress: told what is being done.
 
     Raises:
         ValueError: an unknown path or name, too few views, or a start from which a view's points
             cannot be projected at all.
     """
-    say = progress or (lambda _: None)
-    start, estimate = with_lens(start, lens), None
-    if noise == "estimated":
-        estimate = estimate_noise(data, start, field, fixed, free, priors, progress)
-        noise, field, start = estimate.noise, estimate.field, estimate.start
-    if field is False:
-        start, field = start.uncorrected, None
-    built = build_problem(data, start, None, noise, loss, fixed, free, priors, field)
-    count = len(built.names) + len(built.own_names)
-    say(f"joint fit: {count} parameters, {data.observation_count} observations")
-    if devices is None:
-        solution, equations = solve(built.problem, solver)
-    else:
-        solution, equations = solve_on(devices, built.problem, solver)
-    return _assemble(data, built, solution, equations, estimate)
+    if bad_views not in (None, *BAD_VIEWS):
+        raise ValueError(f"bad_views is one of {', '.join(BAD_VIEWS)}; found {bad_views!r}")
+    start = with_lens(start, lens)
+
+    def fit(data: Dataset, apart: Rejected) -> JointFit:
+        model, begin, smooth, estimate = noise, start, field, None
+        if noise == "estimated":
+            estimate = estimate_noise(data, begin, field, fixed, free, priors, progress)
+            model, smooth, begin = estimate.noise, estimate.field, estimate.start
+        if smooth is False:
+            begin, smooth = begin.uncorrected, None
+        built = build_problem(data, begin, None, model, loss, fixed, free, priors, smooth)
+        if progress is not None:
+            count = len(built.names) + len(built.own_names)
+            progress(f"joint fit: {count} parameters, {data.observation_count} observations")
+        if devices is None:
+            solution, equations = solve(built.problem, solver)
+        else:
+            solution, equations = solve_on(devices, built.problem, solver)
+        return _assemble(data, built, solution, equations, estimate, apart)
+
+    if bad_views == "keep" or (bad_views is None and noise != "estimated"):
+        return fit(data, ())
+    used, apart = screened(data, start, fixed, priors, progress)
+    found = fit(used, apart)
+    while (doubt := _doubtful_view(used, found)) is not None:
+        used = without_views(used, dict([doubt]))
+        found = fit(used, apart)
+    # What was left out is predicted all the same.
+    everything = chain_residuals(found.calibration, data.observations)
+    return eqx.tree_at(lambda f: f.residuals, found, everything)
+
+
+def view_influence(fit: JointFit) -> Influence:
+    """How far each view moves the fit: where it would be without that view, to first order."""
+    moves = np.asarray(moves_without(fit.problem, fit.solution.z))
+    std = np.array([fit.std[name] for name in fit.parameter_names])
+    return Influence(moves, std, fit.parameter_names, fit.view_ids)
+
+
+def _doubtful_view(data: Dataset, fit: JointFit) -> tuple[int, str] | None:
+    """The view whose pose the others make least believable, if it is absurd, and why."""
+    trusted = fit.noise is None or (fit.estimate is not None and fit.estimate.name == "trusted")
+    if trusted or len(data.usable_views()) <= FEWEST:
+        return None
+    scores = pose_scores(fit.problem, fit.solution.z, fit.estimate is None)
+    distance, chance = np.asarray(scores.distance), np.asarray(scores.p_value)
+    worst = int(np.argmin(chance))
+    if not chance[worst] * len(data.usable_views()) < ABSURD:
+        return None
+    return worst, (
+        f"its pose lies {distance[worst]:.0f} standard deviations from where the other views put "
+        f"it: mispaired or moved?"
+    )
 
 
 def _assemble(
@@ -134,6 +189,7 @@ def _assemble(
     solution: Solution,
     equations: NormalEquations,
     estimate: NoiseEstimate | None,
+    apart: Rejected,
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
@@ -149,7 +205,7 @@ def _assemble(
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
 
-    spread = _robust_variance(size)
+    spread = robust_variance(size)
     limit = GATE * (max(1.0, spread) if built.sigma_known else spread)
     inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
@@ -161,13 +217,15 @@ def _assemble(
         inliers=jnp.asarray(inliers),
         pose_corrections=corrections if len(corrections) else jnp.zeros((data.view_count, 6)),
         start=problem.parameters.start,
+        problem=problem,
         solution=solution,
         std=dict(zip(names, map(float, (*std, *own)), strict=True)),
         noise=built.noise,
         estimate=estimate,
-        rejected=_rejected(data, visible & ~inliers, built.lost),
+        rejected=_rejected(data, apart, visible & ~inliers, built.lost),
         observability=observability(columns, built.names, calibration),
         parameter_names=built.names,
+        view_ids=data.view_ids,
         result=_result(solution, calibration),
     )
 
@@ -182,14 +240,7 @@ def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     return calibration, corrections, squares, variance_factor(problem, squares), parts, own_inverse
 
 
-def _robust_variance(square: np.ndarray) -> float:
-    """Variance per component from the median: half the points lie within 2 log 2 of it."""
-    return max(float(np.median(square)) / (2.0 * np.log(2.0)), 1e-24) if square.size else 1.0
-
-
-def _rejected(
-    data: Dataset, outside: np.ndarray, lost: np.ndarray
-) -> tuple[tuple[str, int | None, str], ...]:
+def _rejected(data: Dataset, apart: Rejected, outside: np.ndarray, lost: np.ndarray) -> Rejected:
     whole = [(view, None, reason) for view, reason in data.masked_views]
     blind = [
         (data.view_ids[view], int(point), "cannot be projected from the start")
@@ -199,7 +250,7 @@ def _rejected(
         (data.view_ids[view], int(point), "far from the fit")
         for view, point in np.argwhere(outside)
     ]
-    return tuple(whole + blind + far)
+    return (*whole, *apart, *blind, *far)
 
 
 def _result(solution: Solution, calibration: Calibration) -> FitResult:

@@ -152,13 +152,7 @@ class JointProblem(eqx.Module):
 
     def _through_chain(self, chain: Chain, views: ViewBlocks) -> tuple[Step, BlockArrow]:
         """Gradient and matrix of the observations alone, by the free parameters in their units."""
-        n, size = self.parameters.camera_size, self.parameters.shared_size
-        count = len(views.cost)
-        # How the camera's numbers and each view's twist follow from the shared parameters.
-        camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
-        twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
-        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self._chosen]
-        shared = shared * self.scale.shared[None, None]
+        shared, n, count = self._by_shared(chain), self.parameters.camera_size, len(views.cost)
         gram_shared = views.gram @ shared
         matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)
         gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
@@ -171,6 +165,24 @@ class JointProblem(eqx.Module):
         corner = own_transposed @ views.gram[seen, n:, n:] @ own
         own_gradient = jnp.einsum("vki,vk->vi", own, views.gradient[seen, n:])
         return Step(gradient, own_gradient), BlockArrow(matrix, border, corner)
+
+    def _by_shared(self, chain: Chain) -> Float[Array, "views columns free"]:
+        """How the camera's numbers and each view's twist follow from the shared parameters."""
+        n, size = self.parameters.camera_size, self.parameters.shared_size
+        count = len(chain.by_shared)
+        camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
+        twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
+        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self._chosen]
+        return shared * self.scale.shared[None, None]
+
+    def observed_by_view(
+        self, z: Step
+    ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
+        """Every view's part of the shared parameters' gradient and matrix in `observed`."""
+        chain = linearise_chain(self.parameters, self.step(z), self.observations.base_from_tool)
+        views, shared = self._linearised(chain), self._by_shared(chain)
+        gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
+        return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
 
     def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
         chosen, gradient, matrix = self._chosen, observed.gradient, observed.matrix

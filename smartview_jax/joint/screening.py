@@ -1,0 +1,203 @@
+"""Gross errors, found where the robot has no say: every view with a pose of its own.
+
+There a point that is off stands out by itself, since a view's other points hold its pose, whatever
+the robot reported. The poses are found with a loss that lets go of outliers, and the points beyond
+a chi-square gate about them are left out; then the views whose pose no hand-eye transform explains
+together with the others'. Smaller disagreement only the sizes of all errors can judge
+(`influence.py`).
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration, mount_from_holder
+from ..dataset import Dataset, Observations
+from ..staged import agreeing_views, locate_views
+from .build import build_problem, without_robot
+from .estimate import FINEST
+from .losses import Cauchy
+from .noise import Noise
+from .parameters import Step
+from .priors import Prior
+from .problem import JointProblem
+from .solver import solve
+
+GATE = 2.0 * np.log(1e4)
+"""Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
+
+GROSS = 36.0
+"""Squared whitened deviation from a view's own best pose beyond which a point is left out.
+
+Twice what `GATE` is, since the tails of real corners are longer than the normal distribution's: at
+the gate itself one corner in sixty of a good real data set would go.
+"""
+
+ROUNDS = 8
+"""Of fitting with the deviation of a pixel that the fit before left, at most."""
+
+SETTLED = 0.9
+"""Share of itself that this deviation falls to at least while rounds are worth while."""
+
+ASTRAY, PIXELS_ASTRAY = 10.0, 20.0
+"""A view's median deviation from the start's chain, times the median view's and in px, above which
+its pose is looked for from nothing."""
+
+MOST = 0.5
+"""Share of a view's points outside the gate above which the whole view is left out."""
+
+Rejected = tuple[tuple[str, int | None, str], ...]
+
+
+def screened(
+    data: Dataset,
+    start: Calibration,
+    fixed: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Dataset, Rejected]:
+    """The data without gross outliers and without views that contradict the others.
+
+    Args:
+        data: what is left out is hidden, not cut out; a whole view's reason is in `masked_views`.
+        start: as for `fit_joint`; views that its chain cannot place are located anew.
+        fixed: as for `fit_joint`; what does not concern the camera is of no consequence here.
+        priors: likewise.
+        progress: told what is left out.
+
+    Returns:
+        The data, and view id, point and reason of the points left out one by one.
+    """
+    placed = np.isin(np.arange(data.view_count), data.usable_views())
+    if placed.sum() < 3:
+        return data, ()
+    poses, lost = _start_poses(data, start, placed)
+    used = without_views(data, lost)
+    sigma, deviations, poses = _robust_poses(used, start, poses, fixed, priors)
+    visible = np.asarray(used.visible)
+    outside = visible & (deviations > np.sqrt(GROSS) * sigma)
+    count, out = visible.sum(axis=1), outside.sum(axis=1)
+    wrong = {
+        int(k): f"no pose fits it: {out[k]} of its {count[k]} points lie apart"
+        for k in np.flatnonzero(out > MOST * count)
+    }
+    sound = (count >= 4) & ~np.isin(np.arange(len(count)), list(wrong))
+    robot = mount_from_holder(data.mount, data.base_from_tool)
+    wrong |= agreeing_views(robot, poses, jnp.asarray(sound, dtype=float))[1]
+
+    outside[list(wrong)] = False
+    points = tuple(
+        (data.view_ids[view], int(point), _far(float(deviations[view, point]), sigma))
+        for view, point in np.argwhere(outside)
+    )
+    if progress is not None and (points or wrong or lost):
+        progress(f"left out: {len(points)} points, {len(wrong) + len(lost)} views")
+    kept = dataclasses.replace(used, visible=jnp.asarray(visible & ~outside))
+    return without_views(kept, wrong), points
+
+
+def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
+    """The data with these views hidden, by index, and why."""
+    hidden = np.isin(np.arange(data.view_count), list(reasons))
+    masked = [(data.view_ids[view], text) for view, text in reasons.items()]
+    return dataclasses.replace(
+        data,
+        visible=data.visible & ~jnp.asarray(hidden)[:, None],
+        masked_views=(*data.masked_views, *masked),
+    )
+
+
+def robust_variance(square: Float[np.ndarray, "seen"]) -> float:
+    """Variance per component from the median: half the points lie within 2 log 2 of it."""
+    return max(float(np.median(square)) / (2.0 * np.log(2.0)), 1e-24) if square.size else 1.0
+
+
+def _far(deviation: float, sigma: float) -> str:
+    return (
+        f"{deviation:.1f} px from where its view's own best pose puts it, "
+        f"{deviation / sigma:.0f} standard deviations"
+    )
+
+
+def _start_poses(
+    data: Dataset, start: Calibration, placed: Bool[np.ndarray, "views"]
+) -> tuple[SE3, dict[int, str]]:
+    """`camera_from_world` of every view, by the chain where it will do; and where there is none."""
+    chain = start.camera_from_world(data.base_from_tool)
+    deviations = np.asarray(_from_chain(start, data.observations))
+    visible = np.asarray(data.visible)
+    typical = np.zeros(len(visible))
+    for k in np.flatnonzero(visible.any(axis=1)):
+        typical[k] = np.median(deviations[k, visible[k]])
+    limit = max(ASTRAY * float(np.median(typical[placed])), PIXELS_ASTRAY)
+    astray = placed & (typical > limit)
+    if not astray.any():
+        return chain, {}
+    alone = eqx.tree_at(
+        lambda o: o.visible, data.observations, data.visible & jnp.asarray(astray)[:, None]
+    )
+    located = locate_views(alone, start.camera)[0].wxyz_xyz
+    found = np.isfinite(np.asarray(located)).all(axis=1)
+    lost = {int(k): "no pose was found for it" for k in np.flatnonzero(astray & ~found)}
+    taken = jnp.asarray(astray & found)
+    return SE3(jnp.where(taken[:, None], located, chain.wxyz_xyz)), lost
+
+
+def _robust_poses(
+    data: Dataset,
+    start: Calibration,
+    poses: SE3,
+    fixed: Sequence[str],
+    priors: Mapping[str, Prior] | None,
+) -> tuple[float, Float[np.ndarray, "views points"], SE3]:
+    """Deviation of a pixel, every point's deviation, px, and every view's own best pose."""
+    placed, still = without_robot(data, start.camera, poses)
+    of_camera = {path: prior for path, prior in (priors or {}).items() if _concerns_camera(path)}
+    problem = build_problem(
+        placed,
+        still,
+        noise=Noise(1.0, np.inf, np.inf),
+        loss=Cauchy(),
+        fixed=(*still.transform_names, *filter(_concerns_camera, fixed)),
+        priors=of_camera,
+    ).problem
+    visible, z = np.asarray(problem.observations.visible), problem.start()
+    squares = np.asarray(_squares(problem, z))
+    variance = robust_variance(squares[visible])
+    for _ in range(ROUNDS):
+        sigma = max(float(np.sqrt(variance)), FINEST)
+        weighed = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
+        z = solve(weighed, start=z)[0].z
+        squares = np.asarray(_squares(problem, z))
+        variance = robust_variance(squares[visible])
+        if variance > (SETTLED * sigma) ** 2:
+            break
+    found = SE3.exp(z.corrections) @ poses
+    return max(float(np.sqrt(variance)), FINEST), np.sqrt(squares), found
+
+
+def _concerns_camera(path: str) -> bool:
+    return path.split(".")[0] == "camera"
+
+
+@eqx.filter_jit
+def _squares(problem: JointProblem, z: Step) -> Float[Array, "views points"]:
+    return problem.squares(z)
+
+
+@eqx.filter_jit
+def _from_chain(start: Calibration, observations: Observations) -> Float[Array, "views points"]:
+    """How far every point lies from where the chain puts it, px; infinite where nowhere."""
+
+    def view(seen: Observations) -> Float[Array, "points"]:
+        predicted, valid = start.project(seen.base_from_tool, seen.points)
+        distance = jnp.linalg.norm(seen.residuals(predicted, valid), axis=-1)
+        return jnp.where(valid, distance, jnp.inf)
+
+    return jax.lax.map(view, observations)

@@ -1,0 +1,124 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+from scipy import stats
+from starts import nudged
+
+from smartview_jax import Noise, Prior, fit_joint, view_influence
+from smartview_jax.joint.influence import pose_scores
+from smartview_jax.simulation import paper_points, random_scene
+
+VIEWS = 10
+POINTS = paper_points((0.0, 0.02))[::4]
+NOISE = Noise(0.15, 2e-4, 5e-4)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return random_scene(2, VIEWS, POINTS, translation_noise=2e-4, rotation_noise=5e-4)
+
+
+@pytest.fixture(scope="module")
+def fit(scene):
+    return fit_joint(scene.data, nudged(scene.calibration), noise=NOISE)
+
+
+def without(data, view):
+    return eqx.tree_at(lambda d: d.visible, data, data.visible.at[view].set(False))
+
+
+def numbers(calibration, other):
+    """What moved, in the units of the parameters."""
+    gap = calibration.camera_from_tool, other.camera_from_tool
+    turn = (gap[0].rotation() @ gap[1].rotation().inverse()).log()
+    return np.concatenate([gap[0].translation() - gap[1].translation(), turn])
+
+
+@pytest.mark.parametrize("noise", [NOISE, "trusted"])
+def test_moves_are_those_of_refits(scene, noise):
+    if noise == "trusted":
+        scene = random_scene(2, VIEWS, POINTS)
+    start = nudged(scene.calibration)
+    whole = fit_joint(scene.data, start, noise=noise)
+    found = view_influence(whole)
+    hand = [k for k, name in enumerate(found.parameter_names) if name.startswith("camera_from_t")]
+    std = found.std[hand]
+    for view in (0, 4, 7):
+        refit = fit_joint(without(scene.data, view), start, noise=noise)
+        moved = numbers(refit.calibration, whole.calibration) / std
+        stated = found.moves[view, hand] / std
+        # First order: a tenth of the move, or of a standard deviation where it is small.
+        np.testing.assert_allclose(stated, moved, atol=0.1 * max(1.0, np.abs(moved).max()))
+        assert np.abs(moved).max() > 0.1
+        assert found.on("camera_from_tool")[view] == pytest.approx(np.abs(stated).max())
+
+
+def test_a_path_that_names_nothing_is_refused(fit):
+    with pytest.raises(ValueError, match="no parameter is called 'camera_from_base'"):
+        view_influence(fit).on("camera_from_base")
+
+
+def test_the_distance_is_that_to_a_pose_predicted_without_the_report(scene, fit):
+    """Give view 3 a prior without size: its correction, by the prior and its own covariance."""
+    scores = pose_scores(fit.problem, fit.solution.z, True)
+    names = [
+        f"pose_corrections.3.{part}.{axis}"
+        for part in ("translation", "rotation")
+        for axis in "xyz"
+    ]
+    wide = {name: Prior(std=1e3) for name in names}
+    alone = fit_joint(scene.data, nudged(scene.calibration), noise=NOISE, priors=wide)
+    correction = np.asarray(alone.pose_corrections)[3]
+    # Its covariance by brute force, on the dense normal equations.
+    dense = np.asarray(alone.problem.normal_equations(alone.solution.z).matrix.as_matrix())
+    scale = 1.0 / np.sqrt(np.diag(dense))
+    inverse = np.linalg.inv(dense * scale[:, None] * scale) * scale[:, None] * scale
+    first = len(alone.parameter_names) + 6 * 3
+    spread = inverse[first : first + 6, first : first + 6]
+    spread = spread + np.diag(np.repeat([NOISE.translation, NOISE.rotation], 3) ** 2)
+    square = correction @ np.linalg.solve(spread, correction)
+    assert float(scores.distance[3]) ** 2 == pytest.approx(square, rel=0.02)
+    chance = stats.chi2.sf(float(scores.distance[3]) ** 2, 6)
+    assert float(scores.p_value[3]) == pytest.approx(chance, rel=1e-9)
+
+
+def test_where_the_model_is_true_the_chances_are_uniform():
+    chances = []
+    for seed in range(12):
+        scene = random_scene(seed, VIEWS, POINTS, translation_noise=2e-4, rotation_noise=5e-4)
+        fit = fit_joint(scene.data, scene.calibration, noise=NOISE)
+        chances.append(np.asarray(pose_scores(fit.problem, fit.solution.z, True).p_value))
+    assert stats.kstest(np.concatenate(chances), "uniform").pvalue > 0.01
+
+
+def bumped(data, view, correction):
+    poses = data.base_from_tool.wxyz_xyz
+    moved = SE3(poses[view]) @ SE3.exp(jnp.asarray(correction))
+    return eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz, data, poses.at[view].set(moved.wxyz_xyz)
+    )
+
+
+def test_a_view_that_was_moved_is_named_and_left_out():
+    """By 4 mm and 0.6 degrees: too little to stand out by itself, twenty of the robot's errors."""
+    scene = random_scene(3, 20, POINTS, translation_noise=2e-4, rotation_noise=5e-4)
+    data = bumped(scene.data, 6, [4e-3, 0.0, 0.0, 0.0, 0.0, 0.01])
+    found = fit_joint(data, nudged(scene.calibration), noise="estimated", field=False)
+    (entry,) = [entry for entry in found.rejected if entry[1] is None]
+    assert entry[0] == "6"
+    assert "standard deviations from where the other views put it" in entry[2]
+    best = fit_joint(
+        without(scene.data, 6), nudged(scene.calibration), noise="estimated", field=False
+    )
+    apart = np.abs(numbers(found.calibration, best.calibration))
+    std = [
+        best.std[f"camera_from_tool.{p}.{a}"] for p in ("translation", "rotation") for a in "xyz"
+    ]
+    assert (apart < 0.05 * np.array(std)).all()
+    kept = fit_joint(
+        data, nudged(scene.calibration), noise="estimated", field=False, bad_views="keep"
+    )
+    assert kept.noise.translation > 2.0 * found.noise.translation
+    assert not [entry for entry in kept.rejected if entry[1] is None]
