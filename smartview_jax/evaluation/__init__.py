@@ -4,6 +4,11 @@ from .compare import Method as Method
 from .compare import Row as Row
 from .compare import compare as compare
 from .compare import standard_methods as standard_methods
+from .consistency import Measured as Measured
+from .consistency import coverage as coverage
+from .consistency import covered as covered
+from .consistency import mean_nees as mean_nees
+from .consistency import nees as nees
 from .cramer_rao import Bound as Bound
 from .cramer_rao import cramer_rao as cramer_rao
 from .free_poses import free_pose_deviations as free_pose_deviations

@@ -19,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..dataset import Dataset, Observations
-from .build import build_problem, with_lens
+from ..robots import AbstractField
+from .build import build_problem, with_field, with_lens
 from .covariance import NULL, variance_factor
 from .losses import AbstractLoss
 from .noise import Noise
@@ -71,6 +72,7 @@ def fit_many(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
+    field: AbstractField | None = None,
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
     """Fit many data sets, as `fit_joint` fits one.
@@ -78,7 +80,7 @@ def fit_many(
     Args:
         data: all with the same numbers of views and points; what is not visible does not count.
         start: one for all, or one each, with the same lens and mount.
-        lens, noise, loss, fixed, free, priors: as in `fit_joint`, for all alike.
+        lens, noise, loss, fixed, free, priors, field: as in `fit_joint`, for all alike.
         devices: to deal the fits out to, such as `jax.devices()`; by default they run on one.
 
     Raises:
@@ -86,10 +88,10 @@ def fit_many(
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_alike(data, starts)
-    starts = [with_lens(one, lens) for one in starts]
+    starts = [with_field(with_lens(one, lens), field) for one in starts]
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
-    built = build_problem(data[0], starts[0], None, noise, loss, fixed, free, priors)
+    built = build_problem(data[0], starts[0], None, noise, loss, fixed, free, priors, field)
     problems = eqx.tree_at(
         _own_parts, built.problem, (_stacked(starts), _stacked([d.observations for d in data]))
     )
