@@ -1,5 +1,8 @@
 """How good a calibration is: deviations, held-out error, methods side by side."""
 
+from .bootstrap import Interval as Interval
+from .bootstrap import rms_interval as rms_interval
+from .compare import UNCORRECTED as UNCORRECTED
 from .compare import Method as Method
 from .compare import Row as Row
 from .compare import compare as compare
@@ -11,20 +14,29 @@ from .consistency import mean_nees as mean_nees
 from .consistency import nees as nees
 from .cramer_rao import Bound as Bound
 from .cramer_rao import cramer_rao as cramer_rao
+from .folds import region_folds as region_folds
+from .folds import split_views as split_views
+from .folds import view_folds as view_folds
 from .free_poses import free_pose_deviations as free_pose_deviations
 from .held_out import HeldOut as HeldOut
 from .held_out import Refit as Refit
+from .held_out import has_correction as has_correction
 from .held_out import held_out as held_out
 from .held_out import refit as refit
 from .held_out import score as score
-from .held_out import view_folds as view_folds
+from .held_out import without_correction as without_correction
 from .measures import Deviations as Deviations
 from .measures import Predictor as Predictor
 from .measures import deviations as deviations
+from .predicted import Foretold as Foretold
+from .predicted import foretold as foretold
+from .predicted import predicted_deviations as predicted_deviations
 from .rejections import Rejection as Rejection
 from .rejections import RejectionCount as RejectionCount
 from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by
+from .repeatability import Repeatability as Repeatability
+from .repeatability import repeatability as repeatability
 from .uncertainty import Estimate as Estimate
 from .uncertainty import covariance_of as covariance_of
 from .uncertainty import std_of as std_of

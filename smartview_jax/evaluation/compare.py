@@ -8,9 +8,21 @@ from ..dataset import Dataset
 from ..joint import calibrate
 from ..staged import fit_one_view_intrinsics, fit_staged
 from .free_poses import free_pose_deviations
-from .held_out import HeldOut, Refit, predictor_of, refit, score, whole
+from .held_out import (
+    HeldOut,
+    Refit,
+    has_correction,
+    predictor_of,
+    refit,
+    score,
+    whole,
+    without_correction,
+)
 from .measures import Deviations, deviations
 from .rejections import Rejection, rejected_by
+
+UNCORRECTED = "correction left out"
+"""What a row adds to its method's name where the robot's error is not corrected."""
 
 
 class Method(NamedTuple):
@@ -67,8 +79,14 @@ def compare(
     methods: Mapping[str, Method | Callable[[Dataset], Any]] | None = None,
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
+    by: str = "view",
 ) -> list[Row]:
     """Fit every method to all views, and again in every fold; the folds are the same for all.
+
+    A fit that corrects the robot's error has a second row without the correction: what a program
+    sees that takes the transforms alone. Those are the best answer for the mount, not the chain
+    that predicts best without a correction; that one is a fit that trusts the robot, whose
+    transforms bend to absorb the robot's error.
 
     Args:
         data: all views.
@@ -76,6 +94,7 @@ def compare(
             by default `standard_methods()`.
         folds: number of folds; below eight views, as many as there are views.
         progress: told what is being fitted.
+        by: `"view"` or `"region"`: what is hidden together, as for `held_out`.
     """
     say = progress or (lambda _: None)
     fits: dict[Callable, _Fits | ValueError] = {}
@@ -85,9 +104,14 @@ def compare(
         if method.fitter not in fits:
             say(name)
             fits[method.fitter] = _fit(
-                data, method.fitter, folds, lambda s, n=name: say(f"{n}: {s}")
+                data, method.fitter, folds, lambda s, n=name: say(f"{n}: {s}"), by
             )
-        rows.append(_row(name, method, fits[method.fitter], data))
+        found = fits[method.fitter]
+        rows.append(_row(name, method, found, data))
+        if isinstance(found, _Fits) and method.measure is deviations:
+            bare = method._replace(choose=without_correction(method.choose))
+            if any(has_correction(method.choose(fit, data)) for fit in found.every):
+                rows.append(_row(f"{name}, {UNCORRECTED}", bare, found, data))
     return rows
 
 
@@ -95,12 +119,21 @@ class _Fits(NamedTuple):
     fit: Any
     refits: tuple[Refit, ...]
 
+    @property
+    def every(self) -> tuple[Any, ...]:
+        """The fit to all views, and those of the folds that did not fail."""
+        return (self.fit, *(fold.fit for fold in self.refits if fold.failure is None))
+
 
 def _fit(
-    data: Dataset, fitter: Callable[[Dataset], Any], folds: int, progress: Callable[[str], None]
+    data: Dataset,
+    fitter: Callable[[Dataset], Any],
+    folds: int,
+    progress: Callable[[str], None],
+    by: str,
 ) -> _Fits | ValueError:
     try:
-        return _Fits(fitter(data), refit(data, fitter, folds, progress))
+        return _Fits(fitter(data), refit(data, fitter, folds, progress, by))
     except ValueError as error:
         return error
 

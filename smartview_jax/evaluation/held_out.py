@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
+from ..calibration import Calibration
 from ..dataset import Dataset
+from .bootstrap import Interval, rms_interval
+from .folds import split_views
 from .measures import Deviations, Predictor, deviations
-
-LEAVE_ONE_OUT_BELOW = 8
-"""Views below which every view is its own fold."""
 
 
 class Refit(NamedTuple):
@@ -43,13 +44,9 @@ class HeldOut(NamedTuple):
     failures: tuple[tuple[int, str], ...]
     unconverged: tuple[tuple[int, str], ...] = ()
 
-
-def view_folds(views: np.ndarray, folds: int) -> tuple[tuple[int, ...], ...]:
-    """Every fold's views: a fixed permutation dealt out, or one view each below eight views."""
-    count = len(views)
-    number = count if count < LEAVE_ONE_OUT_BELOW else min(folds, count)
-    order = np.random.default_rng(0).permutation(count)
-    return tuple(tuple(int(views[k]) for k in order[i::number]) for i in range(number))
+    def interval(self, level: float = 0.95) -> Interval:
+        """Bootstrap interval of the RMS over views, px; see `rms_interval`."""
+        return rms_interval(self.deviations, level)
 
 
 def held_out(
@@ -57,20 +54,23 @@ def held_out(
     fitter: Callable[[Dataset], Any],
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
+    by: str = "view",
 ) -> HeldOut:
-    """Cross-validate by view.
+    """Cross-validate, by view or by region of the workspace.
 
     Args:
         data: all views.
         fitter: from a data set to a fit with a `.calibration`, or to anything with `project`,
             `points_in_camera` and `camera`. Held-out views come to it with nothing visible.
-        folds: number of folds; below eight views, as many as there are views.
+        folds: number of folds; by view and below eight views, as many as there are views.
         progress: told which fold is fitted.
+        by: `"view"`, where hidden views have neighbours that are seen, or `"region"`, where the
+            views whose tools stood together are hidden together and the fit has to extrapolate.
 
     Raises:
-        ValueError: fewer than two folds, or fewer than four usable views.
+        ValueError: fewer than two folds, or too few usable views: four, six by region.
     """
-    return score(refit(data, fitter, folds, progress), data)
+    return score(refit(data, fitter, folds, progress, by), data)
 
 
 def refit(
@@ -78,14 +78,10 @@ def refit(
     fitter: Callable[[Dataset], Any],
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
+    by: str = "view",
 ) -> tuple[Refit, ...]:
     """The fits behind `held_out`, so that several parts of one fit can be scored; see there."""
-    if folds < 2:
-        raise ValueError(f"folds: expected at least 2, found {folds}")
-    views = data.usable_views()
-    if len(views) < 4:
-        raise ValueError(f"held-out error needs at least 4 usable views, found {len(views)}")
-    split = view_folds(views, folds)
+    split = split_views(data, folds, by)
     fits = []
     for number, held in enumerate(split):
         if progress is not None:
@@ -97,7 +93,7 @@ def refit(
     return tuple(fits)
 
 
-def without(data: Dataset, views: Sequence[int]) -> Dataset:
+def without(data: Dataset, views: Sequence[int] | Int[np.ndarray, "hidden"]) -> Dataset:
     """The data with some views hidden, not cut out: the shape stays, and so what is compiled."""
     shown = np.ones(data.view_count, dtype=bool)
     shown[list(views)] = False
@@ -116,6 +112,24 @@ def whole(fit: Any, data: Dataset) -> Any:
     return fit
 
 
+def has_correction(fit: Any) -> bool:
+    """Whether a fit corrects the robot's error when it predicts."""
+    return getattr(predictor_of(fit), "robot_error", None) is not None
+
+
+def without_correction(
+    choose: Callable[[Any, Dataset], Any] = whole,
+) -> Callable[[Any, Dataset], Any]:
+    """The choice of `score` that takes the same part with the robot's poses as reported."""
+
+    def bare(fit: Any, data: Dataset) -> Any:
+        part = choose(fit, data)
+        predictor = predictor_of(part)
+        return predictor.uncorrected if isinstance(predictor, Calibration) else part
+
+    return bare
+
+
 def score(
     refits: Sequence[Refit],
     data: Dataset,
@@ -130,19 +144,36 @@ def score(
         choose: from a fit and the data to the part of it to score: one of its fits, a predictor.
         measure: from a predictor and the data to deviations.
     """
-    px = np.full(data.visible.shape, np.nan)
-    metres = px.copy()
-    failures, unconverged = [], []
-    for number, (held, fit, failure) in enumerate(refits):
-        if failure is not None:
-            failures.append((number, failure))
-            continue
-        part = choose(fit, data)
-        result = getattr(part, "result", None)
+    found = pooled(refits, data, lambda fit: measure(predictor_of(choose(fit, data)), data))
+    unconverged = []
+    for number, (_, fit, failure) in enumerate(refits):
+        result = None if failure is not None else getattr(choose(fit, data), "result", None)
         if result is not None and not result.converged:
             unconverged.append((number, result.message))
-        found = measure(predictor_of(part), data)
-        index = list(held)
-        px[index], metres[index] = found.px[index], found.m[index]
+    return found._replace(unconverged=tuple(unconverged))
+
+
+def pooled(refits: Sequence[Refit], data: Dataset, measure: Callable[[Any], Deviations]) -> HeldOut:
+    """What a measure makes of every fold's fit, each on its hidden views.
+
+    Args:
+        refits: from `refit`, with the same data.
+        data: all views.
+        measure: from a fit to numbers for every point; a `ValueError` is that fold's failure.
+    """
+    px = np.full(data.visible.shape, np.nan)
+    metres = px.copy()
+    failures = []
+    for number, (held, fit, failure) in enumerate(refits):
+        if failure is None:
+            try:
+                found = measure(fit)
+            except ValueError as error:
+                failure = str(error)
+            else:
+                index = list(held)
+                px[index], metres[index] = found.px[index], found.m[index]
+        if failure is not None:
+            failures.append((number, failure))
     folds = tuple(fold.views for fold in refits)
-    return HeldOut(Deviations(px, metres), folds, tuple(failures), tuple(unconverged))
+    return HeldOut(Deviations(px, metres), folds, tuple(failures))

@@ -84,7 +84,7 @@ def _rms(values: np.ndarray) -> float:
 
 def deviations(predictor: Predictor, data: Dataset) -> Deviations:
     """Deviations of everything that was seen; infinite where it cannot be predicted."""
-    predicted, valid, depth = _predict(predictor, data.command, data.points)
+    predicted, valid, depth = predict(predictor, data.command, data.points)
     return measured(predictor.camera, data, predicted, valid, depth)
 
 
@@ -99,6 +99,13 @@ def measured(
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
     visible = np.asarray(data.visible)
     px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
+    return at_target(camera, px, depth)
+
+
+def at_target(
+    camera: Camera, px: Float[np.ndarray, "views points"], depth: Float[Array, "views points"]
+) -> Deviations:
+    """Lengths in the picture, px, of points at these depths (m), and what they are there."""
     focal = float(jnp.sqrt(jnp.abs(camera.alpha_u * camera.alpha_v)))
     # A depth of exactly zero would make an unpredicted point's infinity a NaN.
     distance = np.maximum(np.abs(np.asarray(depth)), np.finfo(float).tiny)
@@ -106,8 +113,9 @@ def measured(
 
 
 @eqx.filter_jit
-def _predict(
+def predict(
     predictor: Predictor, command: CommandLike, points: Array
 ) -> tuple[Array, Bool[Array, "views points"], Array]:
+    """Pixels, where they are valid, and depths (m)."""
     pixels, valid = predictor.project(command, points)
     return pixels, valid, predictor.points_in_camera(command, points)[..., 2]

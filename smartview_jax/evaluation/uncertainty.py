@@ -44,21 +44,19 @@ def std_of(
     Raises:
         ValueError: the data leave something entirely open; the message says what.
     """
-    return jnp.sqrt(jnp.sum(_spread(estimate, function) ** 2, axis=0))
+    return jnp.sqrt(_variance(estimate.calibration, function, _independent_steps(estimate)))
 
 
 def covariance_of(
     estimate: Estimate, function: Callable[[Calibration], Float[Array, "numbers"]]
 ) -> Float[Array, "numbers numbers"]:
     """Covariance of the numbers in the row that a function gives; otherwise as `std_of`."""
-    spread = _spread(estimate, function)
+    spread = _moves(estimate.calibration, function, _independent_steps(estimate))
     return spread.T @ spread
 
 
-def _spread(
-    estimate: Estimate, function: Callable[[Calibration], Array]
-) -> Float[Array, "directions *numbers"]:
-    """How far the function moves along each of the independent directions of uncertainty."""
+def _independent_steps(estimate: Estimate) -> Float[Array, "directions parameters"]:
+    """Steps of one standard deviation along each of the independent directions of uncertainty."""
     if estimate.observability.null:
         words = "; ".join(direction.words for direction in estimate.observability.null)
         raise ValueError(f"the data leave something open, add views or a prior: {words}")
@@ -70,7 +68,16 @@ def _spread(
     roots = (vectors * np.sqrt(np.maximum(values, 0.0))).T * lengths
     steps = np.zeros((len(roots), len(names)))
     steps[:, where] = roots
-    return _moves(estimate.calibration, function, jnp.asarray(steps))
+    return jnp.asarray(steps)
+
+
+@eqx.filter_jit
+def _variance(
+    calibration: Calibration,
+    function: Callable[[Calibration], Array],
+    steps: Float[Array, "directions parameters"],
+) -> Float[Array, "*numbers"]:
+    return sum_of_squares(_by_step(calibration, function), steps)
 
 
 @eqx.filter_jit
@@ -79,10 +86,28 @@ def _moves(
     function: Callable[[Calibration], Array],
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "directions *numbers"]:
+    _, along = jax.linearize(_by_step(calibration, function), jnp.zeros(steps.shape[1]))
+    return jax.lax.map(along, steps)
+
+
+def _by_step(
+    calibration: Calibration, function: Callable[[Calibration], Array]
+) -> Callable[[Float[Array, "parameters"]], Array]:
     parameters = Parameters(calibration)
 
     def of(step: Float[Array, "parameters"]) -> Array:
         return function(parameters.moved(Step(step, jnp.zeros((0, 6))))[0])
 
-    _, along = jax.linearize(of, jnp.zeros(steps.shape[1]))
-    return jax.lax.map(along, steps)
+    return of
+
+
+def sum_of_squares(
+    function: Callable[[Float[Array, "inputs"]], Array], steps: Float[Array, "directions inputs"]
+) -> Float[Array, "*numbers"]:
+    """Of a function's first-order changes along all steps from zero, one step at a time."""
+    value, along = jax.linearize(function, jnp.zeros(steps.shape[1]))
+
+    def add(total: Array, step: Array) -> tuple[Array, None]:
+        return total + along(step) ** 2, None
+
+    return jax.lax.scan(add, jnp.zeros_like(value), steps)[0]

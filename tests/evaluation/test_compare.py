@@ -1,15 +1,21 @@
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from smartview_jax.evaluation import (
+    UNCORRECTED,
     Method,
     compare,
     count_rejected,
     deviations,
+    free_pose_deviations,
     held_out,
     rejected_by,
     standard_methods,
 )
+from smartview_jax.robots import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_points, random_scene
 
 
@@ -42,6 +48,24 @@ def test_a_row_holds_what_the_method_did_alone(scene):
     assert count_rejected(first.rejected) == (1, 1)
     assert again.rejected is None
     np.testing.assert_array_equal(first.held_out.deviations.px, again.held_out.deviations.px)
+
+
+def test_a_fit_with_a_correction_has_a_row_without_it(scene):
+    """In some folds it found none; the bound by free poses has no chain to correct."""
+    field = LinearInPosition.over(scene.data.base_from_tool)
+    error = RobotError(field, jnp.full(field.size, 1e-3))
+    bent = dataclasses.replace(scene.calibration, robot_error=error)
+    fitter = lambda data: bent if np.asarray(data.visible)[3].any() else scene.calibration  # noqa: E731
+    methods = {
+        "joint": Method(fitter),
+        "free": Method(fitter, measure=free_pose_deviations),
+        "plain": lambda _: scene.calibration,
+    }
+    rows = compare(scene.data, methods)
+    assert [row.name for row in rows] == ["joint", f"joint, {UNCORRECTED}", "free", "plain"]
+    joint, bare, _, plain = rows
+    np.testing.assert_array_equal(bare.held_out.deviations.px, plain.held_out.deviations.px)
+    assert joint.fitted.rms > 10.0 * bare.fitted.rms == 10.0 * plain.fitted.rms
 
 
 def test_a_method_that_fails_says_why_and_the_others_go_on(scene):

@@ -1,8 +1,19 @@
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from smartview_jax import held_out
-from smartview_jax.evaluation import deviations, refit, score, view_folds
+from smartview_jax.evaluation import (
+    deviations,
+    has_correction,
+    refit,
+    score,
+    view_folds,
+    without_correction,
+)
+from smartview_jax.robots import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_points, random_scene
 from smartview_jax.staged import FitCode, FitResult
 
@@ -106,9 +117,23 @@ def test_parts_of_one_fit_are_scored_from_the_same_refits(scene):
     assert bad.rms == deviations(worse, scene.data).rms > good.rms
 
 
+def test_what_a_fit_predicts_without_its_correction_is_scored_too(scene):
+    field = LinearInPosition.over(scene.data.base_from_tool)
+    bent = dataclasses.replace(
+        scene.calibration, robot_error=RobotError(field, jnp.full(field.size, 1e-3))
+    )
+    assert has_correction(bent)
+    assert not has_correction(scene.calibration)
+    fits = refit(scene.data, lambda _: bent)
+    bare = score(fits, scene.data, without_correction()).deviations
+    # The scene was made by a robot without error.
+    assert bare.rms == deviations(scene.calibration, scene.data).rms
+    assert score(fits, scene.data).deviations.rms > 10.0 * bare.rms
+
+
 def test_too_little_to_hold_out(scene):
     with pytest.raises(ValueError, match="folds: expected at least 2, found 1"):
         held_out(scene.data, lambda _: scene.calibration, folds=1)
     few = scene.data.select(range(3))
-    with pytest.raises(ValueError, match="at least 4 usable views, found 3"):
+    with pytest.raises(ValueError, match="by view needs at least 4 usable views, found 3"):
         held_out(few, lambda _: scene.calibration)

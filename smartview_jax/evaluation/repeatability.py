@@ -1,0 +1,89 @@
+"""Do two halves of the data find the same hand-eye transform, within what they state?
+
+An error on pixels can be small because a wrong mount, a wrong camera and a wrong world make up for
+each other. Nothing else that real data offer says more about the mount itself.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..calibration import Calibration
+from ..dataset import Dataset
+from .held_out import predictor_of, without
+
+
+class Repeatability(NamedTuple):
+    """How far apart the hand-eye transforms of even and of odd views are.
+
+    Attributes:
+        rotation: angle between them, rad.
+        translation: distance between them, m.
+        in_std: difference of each of translation x, y, z and rotation x, y, z, over its stated
+            standard deviation; None where the fits state none.
+        fits: of the even and of the odd views.
+    """
+
+    rotation: float
+    translation: float
+    in_std: Float[np.ndarray, "6"] | None
+    fits: tuple[Any, Any]
+
+    @property
+    def words(self) -> str:
+        """In degrees and millimetres."""
+        text = f"{np.rad2deg(self.rotation):.3f} deg and {1e3 * self.translation:.2f} mm apart"
+        if self.in_std is None:
+            return text
+        return f"{text}, {np.max(self.in_std):.1f} stated std at most"
+
+
+def repeatability(data: Dataset, fitter: Callable[[Dataset], Any]) -> Repeatability:
+    """Fit the even and the odd of the usable views alone, and compare where they put the camera.
+
+    Args:
+        data: all views, as they were taken: neighbours go to different halves.
+        fitter: from a data set to a fit with a `.calibration`, or to a calibration. The other
+            half's views come to it with nothing visible.
+
+    Raises:
+        ValueError: fewer than six usable views, fits without a hand-eye transform, or as the
+            fitter does.
+    """
+    views = data.usable_views()
+    if len(views) < 6:
+        raise ValueError(f"two halves need at least 6 usable views, found {len(views)}")
+    even, odd = (fitter(without(data, views[1 - k :: 2])) for k in (0, 1))
+    one, other = (_calibration(fit).camera_from_mount for fit in (even, odd))
+    apart = np.asarray(one.translation() - other.translation())
+    # As the fits' standard deviations are: about the axes of the target frame.
+    turn = np.asarray((one.rotation() @ other.rotation().inverse()).log())
+    difference = np.concatenate([apart, turn])
+    stds = [_stated(fit) for fit in (even, odd)]
+    in_std = None
+    if stds[0] is not None and stds[1] is not None:
+        both = np.hypot(stds[0], stds[1])
+        # What the fits held is the same in both, and known.
+        in_std = np.abs(difference) / np.where(both > 0.0, both, np.inf)
+    return Repeatability(
+        float(np.linalg.norm(turn)), float(np.linalg.norm(apart)), in_std, (even, odd)
+    )
+
+
+def _calibration(fit: Any) -> Calibration:
+    found = predictor_of(fit)
+    if not isinstance(found, Calibration):
+        raise ValueError(f"expected fits with a Calibration, found {type(found).__name__}")
+    return found
+
+
+def _stated(fit: Any) -> Float[np.ndarray, "6"] | None:
+    """Standard deviations of a fit's hand-eye transform: m, then rad."""
+    std = getattr(fit, "std", None)
+    if std is None:
+        return None
+    name = _calibration(fit).transform_names[0]
+    parts = [f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
+    return np.array([std.get(f"{name}.{part}", 0.0) for part in parts])
