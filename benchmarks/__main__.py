@@ -14,6 +14,7 @@ BENCHMARKS = {
     "real_sets": "the joint fit on the real data sets, against their reference figures",
     "held_out": "error on unseen views of the real data sets, beside OpenCV and vision-calibration",
     "consistency": "whether stated uncertainty is true: NEES and coverage over simulated runs",
+    "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, pyceres and scipy: time, memory, cost",
     "growth": "time and memory of the joint fit by points, views and devices",

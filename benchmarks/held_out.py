@@ -19,6 +19,7 @@ from jaxlie import SE3, SO3
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5, lens_by_name
+from smartview_jax.evaluation import repeatability
 from smartview_jax.geometry import as_se3
 
 from .real_sets import SETS, SHARED, load
@@ -98,26 +99,13 @@ def _joint(data: sv.Dataset, noise: str) -> sv.JointFit:
 def _halves_agree(data: sv.Dataset) -> bool:
     good = True
     for noise in ("trusted", "estimated"):
-        halves = [_joint(data.select(range(k, data.view_count, 2)), noise) for k in (0, 1)]
-        hands = [half.calibration.camera_from_tool for half in halves]
-        turn, shift = _apart(*hands)
-        stated = [
-            [half.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"] for half in halves
-        ]
-        difference = np.asarray(hands[0].translation() - hands[1].translation())
-        ratio = np.abs(difference) / np.hypot(*np.array(stated))
-        print(
-            f"even and odd views of {AGREEING[0]}, {noise}: hand-eye {turn:.3f} deg and "
-            f"{shift:.2f} mm apart, {ratio.max():.1f} stated std at most"
-        )
-        within = turn <= AGREEMENT[0] and shift <= AGREEMENT[1] and ratio.max() <= 2.0
+        found = repeatability(data, lambda half, noise=noise: _joint(half, noise))
+        print(f"even and odd views of {AGREEING[0]}, {noise}: hand-eye {found.words}")
+        turn, shift = np.rad2deg(found.rotation), 1e3 * found.translation
+        stated = np.inf if found.in_std is None else found.in_std.max()
+        within = turn <= AGREEMENT[0] and shift <= AGREEMENT[1] and stated <= 2.0
         good &= within or noise == "trusted"
     return good
-
-
-def _apart(a: SE3, b: SE3) -> tuple[float, float]:
-    turn = np.linalg.norm(np.asarray((a.rotation().inverse() @ b.rotation()).log()))
-    return float(np.rad2deg(turn)), 1e3 * float(jnp.linalg.norm(a.translation() - b.translation()))
 
 
 def _opencv(data: sv.Dataset) -> sv.Calibration:

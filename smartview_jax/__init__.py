@@ -28,6 +28,7 @@ from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
 from .evaluation import compare as compare  # noqa: E402
 from .evaluation import cramer_rao as cramer_rao  # noqa: E402
+from .evaluation import error_budget as error_budget  # noqa: E402
 from .evaluation import held_out as held_out  # noqa: E402
 from .evaluation import std_of as std_of  # noqa: E402
 from .geometry import se3_from_xyzoat as se3_from_xyzoat  # noqa: E402

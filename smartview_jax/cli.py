@@ -15,7 +15,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from .dataset import Dataset
-    from .evaluation import HeldOut
+    from .evaluation import ErrorBudget, Repeatability, Unseen
 
 app = typer.Typer(
     help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
@@ -100,16 +100,24 @@ def calibrate(
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html."""
     with _errors(debug):
         from .joint import calibrate as fit_both
-        from .report import summaries, write_page
+        from .report import halves_agree, summaries, write_page
 
         with _progress() as say:
             data, name = _load(dataset, bad_views, say)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
             unseen = _held_out(data, lens, noise, say) if held_out else {}
-            write_page(out / "report.html", fit, data, unseen, f"Calibration of {name}", say)
+            halves, budget = (
+                _diagnosis(fit, data, lens, say) if noise == "estimated" else (None,) * 2
+            )
+            title = f"Calibration of {name}"
+            write_page(out / "report.html", fit, data, unseen, title, say, halves, budget)
             fit.calibration.save(out / "calibration.yaml")
             fit.staged.calibration.save(out / "calibration_staged.yaml")
         _print_result(summaries(fit, data, unseen), fit, data)
+        for _, text in halves_agree(halves):
+            typer.echo(f"even and odd views: {text}")
+        if budget is not None:
+            _print_budget(budget)
         typer.echo(f"\n{out / 'calibration.yaml'}  {out / 'report.html'}")
         if not fit.result.converged:
             raise typer.Exit(1)
@@ -192,33 +200,64 @@ def _load(
 
 def _held_out(
     data: "Dataset", lens: str, noise: NoiseModel, say: Callable[[str], None]
-) -> "dict[str, HeldOut]":
-    """Held-out error of both fits, each fold fitted once."""
-    from .evaluation import refit, score
+) -> "dict[str, Unseen]":
+    """Held-out error of both fits, each fold fitted once; all of it where noise is estimated."""
+    from .evaluation import unseen_errors
     from .joint import calibrate as fit_both
 
     if len(data.usable_views()) < 4:
         say("held-out error needs at least 4 usable views: left out")
         return {}
-    fits = refit(
+    return unseen_errors(
         data,
         lambda part: fit_both(part, lens, noise=noise.value),
-        progress=lambda s: say(f"held-out: {s}"),
+        thorough=noise == NoiseModel.ESTIMATED,
+        progress=say,
     )
-    return {
-        "staged": score(fits, data, lambda fit, _: fit.staged),
-        "joint": score(fits, data, lambda fit, _: fit.joint),
-    }
+
+
+def _diagnosis(
+    fit, data: "Dataset", lens: str, say: Callable[[str], None]
+) -> "tuple[Repeatability | None, ErrorBudget | None]":
+    """Whether halves of the views agree, and where the error comes from, as far as can be told."""
+    from .evaluation import error_budget, repeatability
+    from .joint import calibrate as fit_both
+
+    def half(part: "Dataset"):
+        say("half of the views")
+        return fit_both(part, lens, noise=NoiseModel.ESTIMATED.value).joint
+
+    halves = budget = None
+    try:
+        halves = repeatability(data, half)
+    except ValueError as error:
+        say(f"halves of the views are not compared: {error}")
+    try:
+        budget = error_budget(data, fit.joint, say)
+    except ValueError as error:
+        say(f"there is no error budget: {error}")
+    return halves, budget
+
+
+def _print_budget(budget: "ErrorBudget") -> None:
+    from .report import budget_rows
+
+    table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
+    for name, px, _ in budget_rows(budget):
+        table.add_row(name, px)
+    console = Console()
+    console.print(table)
+    console.print(budget.words, highlight=False)
 
 
 def _print_result(rows, fit, data) -> None:
-    from .report import MEASURES, cells, rejections, remarks, verdict
+    from .report import rejections, remarks, table_rows, verdict
 
     table = Table()
     table.add_column("")
     for row in rows:
         table.add_column(row.name, justify="right")
-    for texts in zip(MEASURES, *(cells(row) for row in rows), strict=True):
+    for texts in table_rows(rows):
         table.add_row(*texts)
     console = Console()
     console.print(table)

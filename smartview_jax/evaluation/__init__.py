@@ -2,6 +2,8 @@
 
 from .bootstrap import Interval as Interval
 from .bootstrap import rms_interval as rms_interval
+from .budget import ErrorBudget as ErrorBudget
+from .budget import error_budget as error_budget
 from .compare import UNCORRECTED as UNCORRECTED
 from .compare import Method as Method
 from .compare import Row as Row
@@ -14,6 +16,9 @@ from .consistency import mean_nees as mean_nees
 from .consistency import nees as nees
 from .cramer_rao import Bound as Bound
 from .cramer_rao import cramer_rao as cramer_rao
+from .explanations import Explanation as Explanation
+from .explanations import explanations as explanations
+from .explanations import region_error as region_error
 from .folds import region_folds as region_folds
 from .folds import split_views as split_views
 from .folds import view_folds as view_folds
@@ -25,6 +30,7 @@ from .held_out import held_out as held_out
 from .held_out import refit as refit
 from .held_out import score as score
 from .held_out import without_correction as without_correction
+from .lens_misfit import lens_misfit as lens_misfit
 from .measures import Deviations as Deviations
 from .measures import Predictor as Predictor
 from .measures import deviations as deviations
@@ -40,3 +46,5 @@ from .repeatability import repeatability as repeatability
 from .uncertainty import Estimate as Estimate
 from .uncertainty import covariance_of as covariance_of
 from .uncertainty import std_of as std_of
+from .unseen import Unseen as Unseen
+from .unseen import unseen_errors as unseen_errors

@@ -28,14 +28,19 @@ def free_pose_deviations(calibration: Calibration, data: Dataset) -> Deviations:
         calibration: its camera and target scale are kept; its chain is where each pose starts.
         data: views with at least four visible points are fitted, others keep the chain's pose.
     """
+    points = calibration.target_scale * data.points
+    in_camera = transform_points(free_poses(calibration, data), points)
+    predicted, valid = calibration.camera.project(in_camera)
+    return measured(calibration.camera, data, predicted, valid, in_camera[..., 2])
+
+
+def free_poses(calibration: Calibration, data: Dataset) -> SE3:
+    """`camera_from_world` of every view by its own pixels; as `free_pose_deviations` has them."""
     started = calibration.camera_from_world(data.command)
     points = calibration.target_scale * data.points
     enough = data.visible.sum(axis=1, keepdims=True) >= 4
     pixels = jnp.where(data.visible[..., None], data.pixels, 0.0)
-    poses = _fit_poses(calibration.camera, started, points, pixels, data.visible & enough)
-    in_camera = transform_points(poses, points)
-    predicted, valid = calibration.camera.project(in_camera)
-    return measured(calibration.camera, data, predicted, valid, in_camera[..., 2])
+    return _fit_poses(calibration.camera, started, points, pixels, data.visible & enough)
 
 
 @eqx.filter_jit

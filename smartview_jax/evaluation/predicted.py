@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..joint import JointFit
+from ..robots import Command
 from .held_out import HeldOut, Refit, pooled, score, whole
 from .measures import Deviations, at_target, predict
 from .uncertainty import std_of, sum_of_squares
@@ -90,35 +91,54 @@ def predicted_deviations(fit: JointFit, data: Dataset) -> Deviations:
     Raises:
         ValueError: the fit's data leave something open, or its noise leaves the poses open.
     """
+    calibration, visible = fit.calibration, np.asarray(data.visible)
+    _, valid, depth = predict(calibration, data.command, data.points)
+    square = sum(expected_squares(fit, data))
+    px = np.where(visible, np.where(np.asarray(valid), np.sqrt(square), np.inf), np.nan)
+    return at_target(calibration.camera, px, depth)
+
+
+class Squares(NamedTuple):
+    """Expected squared deviation of points, u and v together, px^2, by what causes it.
+
+    Attributes:
+        parameters: what the fit does not know of its parameters.
+        pixels: noise of pixels, each by itself and a view's together.
+        poses: noise of the poses that the robot reports.
+    """
+
+    parameters: Float[np.ndarray, "views points"]
+    pixels: Float[np.ndarray, "views points"]
+    poses: Float[np.ndarray, "views points"]
+
+
+def expected_squares(fit: JointFit, data: Dataset) -> Squares:
+    """The parts of `predicted_deviations`, squared; raises as there."""
     calibration, noise = fit.calibration, fit.noise
-    _, valid, depth = predict(calibration, data.base_from_tool, data.points)
-    visible = np.asarray(data.visible)
-    known = std_of(fit, _Pixels(data.base_from_tool, data.points))
-    square = np.sum(np.asarray(known) ** 2, axis=-1)
     white = effective = fit.pixel_sigma
+    by_poses = np.zeros(data.visible.shape)
     if noise is not None:
         if not max(noise.translation, noise.rotation) < np.inf:
             raise ValueError("a robot whose poses may be anywhere leaves nothing to predict")
         sizes = jnp.repeat(jnp.array([noise.translation, noise.rotation]), 3)
-        by_poses = _by_poses(calibration, sizes, data.base_from_tool, data.points)
-        square = square + np.asarray(by_poses)
+        by_poses = np.asarray(_by_poses(calibration, sizes, data.command, data.points))
         if noise.white_pixel is not None:
             white, effective = noise.white_pixel, noise.pixel
-    seen = np.maximum(visible.sum(axis=1, keepdims=True), 1)
+    known = np.asarray(std_of(fit, _Pixels(data.command, data.points)))
+    seen = np.maximum(np.asarray(data.visible).sum(axis=1, keepdims=True), 1)
     # A pose has six numbers; of the view's 2 n pixels they carry six, with the larger sigma.
-    square = square + 2.0 * white**2 + 6.0 * (effective**2 - white**2) / seen
-    px = np.where(visible, np.where(np.asarray(valid), np.sqrt(square), np.inf), np.nan)
-    return at_target(calibration.camera, px, depth)
+    by_pixels = 2.0 * white**2 + 6.0 * (effective**2 - white**2) / seen
+    return Squares(np.sum(known**2, axis=-1), np.broadcast_to(by_pixels, by_poses.shape), by_poses)
 
 
 class _Pixels(eqx.Module):
     """Pixels by calibration; zero where there are none. A pytree, so that it is compiled once."""
 
-    base_from_tool: SE3
+    command: Command
     points: Float[Array, "views points 3"]
 
     def __call__(self, calibration: Calibration) -> Float[Array, "views points 2"]:
-        pixels, valid = calibration.project(self.base_from_tool, self.points)
+        pixels, valid = calibration.project(self.command, self.points)
         return jnp.where(valid[..., None], pixels, 0.0)
 
 
@@ -126,12 +146,12 @@ class _Pixels(eqx.Module):
 def _by_poses(
     calibration: Calibration,
     sizes: Float[Array, "6"],
-    base_from_tool: SE3,
+    command: Command,
     points: Float[Array, "views points 3"],
 ) -> Float[Array, "views points"]:
     """Variance of pixels, u and v together, by white noise of the reported poses."""
     error = calibration.robot_error
-    poses = base_from_tool if error is None else error.true_pose(base_from_tool)
+    poses = command.base_from_tool if error is None else error.true_pose(command)
 
     def pixels(correction: Float[Array, "6"]) -> Float[Array, "views points 2"]:
         each = jnp.broadcast_to(-correction, (*poses.get_batch_axes(), 6))

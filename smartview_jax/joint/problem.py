@@ -179,7 +179,7 @@ class JointProblem(eqx.Module):
         self, z: Step
     ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
         """Every view's part of the shared parameters' gradient and matrix in `observed`."""
-        chain = linearise_chain(self.parameters, self.step(z), self.observations.base_from_tool)
+        chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
         views, shared = self._linearised(chain), self._by_shared(chain)
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
         return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)

@@ -129,7 +129,7 @@ def _start_poses(
     data: Dataset, start: Calibration, placed: Bool[np.ndarray, "views"]
 ) -> tuple[SE3, dict[int, str]]:
     """`camera_from_world` of every view, by the chain where it will do; and where there is none."""
-    chain = start.camera_from_world(data.base_from_tool)
+    chain = start.camera_from_world(data.command)
     deviations = np.asarray(_from_chain(start, data.observations))
     visible = np.asarray(data.visible)
     typical = np.zeros(len(visible))
@@ -196,7 +196,7 @@ def _from_chain(start: Calibration, observations: Observations) -> Float[Array, 
     """How far every point lies from where the chain puts it, px; infinite where nowhere."""
 
     def view(seen: Observations) -> Float[Array, "points"]:
-        predicted, valid = start.project(seen.base_from_tool, seen.points)
+        predicted, valid = start.project(seen.command, seen.points)
         distance = jnp.linalg.norm(seen.residuals(predicted, valid), axis=-1)
         return jnp.where(valid, distance, jnp.inf)
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ..dataset import Dataset
 from ..detection import read_picture
-from ..evaluation import HeldOut
+from ..evaluation import ErrorBudget, Repeatability, Unseen
 from ..files import write_atomically
 from ..joint import CalibrationFit
 from . import plots, tables
@@ -29,9 +29,11 @@ def write_page(
     path: Path,
     fit: CalibrationFit,
     data: Dataset,
-    unseen: dict[str, HeldOut] | None = None,
+    unseen: dict[str, Unseen] | None = None,
     title: str = "Calibration",
     progress: Callable[[str], None] | None = None,
+    halves: Repeatability | None = None,
+    budget: ErrorBudget | None = None,
 ) -> None:
     """Write the report of a calibration.
 
@@ -39,9 +41,11 @@ def write_page(
         path: of the HTML file, written whole or not at all.
         fit: what `calibrate` found.
         data: what it was fitted to.
-        unseen: held-out errors by method, `"staged"` and `"joint"`.
+        unseen: what `unseen_errors` found.
         title: of the page.
         progress: told what is being drawn.
+        halves: what `repeatability` found.
+        budget: what `error_budget` found.
     """
     say = progress or (lambda _: None)
     rows = tables.summaries(fit, data, unseen)
@@ -50,7 +54,9 @@ def write_page(
         title=title,
         verdict=tables.verdict(rows, fit),
         names=[row.name for row in rows],
-        measures=list(zip(tables.MEASURES, *(tables.cells(row) for row in rows), strict=True)),
+        measures=tables.table_rows(rows),
+        budget=budget,
+        budget_rows=[] if budget is None else tables.budget_rows(budget),
         rejections=tables.rejections(fit, data),
         blind=[d.words for d in fit.joint.observability.null],
         weak=[
@@ -60,11 +66,11 @@ def write_page(
         parameters=tables.parameter_rows(fit),
         errors_estimated=fit.joint.estimate is not None,
         figures=[
-            (name, text, _embedded(figure)) for name, text, figure in _figures(fit, data, rows)
+            (name, text, _embedded(figure)) for name, text, figure in _figures(fit, data, rows[:2])
         ],
         staged=fit.staged,
         joint=fit.joint,
-        facts=_facts(fit, data, unseen),
+        facts=_facts(fit, data, unseen) + tables.halves_agree(halves),
     )
     write_atomically(path, page)
 
@@ -131,7 +137,7 @@ def _embedded(figure: Figure) -> str:
 
 
 def _facts(
-    fit: CalibrationFit, data: Dataset, unseen: dict[str, HeldOut] | None
+    fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None
 ) -> list[tuple[str, str]]:
     step3 = fit.staged.step3
     facts = [
@@ -153,7 +159,7 @@ def _facts(
     ]
     facts += tables.errors_found(fit.joint, data)
     if unseen:
-        folds = next(iter(unseen.values())).folds
+        folds = next(iter(unseen.values())).held_out.folds
         facts.append(("held-out error", f"{len(folds)} folds by view, all refitted in each"))
     libraries = ", ".join(f"{name} {version(name)}" for name in ("jax", "optimistix", "numpy"))
     facts.append(("computed with", libraries))

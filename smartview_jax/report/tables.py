@@ -1,11 +1,24 @@
 """The result as rows of text, for the terminal and for the page alike."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..dataset import Dataset
-from ..evaluation import Deviations, HeldOut, Row, count_rejected, deviations, rejected_by
+from ..evaluation import (
+    UNCORRECTED,
+    Deviations,
+    ErrorBudget,
+    HeldOut,
+    Repeatability,
+    Row,
+    Unseen,
+    count_rejected,
+    deviations,
+    has_correction,
+    rejected_by,
+)
 from ..joint import CalibrationFit, JointFit
 
 
@@ -15,42 +28,67 @@ class Summary(NamedTuple):
     Attributes:
         name: of the method.
         fitted: deviations on all views.
-        held_out: deviations on views the fit never saw; None where not evaluated.
+        unseen: what it does on views it never saw; None where not evaluated.
     """
 
     name: str
     fitted: Deviations
-    held_out: HeldOut | None
+    unseen: Unseen | None
+
+    @property
+    def held_out(self) -> HeldOut | None:
+        """By view."""
+        return None if self.unseen is None else self.unseen.held_out
 
 
 def summaries(
-    fit: CalibrationFit, data: Dataset, unseen: dict[str, HeldOut] | None = None
+    fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None = None
 ) -> list[Summary]:
-    """Staged and joint, side by side."""
+    """Staged and joint, side by side; where the joint fit corrects the robot, also without."""
     unseen = unseen or {}
-    return [
-        Summary(name, deviations(part.calibration, data), unseen.get(name))
-        for name, part in (("staged", fit.staged), ("joint", fit.joint))
-    ]
+    parts = {"staged": fit.staged.calibration, "joint": fit.joint.calibration}
+    if has_correction(fit.joint):
+        parts[f"joint, {UNCORRECTED}"] = fit.joint.calibration.uncorrected
+    return [Summary(name, deviations(part, data), unseen.get(name)) for name, part in parts.items()]
 
 
 MEASURES = (
     "registration error, mean +- std",
     "registration error, RMS",
     "held-out error, RMS",
-    "held-out error at the target",
+    "  95 % of resampled views",
+    "  at the target",
+    "  over what the fit expected",
+    "  with a free pose a view",
+    "held-out by region, RMS",
 )
 
 
 def cells(summary: Summary) -> list[str]:
     """One column of the table: a text for each of `MEASURES`."""
-    unseen = summary.held_out.deviations if summary.held_out is not None else None
-    return [
+    figures = [
         f"{summary.fitted.mean:.2f} +- {summary.fitted.std:.2f} px",
         f"{summary.fitted.rms:.2f} px",
-        "-" if unseen is None else f"{unseen.rms:.2f} px",
-        "-" if unseen is None else f"{unseen.rms_mm:.2f} mm",
     ]
+    unseen = summary.unseen
+    if unseen is None:
+        return figures + ["-"] * (len(MEASURES) - len(figures))
+    low, high = unseen.held_out.interval()
+    return [
+        *figures,
+        f"{unseen.held_out.deviations.rms:.2f} px",
+        f"{low:.2f} to {high:.2f} px",
+        f"{unseen.held_out.deviations.rms_mm:.2f} mm",
+        "-" if unseen.foretold is None else f"{unseen.foretold.ratio:.2f}",
+        "-" if unseen.floor is None else f"{unseen.floor.deviations.rms:.2f} px",
+        "-" if unseen.by_region is None else f"{unseen.by_region.deviations.rms:.2f} px",
+    ]
+
+
+def table_rows(rows: Sequence[Summary]) -> list[tuple[str, ...]]:
+    """The rows of the table that hold a figure, each with its measure first."""
+    columns = [cells(row) for row in rows]
+    return [row for row in zip(MEASURES, *columns, strict=True) if set(row[1:]) != {"-"}]
 
 
 COMPARED = (
@@ -58,6 +96,7 @@ COMPARED = (
     "mean +- std, px",
     "RMS, px",
     "held out, px",
+    "95 % of views",
     "held out, mm",
     "left out points, views",
 )
@@ -66,7 +105,7 @@ COMPARED = (
 def compared(row: Row) -> list[str]:
     """One row of the comparison of methods: a text for each of `COMPARED`."""
     if row.fitted is None or row.held_out is None:
-        return [row.name, "failed", "-", "-", "-", "-"]
+        return [row.name, "failed", *["-"] * (len(COMPARED) - 2)]
     unseen = row.held_out.deviations
     counts = None if row.rejected is None else count_rejected(row.rejected)
     return [
@@ -74,6 +113,7 @@ def compared(row: Row) -> list[str]:
         f"{row.fitted.mean:.3g} +- {row.fitted.std:.3g}",
         f"{row.fitted.rms:.3g}",
         f"{unseen.rms:.3g}",
+        "{:.3g} to {:.3g}".format(*row.held_out.interval()),
         f"{unseen.rms_mm:.3g}",
         "-" if counts is None else f"{counts.points}, {counts.views}",
     ]
@@ -142,6 +182,18 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     return lines
 
 
+def halves_agree(halves: Repeatability | None) -> list[tuple[str, str]]:
+    """How far apart two halves of the views put the camera; nothing where that was not asked."""
+    if halves is None:
+        return []
+    return [("even and odd views", f"the hand-eye transforms that they find are {halves.words}")]
+
+
+def budget_rows(budget: ErrorBudget) -> list[tuple[str, str, str]]:
+    """Cause, RMS in the chain without correction, and what to do, the largest first."""
+    return [(part.name, f"{part.px:.3g} px", part.advice) for part in budget.parts]
+
+
 def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
     """Name, value with unit, and standard deviation of every number of the joint fit."""
     calibration = fit.joint.calibration
@@ -193,7 +245,7 @@ def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
     """The result in a sentence or two."""
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
-    staged, joint = rows
+    staged, joint = rows[:2]
     if staged.held_out is not None and joint.held_out is not None:
         measured = [staged.held_out.deviations.rms, joint.held_out.deviations.rms]
         what = "on views it never saw"

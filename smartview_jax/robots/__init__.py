@@ -22,3 +22,4 @@ from .plain import robot_error_from_dict as robot_error_from_dict
 from .plain import robot_error_to_dict as robot_error_to_dict
 from .robot_error import RobotError as RobotError
 from .serial_arm import SerialArm as SerialArm
+from .stretch import PoseOrStretch as PoseOrStretch

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from smartview_jax import Noise, fit_joint
-from smartview_jax.evaluation import Deviations, HeldOut, Rejection, Row
+from smartview_jax.evaluation import Deviations, Foretold, HeldOut, Rejection, Row, Unseen
 from smartview_jax.joint import Alternative, NoiseEstimate
-from smartview_jax.report import COMPARED, compared, remarks
+from smartview_jax.report import COMPARED, Summary, compared, remarks, table_rows
 from smartview_jax.report.tables import errors_found
 from smartview_jax.robots import LinearInPosition, RobotError
 from smartview_jax.simulation import random_scene
@@ -25,11 +25,27 @@ def test_a_row_of_the_comparison_holds_the_figures():
     row = compared(Row("joint", FITTED, UNSEEN, rejected))
     assert len(row) == len(COMPARED)
     # Mean and spread of 3, 4, 0; root mean square of the same, and of 6 and 8; mm at the target.
-    assert row == ["joint", "2.33 +- 1.7", "2.89", "7.07", "2", "2, 1"]
+    # Drawing two views anew gives the one, the other, or both.
+    assert row == ["joint", "2.33 +- 1.7", "2.89", "7.07", "6 to 8", "2", "2, 1"]
 
 
 def test_a_method_that_failed_shows_no_figures():
-    assert compared(Row("joint", None, None, failure="no"))[1:] == ["failed", *"----"]
+    assert compared(Row("joint", None, None, failure="no"))[1:] == ["failed", *"-----"]
+
+
+def test_the_table_shows_what_was_evaluated_and_no_empty_rows():
+    expected = Deviations(np.array([[3.0, np.nan], [4.0, np.nan]]), np.full((2, 2), 1e-3))
+    foretold = Foretold(HeldOut(expected, UNSEEN.folds, ()), UNSEEN)
+    full = Unseen(UNSEEN, by_region=HeldOut(FITTED, ((0, 1),), ()), foretold=foretold)
+    rows = [Summary("staged", FITTED, Unseen(UNSEEN)), Summary("joint", FITTED, full)]
+    table = {name.strip(): cells for name, *cells in table_rows(rows)}
+    assert table["held-out error, RMS"] == ["7.07 px", "7.07 px"]
+    assert table["95 % of resampled views"] == ["6.00 to 8.00 px"] * 2
+    assert table["held-out by region, RMS"] == ["-", "2.89 px"]
+    # 6 and 8 where 3 and 4 were expected.
+    assert table["over what the fit expected"] == ["-", "2.00"]
+    assert "with a free pose a view" not in table
+    assert len(table_rows([Summary("joint", FITTED, None)])) == 2
 
 
 def test_remarks_say_what_the_figures_leave_out():

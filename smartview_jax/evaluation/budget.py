@@ -1,0 +1,157 @@
+"""The error budget: what the error of the bare chain is made of, and what to do about it."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..dataset import Dataset
+from ..joint import JointFit
+from ..joint.estimate import FEW
+from .explanations import Explanation, explanations, moved
+from .lens_misfit import lens_misfit
+from .measures import deviations
+from .predicted import expected_squares
+
+PIXELS = "pixel noise"
+LENS = "lens"
+NOISE = "robot noise"
+SYSTEMATIC = "robot's systematic error"
+SCALE = "target scale or robot stretch"
+VIEWS = "too few views"
+
+MOST = 0.5
+"""Share of what a field of the robot's error gains that makes one number the name for it."""
+
+GAINED = 10.0
+"""Deviance that the number has to gain at the least."""
+
+ALSO = 0.5
+"""Share of the largest part that makes the second worth a sentence of its own."""
+
+
+class Part(NamedTuple):
+    """One cause of error.
+
+    Attributes:
+        name: of the cause.
+        px: RMS that it has in the bare chain by itself; the parts add up in squares.
+        advice: what to do about it.
+    """
+
+    name: str
+    px: float
+    advice: str
+
+
+class ErrorBudget(NamedTuple):
+    """What the chain without its correction is off by, and why.
+
+    Attributes:
+        total: RMS deviation of the bare chain, px.
+        parts: causes, the largest first.
+        explanations: of the robot's smooth error by one number; empty where there is no such error
+            or too few views.
+        culprit: name of the cause to begin with.
+        words: what to do, in a sentence or two.
+    """
+
+    total: float
+    parts: tuple[Part, ...]
+    explanations: tuple[Explanation, ...]
+    culprit: str
+    words: str
+
+
+def error_budget(
+    data: Dataset, fit: JointFit, progress: Callable[[str], None] | None = None
+) -> ErrorBudget:
+    """Divide the error of the bare chain among its causes.
+
+    Pixels, poses and parameters have the sizes that the fit states, pushed through the projection;
+    the systematic error is what the correction moves, the lens what smooth pattern is left in the
+    picture where every view has its own pose.
+
+    Args:
+        data: what the fit was fitted to.
+        fit: with `noise="estimated"`; what `calibrate` returns has it as `.joint`.
+        progress: told what is being done.
+
+    Raises:
+        ValueError: the fit's noise was not estimated, or its data leave something open.
+    """
+    if fit.estimate is None:
+        raise ValueError('an error budget needs a fit with noise="estimated"')
+    seen = np.asarray(data.visible)
+    squares = expected_squares(fit, data)
+    parameters, pixels, poses = (float(np.mean(square[seen])) for square in squares)
+    lens = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
+    systematic = moved(fit.calibration, data)
+    views = len(data.usable_views())
+    rivals = explanations(data, fit, progress) if views >= FEW else ()
+    scale = _one_number(rivals)
+    # As the only systematic error it may move points farther than the field that was chosen.
+    by_scale = 0.0 if scale is None else min(scale.px, systematic)
+    sizes = {
+        PIXELS: np.sqrt(max(pixels - lens**2, 0.0)),
+        LENS: lens,
+        NOISE: np.sqrt(poses),
+        SCALE: by_scale,
+        SYSTEMATIC: np.sqrt(systematic**2 - by_scale**2),
+        VIEWS: np.sqrt(parameters),
+    }
+    order = sorted(sizes, key=lambda name: -sizes[name])
+    parts = tuple(
+        Part(name, float(sizes[name]), _advice(name, fit, views, rivals)) for name in order
+    )
+    culprit = VIEWS if views < FEW else order[0]
+    total = deviations(fit.calibration.uncorrected, data).rms
+    return ErrorBudget(total, parts, rivals, culprit, _words(total, parts, culprit))
+
+
+def _one_number(rivals: tuple[Explanation, ...]) -> Explanation | None:
+    """The likelier of the rivals, where it explains most of what a field would."""
+    if not rivals:
+        return None
+    best = max(rivals, key=lambda rival: rival.gain)
+    return best if best.gain >= max(GAINED, MOST * best.field_gain) else None
+
+
+def _words(total: float, parts: tuple[Part, ...], culprit: str) -> str:
+    named = {part.name: part for part in parts}
+    first = named[culprit]
+    text = f"Of {total:.3g} px RMS of the chain without correction, {first.name} is "
+    text += f"{first.px:.3g} px: {first.advice}."
+    second = next(part for part in parts if part.name != culprit)
+    if second.px > ALSO * first.px:
+        text += f" Then {second.name}, {second.px:.3g} px: {second.advice}."
+    return text
+
+
+def _advice(name: str, fit: JointFit, views: int, rivals: tuple[Explanation, ...]) -> str:
+    if name == SCALE and rivals:
+        return _measure_the_board(rivals)
+    assert fit.noise is not None
+    millimetres, degrees = 1e3 * fit.noise.translation, np.rad2deg(fit.noise.rotation)
+    return {
+        PIXELS: "sharper pictures, steady light, a larger or better printed target",
+        LENS: "the lens model is too simple: take a richer one, such as opencv5 or opencv8",
+        NOISE: f"poses are off by {millimetres:.2g} mm and {degrees:.2g} deg, each by itself: wait "
+        "until the arm stands still, approach from one side, check the clocks; more views help",
+        SCALE: "measure the board",
+        SYSTEMATIC: "keep the correction when predicting and commanding, or have the robot "
+        "calibrated; without either, work near the views",
+        VIEWS: f"{views} views leave the parameters open by so much: take more, 15 at least, that "
+        "differ in direction, distance and roll about the optical axis",
+    }[name]
+
+
+def _measure_the_board(rivals: tuple[Explanation, ...]) -> str:
+    size = {rival.name: rival for rival in rivals}
+    target, robot = size["target scale"], size["robot stretch"]
+    return (
+        "measure the board: either the target is "
+        f"{target.size:.4f} +- {target.std:.4f} of its stated size, or the robot goes "
+        f"{robot.size:.4f} +- {robot.std:.4f} of the way that it reports; the likelihood cannot "
+        f"tell ({target.gain:.0f} and {robot.gain:.0f} better than neither, twice its logarithm)"
+    )
