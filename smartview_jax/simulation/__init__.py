@@ -1,5 +1,7 @@
 """Scenes with known truth: geometry, noise and rendered pictures."""
 
+from .arm_scenes import ArmScene as ArmScene
+from .arm_scenes import six_axis_scene as six_axis_scene
 from .render import render as render
 from .render import write_pictures as write_pictures
 from .scenes import Scene as Scene
