@@ -15,6 +15,7 @@ BENCHMARKS = {
     "held_out": "error on unseen views of the real data sets, beside OpenCV and vision-calibration",
     "consistency": "whether stated uncertainty is true: NEES and coverage over simulated runs",
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
+    "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, pyceres and scipy: time, memory, cost",
     "growth": "time and memory of the joint fit by points, views and devices",

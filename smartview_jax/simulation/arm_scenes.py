@@ -91,7 +91,8 @@ def six_axis_scene(
     """
     rng = np.random.default_rng((seed, 3))
     arm, board = six_axes(), _board()
-    truth = dataclasses.replace(_calibration(), robot_error=_errors(arm, rng, errors))
+    error = _errors(arm, rng, errors)
+    truth = dataclasses.replace(_calibration(), robot_error=error)
     bent = board + _warp(board, rng.uniform(*warp), rng)
     wanted = views_around(rng, views + unseen, board.mean(axis=0), DISTANCE, TILT)
     near = np.tile(NEAR, (views + unseen, 1))
@@ -102,15 +103,16 @@ def six_axis_scene(
     size = np.repeat([translation_noise, rotation_noise], 3)
     noise = np.where(np.arange(views + unseen)[:, None] < views, size, 0.0)
     shaken = SE3.exp(jnp.asarray(noise * rng.standard_normal(noise.shape)))
-    true = truth.robot_error.true_pose(arm.command(joints)) @ shaken.inverse()
+    true = error.true_pose(arm.command(joints)) @ shaken.inverse()
     reported = arm.base_from_tool(joints)
-    parts = []
+    parts: list[Dataset] = []
     for part, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
         pose, told = SE3(true.wxyz_xyz[part]), SE3(reported.wxyz_xyz[part])
         seen = simulate(truth.uncorrected, pose, bent, seed, sigma).data
         flat = jnp.broadcast_to(jnp.asarray(board)[None], seen.points.shape)
         parts.append(dataclasses.replace(seen, points=flat, base_from_tool=told))
-    return ArmScene(*parts, truth, joints[:views], joints[views:])
+    data, judged_on = parts
+    return ArmScene(data, judged_on, truth, joints[:views], joints[views:])
 
 
 def _board() -> Float[np.ndarray, "points 3"]:
