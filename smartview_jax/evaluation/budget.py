@@ -9,6 +9,7 @@ from ..dataset import Dataset
 from ..joint import JointFit
 from ..joint.estimate import FEW
 from .explanations import Explanation, explanations, moved
+from .held_out import has_correction
 from .lens_misfit import lens_misfit
 from .measures import deviations
 from .predicted import expected_squares
@@ -82,14 +83,17 @@ def error_budget(
     """
     if fit.estimate is None:
         raise ValueError('an error budget needs a fit with noise="estimated"')
+    views = len(data.usable_views())
+    rivals = explanations(data, fit, progress) if views >= FEW else ()
+    scale = _one_number(rivals)
+    if scale is not None and not has_correction(fit):
+        # A likely rival of a fit that found no field: the budget is of the likelier.
+        fit = scale.fit
     seen = np.asarray(data.visible)
     squares = expected_squares(fit, data)
     parameters, pixels, poses = (float(np.mean(square[seen])) for square in squares)
     lens = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
     systematic = moved(fit.calibration, data)
-    views = len(data.usable_views())
-    rivals = explanations(data, fit, progress) if views >= FEW else ()
-    scale = _one_number(rivals)
     # As the only systematic error it may move points farther than the field that was chosen.
     by_scale = 0.0 if scale is None else min(scale.px, systematic)
     sizes = {
