@@ -135,8 +135,8 @@ def estimate_noise(
     white, z = views.white_sigma, solution.z
 
     tried = _candidates(field, basis, views.count)
-    guess, linearised = _first_guess(z.corrections, basis, white), views.linearised(z)
-    best = _searched(linearised, guess, tried)
+    guess = _first_guess(np.asarray(z.corrections)[placed], basis, white)
+    best = _searched(views.linearised(z), guess, tried)
     gains = {name: float(best["trusted"][1] - value) for name, (_, value) in best.items()}
     name = _choice(gains, tried, len(placed)) if field is None else list(tried)[-1]
     say(f"errors of the robot: {name}")
@@ -269,10 +269,10 @@ def _largest_field(data: Dataset) -> AbstractField:
 
 
 def _first_guess(
-    poses: Float[Array, "views 6"], basis: AbstractField | None, white: float
+    poses: Float[np.ndarray, "placed 6"], basis: AbstractField | None, white: float
 ) -> Sizes:
-    """From how the views' own best poses scatter about the start's chain."""
-    size = np.median(np.abs(np.asarray(poses)).reshape(-1, 2, 3), axis=(0, 2))
+    """From how the placed views' own best poses scatter about the start's chain."""
+    size = np.median(np.abs(poses).reshape(-1, 2, 3), axis=(0, 2))
     translation, rotation = np.maximum(size, 1e-6)
     groups = [] if basis is None else [name for name, _ in basis.groups]
     field = [translation if name.startswith("translation") else rotation for name in groups]
