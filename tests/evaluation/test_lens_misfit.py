@@ -18,7 +18,7 @@ def everything(data):
 
 def test_noise_has_no_pattern(scene):
     """0.15 px of u and of v."""
-    assert lens_misfit(scene.calibration, scene.data, everything(scene.data)) < 0.03
+    assert lens_misfit(scene.calibration, scene.data, everything(scene.data)) < 0.01
 
 
 def test_a_pattern_over_the_picture_is_found_at_its_size(scene):
