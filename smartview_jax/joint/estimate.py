@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
@@ -265,7 +266,12 @@ def _candidates(
 
 def _largest_field(data: Dataset) -> AbstractField:
     """That of the arm itself where its joints are known, otherwise linear in the pose."""
-    return LinearInPose.over(data.base_from_tool) if data.arm is None else DHErrors(data.arm)
+    if data.arm is not None:
+        return DHErrors(data.arm)
+    masked = {view for view, _ in data.masked_views}
+    # What stands in for a pose that could not be read is nowhere near the others.
+    read = np.array([view not in masked for view in data.view_ids])
+    return LinearInPose.over(SE3(data.base_from_tool.wxyz_xyz[read]))
 
 
 def _first_guess(

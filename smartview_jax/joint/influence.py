@@ -117,5 +117,5 @@ def pose_scores(problem: JointProblem, z: Step, sizes_known: bool) -> PoseScores
         # Of all squares together, as in regression: the rest tells the size without the view.
         whole = jnp.sum(jnp.where(telling, share, 0.0))
         rest = jnp.maximum(whole - square, 1e-3 * whole)
-        square = square * jnp.maximum(whole - counted, 1.0) / rest
+        square = square * jnp.maximum(whole - counted, 1.0) / jnp.where(rest > 0.0, rest, 1.0)
     return PoseScores(jnp.sqrt(square), p_value)

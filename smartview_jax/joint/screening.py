@@ -32,11 +32,11 @@ from .solver import solve
 GATE = 2.0 * np.log(1e4)
 """Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
 
-GROSS = 36.0
+GROSS = 144.0
 """Squared whitened deviation from a view's own best pose beyond which a point is left out.
 
-Twice what `GATE` is, since the tails of real corners are longer than the normal distribution's: at
-the gate itself one corner in sixty of a good real data set would go.
+Far above `GATE`: at the gate itself one corner in sixty of a good real data set would go, and at
+half of this the corners of a picture whose lens is a little more than its model can say.
 """
 
 ROUNDS = 8

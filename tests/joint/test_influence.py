@@ -122,3 +122,15 @@ def test_a_view_that_was_moved_is_named_and_left_out():
     )
     assert kept.noise.translation > 2.0 * found.noise.translation
     assert not [entry for entry in kept.rejected if entry[1] is None]
+
+
+def test_a_robot_without_noise_gives_no_score_not_nan(fit):
+    """What an estimate that trusts the robot leaves: priors that no view can tell anything of."""
+    problem = eqx.tree_at(
+        lambda p: p.prior_weight.corrections,
+        fit.problem,
+        jnp.full_like(fit.problem.prior_weight.corrections, 1e9),
+    )
+    scores = pose_scores(problem, problem.start(), False)
+    np.testing.assert_array_equal(scores.distance, 0.0)
+    np.testing.assert_array_equal(scores.p_value, 1.0)
