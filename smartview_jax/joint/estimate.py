@@ -49,11 +49,13 @@ TOO_LARGE = 5.0
 NONE = 1e-7
 """Deviation, m or rad, next to which a change does not count."""
 
-PENALTY = 1.0
-"""Deviance that each further size of the field has to gain.
+PENALTY = 2.0
+"""Deviance that each further size of the field has to gain: Akaike's.
 
-Akaike's 2 is for parameters that may have either sign. The deviance that a size gains where there
-is nothing to find is half a chi-square's, since half of the time the best size is zero.
+Where there is nothing to find a size gains but half a chi-square's, since half of the time the best
+size is zero. But a field that is not there costs more than a small one that is missed: at a price
+of one it was taken in one of twenty simulations with white noise alone, at 8 to 25 views, and
+their error on unseen views grew by two thirds (`python -m benchmarks regimes`).
 """
 
 
