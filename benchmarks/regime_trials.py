@@ -10,7 +10,7 @@ every program is compiled once for the whole map.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 import cv2
@@ -33,6 +33,7 @@ VIEWS, POINTS, UNSEEN = 25, 90, 40
 
 STAGED, TRUSTED, WHITE = "staged", "joint, robot trusted", "joint, white noise"
 DEFAULT, KNOWN_ARM = "joint, default", "joint, joints known"
+PARK = "OpenCV, Park"
 
 Method = Callable[[sv.Dataset], sv.Calibration]
 
@@ -128,7 +129,7 @@ def _padded(data: sv.Dataset, views: int, points: int) -> sv.Dataset:
     )
 
 
-def methods(regime: Regime, peers: bool = True) -> dict[str, Method]:
+def methods(regime: Regime) -> dict[str, Method]:
     """Who calibrates, by name; those that are told the joints have a robot that tells them.
 
     The peers bring their own lens, OpenCV's with four numbers (vision-calibration: five), where
@@ -151,10 +152,9 @@ def methods(regime: Regime, peers: bool = True) -> dict[str, Method]:
     }
     if regime.errors is not None:
         found[KNOWN_ARM] = joint("estimated")
-    if peers:
-        found["OpenCV, Park"] = opencv_park
-        found["Park + bundle, K held"] = _park_and_bundle
-    if peers and HAS_VISION_CALIBRATION:
+    found[PARK] = opencv_park
+    found["Park + bundle, K held"] = _park_and_bundle
+    if HAS_VISION_CALIBRATION:
         found["vision-calibration"] = lambda data: vision_calibration(data, True)
         found["  poses not refined"] = lambda data: vision_calibration(data, False)
     return found
@@ -165,12 +165,13 @@ def _park_and_bundle(data: sv.Dataset) -> sv.Calibration:
     return sv.fit_joint(data, opencv_park(data), fixed=("camera",)).calibration
 
 
-def one_run(regime: Regime, seed: int, peers: bool = True) -> dict[str, Any]:
-    """Every method on one experiment: px and what the bound is of it, hand-eye mm and degrees."""
+def one_run(regime: Regime, seed: int, names: Collection[str]) -> dict[str, Any]:
+    """Methods on one experiment: px and what the bound is of it, hand-eye mm and degrees."""
     trial = simulated(regime, seed)
     found = {
         name: _judged(method, trial, name == KNOWN_ARM)
-        for name, method in methods(regime, peers).items()
+        for name, method in methods(regime).items()
+        if name in names
     }
     return {"bound": _least_error(regime, trial), "methods": found}
 

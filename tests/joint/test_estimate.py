@@ -9,7 +9,6 @@ from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint, fit_staged
 from smartview_jax.evaluation import deviations
-from smartview_jax.evaluation.held_out import without
 from smartview_jax.robots import LinearInPose, LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
@@ -45,23 +44,10 @@ def test_pixels_that_err_alone_are_weighed_as_they_scatter(white):
     assert all(one.estimate.settled for one in white)
 
 
-def test_views_that_are_hidden_say_nothing_of_the_sizes():
-    """Most of them are: were they counted, the search would begin where poses have no noise."""
-    shown = np.arange(VIEWS) % 5 < 2
-    sizes = []
-    for seed in range(3):
-        scene = white_scene(seed)
-        data = without(scene.data, np.flatnonzero(~shown).tolist())
-        start = nudged(scene.calibration)
-        found = fit_joint(data, start, noise="estimated", field=False).noise
-        sizes.append([found.translation, found.rotation])
-    expected = [TRANSLATION, ROTATION]
-    np.testing.assert_allclose(np.sqrt(np.mean(np.square(sizes), axis=0)), expected, rtol=0.5)
-
-
 def test_a_robot_with_white_noise_is_not_given_a_field():
-    names = [fit(white_scene(seed)).estimate.name for seed in range(4)]
-    assert names.count("white") >= 3
+    """Also where one gains by chance: twice the logarithm by 4.5 and 5.0 in the first and last."""
+    names = [fit(white_scene(seed)).estimate.name for seed in range(5)]
+    assert names == ["white"] * 5
 
 
 @pytest.fixture(scope="module")
