@@ -12,7 +12,7 @@ import smartview_jax as sv
 from smartview_jax.evaluation import ErrorBudget, region_error
 from smartview_jax.evaluation.budget import NOISE, SCALE, SYSTEMATIC, VIEWS
 
-from .real_sets import SETS, SHARED, load
+from .real_sets import load, present
 
 LENS = "opencv4"
 CULPRITS = {
@@ -30,10 +30,8 @@ PRINTED = (0.977, 0.002)
 
 def run(smoke: bool = False) -> bool:
     """Print every set's budget; True where the known culprits are named."""
-    sets = [entry for entry in SETS if (SHARED / entry[0]).is_dir()]
-    sets = [entry for entry in sets if entry in CULPRITS or not smoke][: 1 if smoke else None]
+    sets = present(CULPRITS)[:1] if smoke else present()
     if not sets:
-        print("skipped: the data sets are not beside this checkout (shared/data)")
         return True
     named = [_named(folder, prefix, regions=not smoke) for folder, prefix in sets]
     return all(named)

@@ -59,8 +59,7 @@ def _row(name: str, views: int, runs: list[dict], smoke: bool) -> bool:
     errors, covariances = errors[sound], covariances[sound]
     square = mean_nees(nees(errors, covariances), 6)
     std = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    degrees = np.array([r["degrees"] for r in runs])[sound]
-    held = coverage(covered(errors, std, degrees).ravel())
+    held = coverage(covered(errors, std).ravel())
     sizes = np.array([r["sizes"] for r in runs])
     truth = np.array([TRUE.pixel, TRUE.translation, TRUE.rotation, *TRUE.field])
     ratio = np.sqrt(np.mean(sizes**2, axis=0)) / truth
@@ -127,6 +126,5 @@ def _entry(calibration: sv.Calibration, covariance, names, sizes) -> dict:
     return {
         "error": error.tolist(),
         "covariance": np.asarray(covariance)[np.ix_(hand, hand)].tolist(),
-        "degrees": [np.inf] * 6,
         "sizes": list(map(float, sizes)),
     }

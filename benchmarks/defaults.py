@@ -10,7 +10,7 @@ import numpy as np
 
 import smartview_jax as sv
 
-from .real_sets import SETS, SHARED, load
+from .real_sets import SETS, load, present
 
 LENSES = ("pinhole", "radial", "opencv4", "opencv5")
 NOISES = {
@@ -23,10 +23,9 @@ CHOICES = [(lens, "trusted") for lens in LENSES] + [("radial", name) for name in
 
 def run(smoke: bool = False) -> bool:
     """Print RMS held-out error, px, of every choice on every set; lower is better."""
-    sets = [entry for entry in SETS[: 1 if smoke else None] if (SHARED / entry[0]).is_dir()]
+    sets = present(SETS[: 1 if smoke else None])
     choices = CHOICES[1:2] if smoke else CHOICES
     if not sets:
-        print("skipped: the data sets are not beside this checkout (shared/data)")
         return True
     print(f"{'set':26}" + "".join(f"{lens + ', ' + noise:>26}" for lens, noise in choices))
     shares = []

@@ -15,7 +15,7 @@ import smartview_jax as sv
 from smartview_jax.evaluation import repeatability
 
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_park, vision_calibration
-from .real_sets import SETS, SHARED, load
+from .real_sets import load, present
 
 LENS = "opencv4"
 BOUNDS = {
@@ -37,10 +37,8 @@ ESTIMATED = "joint, errors estimated"
 
 def run(smoke: bool = False) -> bool:
     """Print RMS held-out px of every method on every set; True where the bounds are kept."""
-    sets = [entry for entry in SETS if (SHARED / entry[0]).is_dir()]
-    sets = [entry for entry in sets if entry in BOUNDS or not smoke][: 1 if smoke else None]
+    sets = present(BOUNDS)[:1] if smoke else present()
     if not sets:
-        print("skipped: the data sets are not beside this checkout (shared/data)")
         return True
     methods = _methods()
     if smoke:

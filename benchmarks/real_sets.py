@@ -8,6 +8,7 @@ calibrated anew: the four digits in measured.json move the rendered sets' figure
 
 import json
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -37,13 +38,20 @@ SMOKE_SETS = SETS[:1]
 
 def run(smoke: bool = False) -> bool:
     """Print the table; True where every figure is within its bound."""
-    sets = [entry for entry in (SMOKE_SETS if smoke else SETS) if (SHARED / entry[0]).is_dir()]
+    sets = present(SMOKE_SETS if smoke else SETS)
     if not sets:
-        print("skipped: the data sets are not beside this checkout (shared/data)")
         return True
     print(f"{'set':28}{'joint px':>10}{'ref':>8}{'K held':>10}{'ref':>8}{'seconds':>9}  hand-eye")
     rows = [_row(folder, prefix) for folder, prefix in sets]
     return all(rows)
+
+
+def present(wanted: Iterable[tuple[str, str]] = SETS) -> list[tuple[str, str]]:
+    """Those that lie beside the checkout; says so where there are none."""
+    found = [entry for entry in wanted if (SHARED / entry[0]).is_dir()]
+    if not found:
+        print("skipped: the data sets are not beside this checkout (shared/data)")
+    return found
 
 
 def load(folder: str, prefix: str) -> tuple[sv.Dataset, dict]:

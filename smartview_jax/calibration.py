@@ -31,6 +31,7 @@ from .geometry import (
 from .robots import (
     AbstractField,
     CommandLike,
+    JointsLike,
     RobotError,
     as_command,
     robot_error_from_dict,
@@ -187,7 +188,7 @@ class Calibration(eqx.Module):
         self,
         camera_from_world: PoseLike,
         corrected: bool = True,
-        near: Float[Array, "*views joints"] | np.ndarray | None = None,
+        near: JointsLike | None = None,
     ) -> SE3:
         """The robot pose `base_from_tool` that puts the camera at a wanted pose (Eq. 19).
 
@@ -208,7 +209,7 @@ class Calibration(eqx.Module):
     def joints_for(
         self,
         camera_from_world: PoseLike,
-        near: Float[Array, "*views joints"] | np.ndarray,
+        near: JointsLike,
     ) -> Float[Array, "*views joints"]:
         """As `command_for`, in joint angles, where an arm's own errors were fitted."""
         error = self.robot_error

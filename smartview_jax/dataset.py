@@ -207,7 +207,7 @@ class Dataset(eqx.Module):
     @property
     def command(self) -> Command:
         """What the robot reported, with its joints where they are known."""
-        return Command(self.base_from_tool, self.joints)
+        return self.observations.command
 
     @property
     def view_count(self) -> int:
@@ -221,6 +221,14 @@ class Dataset(eqx.Module):
     def usable_views(self, minimum_points: int = 4) -> np.ndarray:
         """Indices of the views that show at least so many points."""
         return np.flatnonzero(np.asarray(self.visible).sum(axis=1) >= minimum_points)
+
+    def without(self, views: Sequence[int] | np.ndarray) -> "Dataset":
+        """With some views hidden, not cut out: the shape stays, and so what is compiled."""
+        shown = np.ones(self.view_count, dtype=bool)
+        shown[list(views)] = False
+        visible = self.visible & jnp.asarray(shown)[:, None]
+        pixels = jnp.where(visible[..., None], self.pixels, jnp.nan)
+        return dataclasses.replace(self, visible=visible, pixels=pixels)
 
     def select(self, views: Sequence[int] | np.ndarray) -> "Dataset":
         """The data set of these views alone, by index, in the given order."""
@@ -252,10 +260,6 @@ def _points_per_view(points: np.ndarray, views: int, count: int) -> np.ndarray:
             f"found {points.shape}"
         )
     return points
-
-
-AGREEING = (1e-3, np.deg2rad(0.1))
-"""How far, m and rad, reported poses may be from an arm's own forward kinematics."""
 
 
 def _by_joints(

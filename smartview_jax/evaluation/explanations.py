@@ -4,6 +4,7 @@ Both are one number each, and the same data hardly tell them apart. So both are 
 the field of the robot's error and beside it, and told with what they gain.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -104,9 +105,9 @@ def fit_candidate(
     start = fit.calibration.uncorrected
     views = data.usable_views()
     pose = LinearInPose.over(SE3(data.base_from_tool.wxyz_xyz[views]))
-    names = [name for name, _ in PoseOrStretch(pose, jnp.zeros(3), jnp.zeros(6)).groups]
-    counts = [k < field_groups or name == group for k, name in enumerate(names)]
-    field = PoseOrStretch(pose, _seen_from(start), jnp.array(counts, dtype=float))
+    whole = PoseOrStretch(pose, _seen_from(start), jnp.ones(6))
+    counts = [k < field_groups or name == group for k, (name, _) in enumerate(whole.groups)]
+    field = dataclasses.replace(whole, counts=jnp.array(counts, dtype=float))
     known = {"target_scale", *fit.parameter_names}
     held = tuple(name for name in parameter_names(start) if name not in known)
     return fit_joint(data, start, noise="estimated", field=field, fixed=held, bad_views="keep")

@@ -28,19 +28,22 @@ def free_pose_deviations(calibration: Calibration, data: Dataset) -> Deviations:
         calibration: its camera and target scale are kept; its chain is where each pose starts.
         data: views with at least four visible points are fitted, others keep the chain's pose.
     """
-    points = calibration.target_scale * data.points
-    in_camera = transform_points(free_poses(calibration, data), points)
-    predicted, valid = calibration.camera.project(in_camera)
-    return measured(calibration.camera, data, predicted, valid, in_camera[..., 2])
+    return measured(calibration.camera, data, *free_pose_predictions(calibration, data))
 
 
-def free_poses(calibration: Calibration, data: Dataset) -> SE3:
-    """`camera_from_world` of every view by its own pixels; as `free_pose_deviations` has them."""
+def free_pose_predictions(
+    calibration: Calibration, data: Dataset
+) -> tuple[
+    Float[Array, "views points 2"], Bool[Array, "views points"], Float[Array, "views points"]
+]:
+    """Pixels, where they are valid, and depths (m), of which `free_pose_deviations` are made."""
     started = calibration.camera_from_world(data.command)
     points = calibration.target_scale * data.points
     enough = data.visible.sum(axis=1, keepdims=True) >= 4
     pixels = jnp.where(data.visible[..., None], data.pixels, 0.0)
-    return _fit_poses(calibration.camera, started, points, pixels, data.visible & enough)
+    poses = _fit_poses(calibration.camera, started, points, pixels, data.visible & enough)
+    in_camera = transform_points(poses, points)
+    return *calibration.camera.project(in_camera), in_camera[..., 2]
 
 
 @eqx.filter_jit

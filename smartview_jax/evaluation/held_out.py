@@ -3,10 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
 
 from ..calibration import Calibration
 from ..dataset import Dataset
@@ -87,19 +84,10 @@ def refit(
         if progress is not None:
             progress(f"fold {number + 1} of {len(split)}")
         try:
-            fits.append(Refit(held, fitter(without(data, held))))
+            fits.append(Refit(held, fitter(data.without(held))))
         except ValueError as error:
             fits.append(Refit(held, None, str(error)))
     return tuple(fits)
-
-
-def without(data: Dataset, views: Sequence[int] | Int[np.ndarray, "hidden"]) -> Dataset:
-    """The data with some views hidden, not cut out: the shape stays, and so what is compiled."""
-    shown = np.ones(data.view_count, dtype=bool)
-    shown[list(views)] = False
-    visible = data.visible & jnp.asarray(shown)[:, None]
-    pixels = jnp.where(visible[..., None], data.pixels, jnp.nan)
-    return eqx.tree_at(lambda d: (d.visible, d.pixels), data, (visible, pixels))
 
 
 def predictor_of(fit: Any) -> Predictor:
@@ -144,10 +132,14 @@ def score(
         choose: from a fit and the data to the part of it to score: one of its fits, a predictor.
         measure: from a predictor and the data to deviations.
     """
-    found = pooled(refits, data, lambda fit: measure(predictor_of(choose(fit, data)), data))
+    parts = [
+        fold if fold.failure is not None else fold._replace(fit=choose(fold.fit, data))
+        for fold in refits
+    ]
+    found = pooled(parts, data, lambda part: measure(predictor_of(part), data))
     unconverged = []
-    for number, (_, fit, failure) in enumerate(refits):
-        result = None if failure is not None else getattr(choose(fit, data), "result", None)
+    for number, part in enumerate(parts):
+        result = getattr(part.fit, "result", None)
         if result is not None and not result.converged:
             unconverged.append((number, result.message))
     return found._replace(unconverged=tuple(unconverged))

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
 from ..dataset import Dataset
-from ..geometry import transform_points
-from .free_poses import free_poses
+from .free_poses import free_pose_predictions
 
 DEGREE = 5
 """Of the polynomials in u and v that describe the pattern: those of common lenses and one more."""
@@ -31,9 +30,7 @@ def lens_misfit(
         used: which of the points that were seen to count: not those that were rejected.
     """
     data = eqx.tree_at(lambda d: d.visible, data, data.visible & jnp.asarray(used))
-    points = calibration.target_scale * data.points
-    in_camera = transform_points(free_poses(calibration, data), points)
-    predicted, valid = calibration.camera.project(in_camera)
+    predicted, valid, _ = free_pose_predictions(calibration, data)
     used = np.asarray(data.visible & valid)
     residual = np.asarray(data.pixels - predicted)[used]
     pattern = _smooth(np.asarray(predicted)[used], calibration.camera.image_size)

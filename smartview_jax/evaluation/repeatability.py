@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ..calibration import Calibration
 from ..dataset import Dataset
-from .held_out import predictor_of, without
+from .held_out import predictor_of
 
 
 class Repeatability(NamedTuple):
@@ -55,7 +55,7 @@ def repeatability(data: Dataset, fitter: Callable[[Dataset], Any]) -> Repeatabil
     views = data.usable_views()
     if len(views) < 6:
         raise ValueError(f"two halves need at least 6 usable views, found {len(views)}")
-    even, odd = (fitter(without(data, views[1 - k :: 2])) for k in (0, 1))
+    even, odd = (fitter(data.without(views[1 - k :: 2])) for k in (0, 1))
     one, other = (_calibration(fit).camera_from_mount for fit in (even, odd))
     apart = np.asarray(one.translation() - other.translation())
     # As the fits' standard deviations are: about the axes of the target frame.

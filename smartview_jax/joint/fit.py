@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
@@ -28,9 +27,12 @@ from .parameters import Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
-from .screening import GATE, Rejected, robust_variance, screened, without_views
+from .screening import Rejected, robust_variance, screened, without_views
 from .sharding import solve_on
 from .solver import Solution, solve
+
+GATE = 2.0 * np.log(1e4)
+"""Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
 
 ABSURD = 1e-6
 """Chance, over all views, of a pose as far off as one that is left out.
@@ -129,7 +131,7 @@ def fit_joint(
     """
     if bad_views not in (None, *BAD_VIEWS):
         raise ValueError(f"bad_views is one of {', '.join(BAD_VIEWS)}; found {bad_views!r}")
-    start = with_lens(start, lens)
+    say, start = progress or (lambda _: None), with_lens(start, lens)
 
     def fit(data: Dataset, apart: Rejected) -> JointFit:
         model, begin, smooth, estimate = noise, start, field, None
@@ -139,9 +141,8 @@ def fit_joint(
         if smooth is False:
             begin, smooth = begin.uncorrected, None
         built = build_problem(data, begin, None, model, loss, fixed, free, priors, smooth)
-        if progress is not None:
-            count = len(built.names) + len(built.own_names)
-            progress(f"joint fit: {count} parameters, {data.observation_count} observations")
+        count = len(built.names) + len(built.own_names)
+        say(f"joint fit: {count} parameters, {data.observation_count} observations")
         if devices is None:
             solution, equations = solve(built.problem, solver)
         else:
@@ -234,10 +235,15 @@ def _assemble(
 def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     calibration, corrections = problem.calibration(z)
     parts = eliminate(matrix)
-    eye = jnp.broadcast_to(jnp.eye(6)[None], matrix.own.shape)
-    own_inverse = cho_solve((parts.own_factor, False), eye)
     squares = problem.squares(z)
-    return calibration, corrections, squares, variance_factor(problem, squares), parts, own_inverse
+    return (
+        calibration,
+        corrections,
+        squares,
+        variance_factor(problem, squares),
+        parts,
+        parts.own_inverse,
+    )
 
 
 def _rejected(data: Dataset, apart: Rejected, outside: np.ndarray, lost: np.ndarray) -> Rejected:

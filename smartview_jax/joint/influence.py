@@ -14,7 +14,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
 
@@ -99,8 +98,7 @@ def pose_scores(problem: JointProblem, z: Step, sizes_known: bool) -> PoseScores
     lengths = jnp.sqrt(jnp.diagonal(parts.reduced))
     unit = jnp.diag(1.0 / jnp.where(lengths > 0.0, lengths, 1.0))
     shared = unit @ jnp.linalg.solve(unit @ parts.reduced @ unit, eye) @ unit
-    own = cho_solve((parts.own_factor, False), jnp.broadcast_to(jnp.eye(6)[None], matrix.own.shape))
-    covariance = own + jnp.einsum("vki,ij,vlj->vkl", parts.gain, shared, parts.gain)
+    covariance = parts.own_inverse + jnp.einsum("vki,ij,vlj->vkl", parts.gain, shared, parts.gain)
 
     weight = problem.prior_weight.corrections
     pull = weight * problem.off_mean(problem.step(z)).corrections

@@ -185,11 +185,9 @@ def _slopes(views: LinearisedViews, sizes: Sizes, at: _Integral) -> Sizes:
     parts, prior = at.elimination, at.precision
     identity = jnp.eye(len(at.factor))
     shared_covariance = cho_solve((at.factor, False), identity)
-    each = jnp.broadcast_to(jnp.eye(6)[None], parts.own_factor.shape)
-    own_inverse = cho_solve((parts.own_factor, False), each)
     carried = jnp.sum((parts.gain @ shared_covariance) * parts.gain, axis=2)
     variance = Step(
-        jnp.diagonal(shared_covariance), jnp.diagonal(own_inverse, axis1=1, axis2=2) + carried
+        jnp.diagonal(shared_covariance), jnp.diagonal(parts.own_inverse, axis1=1, axis2=2) + carried
     )
     square = jax.tree.map(lambda off, s, v: (off + s) ** 2 + v, views.off_mean, at.step, variance)
     # By the logarithm of a prior's precision; what has no prior, or does not move, does not count.
@@ -209,13 +207,11 @@ def _slopes(views: LinearisedViews, sizes: Sizes, at: _Integral) -> Sizes:
         at.step,
     )
     precision = pixel * views.between + _total(along) + freedom - views.count
-    groups = jnp.arange(len(sizes.field))
-    by_group = jnp.sum(jnp.where(views.group[None] == groups[:, None], shared[None], 0.0), axis=1)
     return Sizes(
         -2.0 * precision / sizes.pixel,
         -2.0 * jnp.sum(own[:, :3]) / sizes.translation,
         -2.0 * jnp.sum(own[:, 3:]) / sizes.rotation,
-        -2.0 * by_group / sizes.field,
+        -2.0 * (_members(views, len(sizes.field)) @ shared) / sizes.field,
     )
 
 
@@ -267,6 +263,11 @@ def likeliest(
 def _draws(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
     """How many numbers each size is the deviation of."""
     own = views.own_free.astype(float)
-    field = jnp.sum((views.group[None] == jnp.arange(groups)[:, None]).astype(float), axis=1)
+    field = jnp.sum(_members(views, groups), axis=1)
     robot = jnp.stack([jnp.sum(own[:, :3]), jnp.sum(own[:, 3:])])
     return jnp.concatenate([views.count[None], robot, field])
+
+
+def _members(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
+    """One where a shared parameter is of a group, zero elsewhere."""
+    return (views.group[None] == jnp.arange(groups)[:, None]).astype(float)

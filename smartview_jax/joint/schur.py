@@ -110,6 +110,12 @@ class Elimination(eqx.Module):
     own_factor: Float[Array, "views 6 6"]
     gain: Float[Array, "views 6 shared"]
 
+    @property
+    def own_inverse(self) -> Float[Array, "views 6 6"]:
+        """Inverse of each view's own block."""
+        each = jnp.broadcast_to(jnp.eye(6)[None], self.own_factor.shape)
+        return cho_solve((self.own_factor, False), each)
+
 
 def eliminate(operator: BlockArrow) -> Elimination:
     """Eliminate every view's own numbers; a block that is not positive definite gives NaN."""

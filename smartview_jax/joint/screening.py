@@ -29,14 +29,11 @@ from .priors import Prior
 from .problem import JointProblem
 from .solver import solve
 
-GATE = 2.0 * np.log(1e4)
-"""Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
-
 GROSS = 144.0
 """Squared whitened deviation from a view's own best pose beyond which a point is left out.
 
-Far above `GATE`: at the gate itself one corner in sixty of a good real data set would go, and at
-half of this the corners of a picture whose lens is a little more than its model can say.
+Far above the gate of the fit itself: there one corner in sixty of a good real data set would go,
+and at half of this the corners of a picture whose lens is a little more than its model can say.
 """
 
 ROUNDS = 8
@@ -104,12 +101,9 @@ def screened(
 
 def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
     """The data with these views hidden, by index, and why."""
-    hidden = np.isin(np.arange(data.view_count), list(reasons))
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
     return dataclasses.replace(
-        data,
-        visible=data.visible & ~jnp.asarray(hidden)[:, None],
-        masked_views=(*data.masked_views, *masked),
+        data.without(list(reasons)), masked_views=(*data.masked_views, *masked)
     )
 
 

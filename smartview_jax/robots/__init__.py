@@ -4,6 +4,7 @@ from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .command import Command as Command
 from .command import CommandLike as CommandLike
+from .command import JointsLike as JointsLike
 from .command import as_command as as_command
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField

@@ -11,11 +11,10 @@ import abc
 import dataclasses
 
 import jax.numpy as jnp
-import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .command import Command
+from .command import Command, JointsLike
 from .field import AbstractField
 from .inverse_kinematics import joints_near
 from .serial_arm import SerialArm
@@ -51,7 +50,7 @@ class AbstractArmErrors(AbstractField):
         self,
         true: SE3,
         coefficients: Float[Array, "coefficients"],
-        near: Float[Array, "*views joints"] | np.ndarray | None = None,
+        near: JointsLike | None = None,
     ) -> Command:
         """What to tell the robot; see `AbstractField`. NaN where the arm does not reach.
 

@@ -3,6 +3,7 @@
 from typing import TypeAlias
 
 import equinox as eqx
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
@@ -20,6 +21,9 @@ class Command(eqx.Module):
     base_from_tool: SE3
     joints: Float[Array, "*views joints"] | None = None
 
+
+JointsLike: TypeAlias = Float[Array, "*views joints"] | np.ndarray
+"""Readings of joints, rad (m for a prismatic joint)."""
 
 CommandLike: TypeAlias = PoseLike | Command
 """A pose, or a `Command` that knows the joints too."""

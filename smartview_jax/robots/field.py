@@ -9,12 +9,11 @@ import abc
 
 import equinox as eqx
 import jax
-import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..geometry import exp_jacobian
-from .command import Command
+from .command import Command, JointsLike
 
 INVERSION_STEPS = 8
 """Of the fixed point behind `command`; each gains the ratio of error to reach, a hundredth."""
@@ -57,7 +56,7 @@ class AbstractField(eqx.Module):
         self,
         true: SE3,
         coefficients: Float[Array, "coefficients"],
-        near: Float[Array, "*views joints"] | np.ndarray | None = None,
+        near: JointsLike | None = None,
     ) -> Command:
         """What the robot reports, and is to be told, to be at a pose; inverts `true_pose`.
 

@@ -3,11 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from .command import JointsLike
 from .serial_arm import SerialArm
 
 STEPS = 100
@@ -19,7 +19,7 @@ ARRIVED = 1e-9
 
 @eqx.filter_jit
 def joints_near(
-    arm: SerialArm, base_from_tool: SE3, near: Float[Array, "*views joints"] | np.ndarray
+    arm: SerialArm, base_from_tool: SE3, near: JointsLike
 ) -> tuple[Float[Array, "*views joints"], Bool[Array, "*views"]]:
     """Joint angles near given ones at which an arm's tool is at a pose.
 

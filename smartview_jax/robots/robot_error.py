@@ -2,11 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .command import Command, CommandLike, as_command
+from .command import Command, CommandLike, JointsLike, as_command
 from .field import AbstractField
 
 
@@ -34,9 +33,7 @@ class RobotError(eqx.Module):
         """Twist of the true pose at the tool, translation (m) first, per unit of each."""
         return self.field.by_coefficients(as_command(reported), self.coefficients)
 
-    def command(
-        self, true: SE3, near: Float[Array, "*views joints"] | np.ndarray | None = None
-    ) -> Command:
+    def command(self, true: SE3, near: JointsLike | None = None) -> Command:
         """What the robot reports, and is to be told, to be at a pose; inverts `true_pose`.
 
         Args:

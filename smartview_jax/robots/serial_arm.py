@@ -15,7 +15,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 from ..geometry import PoseLike, as_se3
-from .command import Command
+from .command import Command, JointsLike
 
 CONVENTIONS = ("standard", "modified")
 
@@ -77,7 +77,7 @@ class SerialArm(eqx.Module):
         """Number of joints."""
         return len(self.theta)
 
-    def base_from_tool(self, joints: Float[Array, "*views joints"] | np.ndarray) -> SE3:
+    def base_from_tool(self, joints: JointsLike) -> SE3:
         """Where the tool is at the joints' readings, `(*views)`.
 
         Raises:
@@ -94,7 +94,7 @@ class SerialArm(eqx.Module):
         tool = jnp.broadcast_to(self.flange_from_tool.wxyz_xyz, pose.wxyz_xyz.shape)
         return pose @ SE3(tool)
 
-    def command(self, joints: Float[Array, "*views joints"] | np.ndarray) -> Command:
+    def command(self, joints: JointsLike) -> Command:
         """The joints' readings, and where the controller believes the tool to be."""
         return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
 

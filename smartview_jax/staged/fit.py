@@ -147,7 +147,8 @@ def fit_staged(
     robot = mount_from_holder(data.mount, data.base_from_tool)
     agreeing, doubts = agreeing_views(robot, common.camera_from_world, weights)
     # Where the rotations alone tell, they say it more plainly.
-    doubts = {view: dict(report.suspicious_views).get(view, text) for view, text in doubts.items()}
+    plainer = dict(report.suspicious_views)
+    doubts = {view: plainer.get(view, text) for view, text in doubts.items()}
     step3 = solve_hand_eye(
         robot,
         common.camera_from_world,

@@ -7,7 +7,6 @@ from starts import nudged
 
 from smartview_jax import error_budget, fit_joint
 from smartview_jax.evaluation.budget import SCALE, SYSTEMATIC, VIEWS
-from smartview_jax.evaluation.held_out import without
 from smartview_jax.robots import LinearInPose, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
@@ -69,7 +68,7 @@ def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
 
 def test_few_views_come_before_all_else(misprinted):
     scene, fit, _ = misprinted
-    few = without(scene.data, range(6, VIEWS_TAKEN))
+    few = scene.data.without(range(6, VIEWS_TAKEN))
     found = error_budget(few, fit)
     assert found.culprit == VIEWS
     assert found.explanations == ()

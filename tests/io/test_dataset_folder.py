@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 from shared_data import shared_data
+from text_files import edit
 
 from smartview_jax.io import import_pairs, load_dataset, sample_folder, save_dataset
 
@@ -19,12 +20,6 @@ def folder(tmp_path):
     lines = (copy / "poses.csv").read_text().splitlines()
     (copy / "poses.csv").write_text("\n".join(lines[:5]) + "\n")
     return copy
-
-
-def edit(path, old, new):
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
 
 
 def test_the_sample_is_whole():

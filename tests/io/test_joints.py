@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from text_files import edit
 
 from smartview_jax import Dataset, load_dataset, save_dataset
 from smartview_jax.robots import SerialArm, kuka_lwr4
@@ -22,12 +23,6 @@ def data():
 def folder(data, tmp_path):
     save_dataset(data, tmp_path)
     return tmp_path
-
-
-def edit(path, old, new):
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
 
 
 def test_joints_and_arm_come_back(data, folder):

@@ -25,10 +25,6 @@ def fit(scene):
     return fit_joint(scene.data, nudged(scene.calibration), noise=NOISE)
 
 
-def without(data, view):
-    return eqx.tree_at(lambda d: d.visible, data, data.visible.at[view].set(False))
-
-
 def numbers(calibration, other):
     """What moved, in the units of the parameters."""
     gap = calibration.camera_from_tool, other.camera_from_tool
@@ -46,7 +42,7 @@ def test_moves_are_those_of_refits(scene, noise):
     hand = [k for k, name in enumerate(found.parameter_names) if name.startswith("camera_from_t")]
     std = found.std[hand]
     for view in (0, 4, 7):
-        refit = fit_joint(without(scene.data, view), start, noise=noise)
+        refit = fit_joint(scene.data.without([view]), start, noise=noise)
         moved = numbers(refit.calibration, whole.calibration) / std
         stated = found.moves[view, hand] / std
         # First order: a tenth of the move, or of a standard deviation where it is small.
@@ -110,7 +106,7 @@ def test_a_view_that_was_moved_is_named_and_left_out():
     assert entry[0] == "6"
     assert "standard deviations from where the other views put it" in entry[2]
     best = fit_joint(
-        without(scene.data, 6), nudged(scene.calibration), noise="estimated", field=False
+        scene.data.without([6]), nudged(scene.calibration), noise="estimated", field=False
     )
     apart = np.abs(numbers(found.calibration, best.calibration))
     std = [
