@@ -32,8 +32,8 @@ class BadViews(StrEnum):
 class NoiseModel(StrEnum):
     """What the joint fit takes the robot's reported poses for."""
 
-    TRUSTED = "trusted"
     ESTIMATED = "estimated"
+    TRUSTED = "trusted"
 
 
 DatasetArgument = Annotated[
@@ -43,7 +43,8 @@ LensOption = Annotated[
     str, typer.Option(help="pinhole, radial, weng, opencv4, opencv5, opencv8 or fisheye.")
 ]
 NoiseOption = Annotated[
-    NoiseModel, typer.Option(help="The robot's poses are exact, or the sizes of all errors found.")
+    NoiseModel,
+    typer.Option(help="Find the sizes of all errors, or take the robot's poses as exact."),
 ]
 BadViewsOption = Annotated[
     BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
@@ -90,10 +91,13 @@ def calibrate(
     dataset: DatasetArgument = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("calibration"),
     lens: LensOption = "radial",
-    noise: NoiseOption = NoiseModel.TRUSTED,
+    noise: NoiseOption = NoiseModel.ESTIMATED,
     held_out: Annotated[
         bool, typer.Option(help="Also refit without some views and predict those.")
     ] = True,
+    diagnose: Annotated[
+        bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
+    ] = False,
     bad_views: BadViewsOption = BadViews.RAISE,
     debug: DebugOption = False,
 ) -> None:
@@ -105,10 +109,8 @@ def calibrate(
         with _progress() as say:
             data, name = _load(dataset, bad_views, say)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
-            unseen = _held_out(data, lens, noise, say) if held_out else {}
-            halves, budget = (
-                _diagnosis(fit, data, lens, say) if noise == "estimated" else (None,) * 2
-            )
+            unseen = _held_out(data, lens, noise, diagnose, say) if held_out else {}
+            halves, budget = _diagnosis(fit, data, lens, noise, say) if diagnose else (None, None)
             title = f"Calibration of {name}"
             write_page(out / "report.html", fit, data, unseen, title, say, halves, budget)
             fit.calibration.save(out / "calibration.yaml")
@@ -199,9 +201,9 @@ def _load(
 
 
 def _held_out(
-    data: "Dataset", lens: str, noise: NoiseModel, say: Callable[[str], None]
+    data: "Dataset", lens: str, noise: NoiseModel, thorough: bool, say: Callable[[str], None]
 ) -> "dict[str, Unseen]":
-    """Held-out error of both fits, each fold fitted once; all of it where noise is estimated."""
+    """Held-out error of both fits, each fold fitted once."""
     from .evaluation import unseen_errors
     from .joint import calibrate as fit_both
 
@@ -211,13 +213,13 @@ def _held_out(
     return unseen_errors(
         data,
         lambda part: fit_both(part, lens, noise=noise.value),
-        thorough=noise == NoiseModel.ESTIMATED,
+        thorough=thorough,
         progress=say,
     )
 
 
 def _diagnosis(
-    fit, data: "Dataset", lens: str, say: Callable[[str], None]
+    fit, data: "Dataset", lens: str, noise: NoiseModel, say: Callable[[str], None]
 ) -> "tuple[Repeatability | None, ErrorBudget | None]":
     """Whether halves of the views agree, and where the error comes from, as far as can be told."""
     from .evaluation import error_budget, repeatability
@@ -225,7 +227,7 @@ def _diagnosis(
 
     def half(part: "Dataset"):
         say("half of the views")
-        return fit_both(part, lens, noise=NoiseModel.ESTIMATED.value).joint
+        return fit_both(part, lens, noise=noise.value).joint
 
     halves = budget = None
     try:

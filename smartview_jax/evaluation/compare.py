@@ -61,15 +61,15 @@ def standard_methods(lens: str | AbstractLens = "radial") -> dict[str, Method]:
     """The paper's methods, the joint fit, and the bound that no chain can pass."""
 
     def both(data: Dataset) -> Any:
-        return calibrate(data, lens)
+        return calibrate(data, lens, noise="trusted")
 
     return {
         "staged": Method(both, lambda fit, _: fit.staged),
         "staged, no distortion": Method(lambda data: fit_staged(data, lens="pinhole")),
         "linear interpolation": Method(both, lambda fit, data: fit.staged.interpolation(data)),
         "one view's intrinsics": Method(fit_one_view_intrinsics),
-        "joint": Method(both),
-        "joint, errors estimated": Method(lambda data: calibrate(data, lens, noise="estimated")),
+        "joint, robot trusted": Method(both),
+        "joint, errors estimated": Method(lambda data: calibrate(data, lens)),
         "free pose a view": Method(both, measure=free_pose_deviations),
     }
 

@@ -15,11 +15,12 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..robots import AbstractField, DHErrors, LinearInPose, RobotError, field_name
 from .build import Built, build_problem
-from .likelihood import LEAST, LinearisedViews, Sizes, best_step, likeliest
+from .likelihood import LEAST, LinearisedViews, Sizes, best_step
 from .noise import Noise
 from .parameters import CORRECTIONS, ROBOT_ERROR, Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
+from .scoring import Likeliest, likeliest
 from .solver import compiled, solve
 
 ROUNDS = 6
@@ -140,13 +141,14 @@ def estimate_noise(
     tried = _candidates(field, basis, views.count)
     guess = _first_guess(np.asarray(z.corrections)[placed], basis, white)
     best = _searched(views.linearised(z), guess, tried)
-    gains = {name: float(best["trusted"][1] - value) for name, (_, value) in best.items()}
+    robotless = best["trusted"].deviance
+    gains = {name: float(robotless - one.deviance) for name, one in best.items()}
     name = _choice(gains, tried, len(placed)) if field is None else list(tried)[-1]
     say(f"errors of the robot: {name}")
-    z, sizes, settled = _settled(views, z, best[name][0], tried[name])
+    z, sizes, settled = _settled(views, z, best[name].sizes, tried[name])
     alternatives = tuple(
-        Alternative(other, gains[other], _noise(found, white, tried[other]))
-        for other, (found, _) in best.items()
+        Alternative(other, gains[other], _noise(one.sizes, white, tried[other]))
+        for other, one in best.items()
     )
     calibration, _ = built.problem.calibration(z)
     noise = _noise(sizes, white, tried[name])
@@ -155,22 +157,21 @@ def estimate_noise(
 
 def _searched(
     views: LinearisedViews, guess: Sizes, tried: dict[str, Bool[np.ndarray, "robot"]]
-) -> dict[str, tuple[Sizes, Array]]:
-    """The likeliest sizes of each model, and the deviance there.
+) -> dict[str, Likeliest]:
+    """The likeliest sizes of each model.
 
     Each contains the one before. It is searched from the guess, and from where that one ended with
     what is new far too large: a size near zero has next to no slope. It is never the worse of two.
     """
-    best: dict[str, tuple[Sizes, Array]] = {}
+    best: dict[str, Likeliest] = {}
     previous, before = None, np.zeros_like(next(iter(tried.values())))
     for name, active in tried.items():
         found = [_likeliest(views, guess, jnp.asarray(active))]
         if previous is not None and before.any():
             known = jnp.concatenate([jnp.ones(1, bool), jnp.asarray(before)])
-            numbers = jnp.where(known, previous[0].numbers, TOO_LARGE * guess.numbers)
-            start = Sizes(numbers[0], numbers[1], numbers[2], numbers[3:])
-            found += [previous, _likeliest(views, start, jnp.asarray(active))]
-        previous = best[name] = min(found, key=lambda one: float(one[1]))
+            numbers = jnp.where(known, previous.sizes.numbers, TOO_LARGE * guess.numbers)
+            found += [previous, _likeliest(views, Sizes.of(numbers), jnp.asarray(active))]
+        previous = best[name] = min(found, key=lambda one: float(one.deviance))
         before = active
     return best
 
@@ -217,7 +218,8 @@ def _settled(
     for _ in range(ROUNDS):
         ahead = jax.tree.map(jnp.add, z, _best_step(views.linearised(z), sizes))
         z = solve(_weighed(views.problem, sizes, views.groups), start=ahead)[0].z
-        before, (sizes, _) = sizes, _likeliest(views.linearised(z), sizes, jnp.asarray(active))
+        before = sizes
+        sizes = _likeliest(views.linearised(z), sizes, jnp.asarray(active)).sizes
         change = np.abs(np.log((sizes.numbers + NONE) / (before.numbers + NONE)))
         if (change < SETTLED).all():
             return z, sizes, True
@@ -285,7 +287,7 @@ def _first_guess(
     groups = [] if basis is None else [name for name, _ in basis.groups]
     field = [translation if name.startswith("translation") else rotation for name in groups]
     numbers = jnp.array([3.0 * white, translation, rotation, *field])
-    return Sizes(numbers[0], numbers[1], numbers[2], numbers[3:])
+    return Sizes.of(numbers)
 
 
 @compiled

@@ -92,7 +92,7 @@ def fit_joint(
     data: Dataset,
     start: Calibration,
     lens: str | AbstractLens | None = None,
-    noise: str | Noise = "trusted",
+    noise: str | Noise = "estimated",
     field: AbstractField | Literal[False] | None = None,
     loss: str | AbstractLoss | None = None,
     fixed: Sequence[str] = (),
@@ -109,8 +109,9 @@ def fit_joint(
         data: at least three views with four visible points each, unless priors say the rest.
         start: any calibration near enough, such as the staged fit's.
         lens: another model than the start's own.
-        noise: `"trusted"` takes the reported poses as exact; a `Noise` lets every view correct its
-            pose under a prior; `"estimated"` finds a `Noise`, and chooses a field, by likelihood.
+        noise: `"estimated"` finds the sizes of all errors, and chooses a field, by likelihood; a
+            `Noise` states them, and lets every view correct its pose under a prior; `"trusted"`
+            takes the reported poses as exact.
         field: of the robot's error: one of `robots`, or your own. None: chosen by likelihood where
             the noise is estimated, otherwise the start's own stays as it is; False: none.
         loss: robust loss on the points: a name or an `AbstractLoss`.
@@ -133,7 +134,7 @@ def fit_joint(
         raise ValueError(f"bad_views is one of {', '.join(BAD_VIEWS)}; found {bad_views!r}")
     say, start = progress or (lambda _: None), with_lens(start, lens)
 
-    def fit(data: Dataset, apart: Rejected) -> JointFit:
+    def fit(data: Dataset, apart: Rejected) -> tuple[JointFit, BlockArrow]:
         model, begin, smooth, estimate = noise, start, field, None
         if noise == "estimated":
             estimate = estimate_noise(data, begin, field, fixed, free, priors, progress)
@@ -147,15 +148,16 @@ def fit_joint(
             solution, equations = solve(built.problem, solver)
         else:
             solution, equations = solve_on(devices, built.problem, solver)
-        return _assemble(data, built, solution, equations, estimate, apart)
+        found = _assemble(data, built, solution, equations, estimate, apart)
+        return found, equations.matrix
 
     if bad_views == "keep" or (bad_views is None and noise != "estimated"):
-        return fit(data, ())
+        return fit(data, ())[0]
     used, apart = screened(data, start, fixed, priors, progress)
-    found = fit(used, apart)
-    while (doubt := _doubtful_view(used, found)) is not None:
+    found, matrix = fit(used, apart)
+    while (doubt := _doubtful_view(used, found, matrix)) is not None:
         used = without_views(used, dict([doubt]))
-        found = fit(used, apart)
+        found, matrix = fit(used, apart)
     # What was left out is predicted all the same.
     everything = chain_residuals(found.calibration, data.observations)
     return eqx.tree_at(lambda f: f.residuals, found, everything)
@@ -168,12 +170,12 @@ def view_influence(fit: JointFit) -> Influence:
     return Influence(moves, std, fit.parameter_names, fit.view_ids)
 
 
-def _doubtful_view(data: Dataset, fit: JointFit) -> tuple[int, str] | None:
+def _doubtful_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
     """The view whose pose the others make least believable, if it is absurd, and why."""
     trusted = fit.noise is None or (fit.estimate is not None and fit.estimate.name == "trusted")
     if trusted or len(data.usable_views()) <= FEWEST:
         return None
-    scores = pose_scores(fit.problem, fit.solution.z, fit.estimate is None)
+    scores = pose_scores(fit.problem, fit.solution.z, matrix, fit.estimate is None)
     distance, chance = np.asarray(scores.distance), np.asarray(scores.p_value)
     worst = int(np.argmin(chance))
     if not chance[worst] * len(data.usable_views()) < ABSURD:

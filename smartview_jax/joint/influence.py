@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from .parameters import Step, select
 from .problem import JointProblem
-from .schur import eliminate
+from .schur import BlockArrow, eliminate
 
 TELLING = 1e-6
 """Share of a correction's prior variance that its view must explain, to say anything about it."""
@@ -84,15 +84,17 @@ class PoseScores(NamedTuple):
 
 
 @eqx.filter_jit
-def pose_scores(problem: JointProblem, z: Step, sizes_known: bool) -> PoseScores:
+def pose_scores(
+    problem: JointProblem, z: Step, matrix: BlockArrow, sizes_known: bool
+) -> PoseScores:
     """Score every view's reported pose; views without corrections of all six score nothing.
 
     Args:
         problem: with priors on the corrections, in the parameters' own units.
         z: its optimum.
+        matrix: of the normal equations there.
         sizes_known: whether the priors' sizes are given, and not found from these same views.
     """
-    matrix = problem.normal_equations(z).matrix
     parts = eliminate(matrix)
     eye = jnp.eye(len(parts.reduced))
     lengths = jnp.sqrt(jnp.diagonal(parts.reduced))

@@ -18,7 +18,6 @@ Reference: Patterson and Thompson, Recovery of inter-block information when bloc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int
 
@@ -28,17 +27,8 @@ from .schur import BlockArrow, Elimination, SchurCholesky
 LEAST = 1e-9
 """Deviation, m or rad, at which an error of a robot counts as none."""
 
-WIDEST = 15.0
-"""Logarithms of deviations are kept within this of where the search began."""
-
 RIDGE = 1e-13
 """Share of its own information added to every shared parameter: what no view tells stays finite."""
-
-TOLERANCE = 0.02
-"""Of the logarithms of sizes, in standard deviations, and of half the deviance."""
-
-STEPS = 200
-"""Of the search, at most."""
 
 
 class LinearisedViews(eqx.Module):
@@ -89,6 +79,11 @@ class Sizes(eqx.Module):
             [jnp.stack([self.pixel, self.translation, self.rotation]), self.field]
         )
 
+    @classmethod
+    def of(cls, numbers: Float[Array, "kinds"]) -> "Sizes":
+        """From one vector, as `numbers` is."""
+        return cls(numbers[0], numbers[1], numbers[2], numbers[3:])
+
     def weights(self, group: Int[Array, "shared"], known: Float[Array, "shared"]) -> Step:
         """One over the deviation of every parameter's prior; one row for the views' own.
 
@@ -104,7 +99,7 @@ class Sizes(eqx.Module):
 @eqx.filter_custom_jvp
 def deviance(views: LinearisedViews, sizes: Sizes) -> Float[Array, ""]:
     """Twice the negative logarithm of the restricted likelihood, up to a constant."""
-    return _integrate(views, sizes).deviance
+    return integrate(views, sizes).deviance
 
 
 @deviance.def_jvp
@@ -113,23 +108,25 @@ def _deviance_jvp(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """By the sizes in closed form: half the work of a derivative through the factorisations."""
     if jax.tree.leaves(tangents[0]):
-        return eqx.filter_jvp(lambda v, s: _integrate(v, s).deviance, primals, tangents)
+        return eqx.filter_jvp(lambda v, s: integrate(v, s).deviance, primals, tangents)
     views, sizes = primals
-    at = _integrate(views, sizes)
-    slopes = jax.tree.leaves(_slopes(views, sizes, at))
+    at = integrate(views, sizes)
+    by_size = jax.tree.leaves(slopes(views, sizes, at))
     moves = jax.tree.leaves(tangents[1], is_leaf=lambda x: x is None)
     parts = [
-        jnp.sum(slope * move) for slope, move in zip(slopes, moves, strict=True) if move is not None
+        jnp.sum(slope * move)
+        for slope, move in zip(by_size, moves, strict=True)
+        if move is not None
     ]
     return at.deviance, sum(parts, jnp.zeros(()))
 
 
 def best_step(views: LinearisedViews, sizes: Sizes) -> Step:
     """From the point of linearisation to the likeliest parameters, for errors of given sizes."""
-    return _integrate(views, sizes).step
+    return integrate(views, sizes).step
 
 
-class _Integral(eqx.Module):
+class Integral(eqx.Module):
     """Everything integrated out: what is left, and what its derivatives are made of.
 
     Attributes:
@@ -147,7 +144,8 @@ class _Integral(eqx.Module):
     factor: Float[Array, "shared shared"]
 
 
-def _integrate(views: LinearisedViews, sizes: Sizes) -> _Integral:
+def integrate(views: LinearisedViews, sizes: Sizes) -> Integral:
+    """Integrate everything that is fitted out, for errors of given sizes."""
     unknown = views.group >= 0
     weights = sizes.weights(views.group, views.known_weight)
     prior = Step(weights.shared**2, jnp.where(views.own_free, weights.corrections**2, 0.0))
@@ -173,10 +171,10 @@ def _integrate(views: LinearisedViews, sizes: Sizes) -> _Integral:
     each = jnp.broadcast_to(jnp.log(weights.corrections**2), views.own_free.shape)
     priors = priors + jnp.sum(jnp.where(views.own_free, each, 0.0))
     value = -views.count * jnp.log(precision) + precision * views.between + penalty + gained
-    return _Integral(value + determinant - priors, step, prior, state.elimination, state.factor)
+    return Integral(value + determinant - priors, step, prior, state.elimination, state.factor)
 
 
-def _slopes(views: LinearisedViews, sizes: Sizes, at: _Integral) -> Sizes:
+def slopes(views: LinearisedViews, sizes: Sizes, at: Integral) -> Sizes:
     """Derivative of the deviance by every size.
 
     By the precision of a parameter's prior it is its expected square less its prior's. What the
@@ -211,7 +209,7 @@ def _slopes(views: LinearisedViews, sizes: Sizes, at: _Integral) -> Sizes:
         -2.0 * precision / sizes.pixel,
         -2.0 * jnp.sum(own[:, :3]) / sizes.translation,
         -2.0 * jnp.sum(own[:, 3:]) / sizes.rotation,
-        -2.0 * (_members(views, len(sizes.field)) @ shared) / sizes.field,
+        -2.0 * (members(views, len(sizes.field)) @ shared) / sizes.field,
     )
 
 
@@ -224,50 +222,14 @@ def _log_diagonal(factor: Float[Array, "*batch n n"]) -> Float[Array, ""]:
     return 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
 
 
-def likeliest(
-    views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
-) -> tuple[Sizes, Float[Array, ""]]:
-    """The sizes of errors that make the views' statistics likeliest.
-
-    Args:
-        views: linearised.
-        start: where the search begins.
-        active: which errors of the robot may have a size: of translation, of rotation, of each
-            group of the field; the others have none.
-
-    Returns:
-        The sizes, and the deviance there.
-    """
-    begin = jnp.log(start.numbers)
-    # A size that rests on n draws has a logarithm known to about 1 / sqrt(2 n): in such units half
-    # the deviance curves alike in all directions, as the search assumes at first.
-    unit = 1.0 / jnp.sqrt(2.0 * jnp.maximum(_draws(views, len(start.field)), 1.0))
-
-    def sizes(x: Float[Array, "kinds"]) -> Sizes:
-        free = jnp.exp(begin + WIDEST * jnp.tanh(unit * x / WIDEST))
-        pixel = jnp.hypot(views.white_sigma, free[0])
-        robot = jnp.where(active, jnp.hypot(LEAST, free[1:]), LEAST)
-        return Sizes(pixel, robot[0], robot[1], robot[2:])
-
-    found = optx.minimise(
-        lambda x, _: 0.5 * deviance(views, sizes(x)),
-        optx.BFGS(rtol=1e-9, atol=TOLERANCE),
-        jnp.zeros_like(begin),
-        max_steps=STEPS,
-        throw=False,
-    )
-    best = sizes(found.value)
-    return best, deviance(views, best)
-
-
-def _draws(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
-    """How many numbers each size is the deviation of."""
+def draws(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
+    """How many numbers each size is the deviation of, in the order of `Sizes.numbers`."""
     own = views.own_free.astype(float)
-    field = jnp.sum(_members(views, groups), axis=1)
+    field = jnp.sum(members(views, groups), axis=1)
     robot = jnp.stack([jnp.sum(own[:, :3]), jnp.sum(own[:, 3:])])
     return jnp.concatenate([views.count[None], robot, field])
 
 
-def _members(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
-    """One where a shared parameter is of a group, zero elsewhere."""
+def members(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
+    """One where a shared parameter is of a group of unknown size, zero elsewhere."""
     return (views.group[None] == jnp.arange(groups)[:, None]).astype(float)

@@ -90,6 +90,6 @@ def test_what_the_staged_fit_rejected_counts_for_the_joint_fit_too():
 
 def test_the_standard_methods_are_the_papers_and_the_joint_fit():
     methods = standard_methods("pinhole")
-    for name in ("staged", "staged, no distortion", "linear interpolation", "joint"):
+    for name in ("staged", "staged, no distortion", "linear interpolation", "joint, robot trusted"):
         assert name in methods
-    assert methods["staged"].fitter is methods["joint"].fitter
+    assert methods["staged"].fitter is methods["joint, robot trusted"].fitter

@@ -110,10 +110,10 @@ def test_a_known_camera_is_held_and_a_blind_view_keeps_its_pose(scene, start):
 
 
 def test_calibrate_may_start_from_the_batch(scene):
-    by_filter = sv.calibrate(scene.data)
-    by_batch = sv.calibrate(scene.data, step2="batch")
+    by_filter = sv.calibrate(scene.data, noise="trusted")
+    by_batch = sv.calibrate(scene.data, noise="trusted", step2="batch")
     assert by_batch.result.converged
     gap = by_batch.calibration.camera_from_tool.inverse() @ by_filter.calibration.camera_from_tool
     assert float(jnp.linalg.norm(gap.log())) < 1e-7
     with pytest.raises(ValueError, match="step2 is one of kalman, batch; found 'guess'"):
-        sv.calibrate(scene.data, step2="guess")
+        sv.calibrate(scene.data, noise="trusted", step2="guess")

@@ -68,7 +68,7 @@ def test_a_smooth_error_is_found_and_corrected(crooked):
     seen, unseen, found = crooked
     assert found.estimate.name == "pose"
     assert found.estimate.alternatives[-1].gain > found.estimate.alternatives[1].gain + 50.0
-    trusting = fit_joint(seen.data, nudged(paper_calibration()))
+    trusting = fit_joint(seen.data, nudged(paper_calibration()), noise="trusted")
     errors = [deviations(f.calibration, unseen.data).rms for f in (found, trusting)]
     assert errors[0] < 0.5 * errors[1]
 
@@ -139,7 +139,7 @@ def test_a_real_robot_has_a_field():
     staged = fit_staged(data)
     found = fit_joint(data, staged.calibration, lens="opencv4", noise="estimated")
     assert found.estimate.name == "pose"
-    trusting = fit_joint(data, staged.calibration, lens="opencv4")
+    trusting = fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")
     assert found.noise.white_pixel < 0.2 < found.noise.pixel
     errors = [deviations(f.calibration, data).rms for f in (found, trusting)]
     assert errors[0] < 0.6 * errors[1]

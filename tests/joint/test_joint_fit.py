@@ -36,7 +36,7 @@ def flattened(problem):
 def noisy():
     scene = random_scene(0, views=10, points=POINTS)
     thorough = StructuredLM(rtol=1e-12)
-    return scene, fit_joint(scene.data, nudged(scene.calibration), solver=thorough)
+    return scene, fit_joint(scene.data, nudged(scene.calibration), solver=thorough, noise="trusted")
 
 
 def reference_start(reference, distortion):
@@ -66,13 +66,13 @@ def test_real_sets_reach_the_reference(name, prefix):
     """joint_px with everything free, he_only_refined_px with the camera held."""
     data, reference = shared_pairs(name, prefix)
     start = reference_start(reference, reference["K"][4:])
-    joint = fit_joint(data, start)
+    joint = fit_joint(data, start, noise="trusted")
     assert joint.result.converged
     rounding = 5e-4
     assert deviations(joint.calibration, data).rms == pytest.approx(
         reference["joint_px"], rel=0.01, abs=rounding
     )
-    held = fit_joint(data, start, fixed=("camera",))
+    held = fit_joint(data, start, fixed=("camera",), noise="trusted")
     tolerance = 0.15 if name == "tampere_synthetic" else 0.01
     assert deviations(held.calibration, data).rms == pytest.approx(
         reference["he_only_refined_px"], rel=tolerance, abs=rounding
@@ -86,7 +86,9 @@ def test_real_sets_reach_the_reference(name, prefix):
 
 def test_eye_to_hand_with_the_camera_held():
     data, reference = shared_pairs("visp_franka_eth")
-    held = fit_joint(data, reference_start(reference, [0.0] * 4), fixed=("camera",))
+    held = fit_joint(
+        data, reference_start(reference, [0.0] * 4), fixed=("camera",), noise="trusted"
+    )
     assert deviations(held.calibration, data).rms == pytest.approx(
         reference["he_only_refined_px"], rel=0.01
     )
@@ -94,7 +96,7 @@ def test_eye_to_hand_with_the_camera_held():
 
 def test_without_noise_it_finds_the_truth():
     scene = random_scene(1, views=8, points=POINTS, pixel_noise=0.0)
-    fit = fit_joint(scene.data, nudged(scene.calibration))
+    fit = fit_joint(scene.data, nudged(scene.calibration), noise="trusted")
     assert fit.result.converged
     for found, truth in zip(
         jax.tree.leaves(fit.calibration), jax.tree.leaves(scene.calibration), strict=True
@@ -184,9 +186,9 @@ def test_robust_losses_shrug_at_outliers(loss):
     visible = scene.data.visible & ~scene.outliers
     clean = eqx.tree_at(lambda d: d.visible, scene.data, visible)
     start = nudged(scene.calibration)
-    best = fit_joint(clean, start)
+    best = fit_joint(clean, start, noise="trusted")
     robust = fit_joint(scene.data, start, loss=loss, noise=Noise(0.15, 1e-9, 1e-9))
-    plain = fit_joint(scene.data, start)
+    plain = fit_joint(scene.data, start, noise="trusted")
 
     def error(fit):
         gap = fit.calibration.camera_from_tool.inverse() @ best.calibration.camera_from_tool
@@ -199,7 +201,7 @@ def test_robust_losses_shrug_at_outliers(loss):
 def test_robot_noise_that_is_known_makes_the_mount_better():
     scene = random_scene(4, views=12, translation_noise=2e-3, rotation_noise=1e-4)
     start = nudged(scene.calibration)
-    trusted = fit_joint(scene.data, start)
+    trusted = fit_joint(scene.data, start, noise="trusted")
     known = fit_joint(scene.data, start, noise=Noise(0.15, 2e-3, 1e-4))
 
     def error(fit):
@@ -223,15 +225,21 @@ def test_robot_noise_that_is_known_makes_the_mount_better():
 def test_paths_fix_free_and_bind(noisy):
     scene, fit = noisy
     start = nudged(scene.calibration)
-    held = fit_joint(scene.data, start, fixed=("camera", "base_from_world.translation.z"))
+    held = fit_joint(
+        scene.data, start, fixed=("camera", "base_from_world.translation.z"), noise="trusted"
+    )
     assert eqx.tree_equal(held.calibration.camera, start.camera)
     assert float(held.calibration.base_from_world.translation()[2]) == float(
         start.base_from_world.translation()[2]
     )
     assert "camera.u0" not in held.parameter_names
-    scaled = fit_joint(scene.data, start, free=("target_scale",), fixed=("camera",))
+    scaled = fit_joint(
+        scene.data, start, free=("target_scale",), fixed=("camera",), noise="trusted"
+    )
     assert float(scaled.calibration.target_scale) == pytest.approx(1.0, abs=1e-3)
-    bound = fit_joint(scene.data, start, priors={"camera.u0": Prior(mean=300.0, std=1e-6)})
+    bound = fit_joint(
+        scene.data, start, priors={"camera.u0": Prior(mean=300.0, std=1e-6)}, noise="trusted"
+    )
     assert float(bound.calibration.camera.u0) == pytest.approx(300.0, abs=1e-3)
     assert float(fit.calibration.camera.u0) == pytest.approx(322.0, abs=5.0)
 
@@ -239,7 +247,10 @@ def test_paths_fix_free_and_bind(noisy):
 def test_any_optimistix_solver_will_do(noisy):
     scene, fit = noisy
     other = fit_joint(
-        scene.data, nudged(scene.calibration), solver=optx.Dogleg(rtol=1e-10, atol=1e-10)
+        scene.data,
+        nudged(scene.calibration),
+        solver=optx.Dogleg(rtol=1e-10, atol=1e-10),
+        noise="trusted",
     )
     assert other.solution.costs[-1] == pytest.approx(fit.solution.costs[-1], rel=1e-8)
 
@@ -249,7 +260,7 @@ def test_a_fit_that_stopped_early_says_so_and_raises_on_request(noisy):
     assert fit.result.code is FitCode.CONVERGED
     fit.result.require()
     careless = optx.LevenbergMarquardt(rtol=1e9, atol=1e9)
-    stopped = fit_joint(scene.data, nudged(scene.calibration), solver=careless)
+    stopped = fit_joint(scene.data, nudged(scene.calibration), solver=careless, noise="trusted")
     assert stopped.result.code is FitCode.STOPPED_EARLY
     with pytest.raises(RuntimeError, match=r"stopped_early: .* would still lower the cost"):
         stopped.result.require()
@@ -267,7 +278,7 @@ def test_one_rotation_axis_is_named(noisy):
         scene.data.select(range(6)),
         (pixels, valid, commands),
     )
-    fit = fit_joint(data, scene.calibration, fixed=("camera",))
+    fit = fit_joint(data, scene.calibration, fixed=("camera",), noise="trusted")
     assert fit.observability.rank == 11
     assert fit.observability.size == 12
     (direction,) = fit.observability.null
@@ -302,7 +313,7 @@ def test_a_start_that_sees_nothing_is_refused(noisy):
         SE3.from_rotation(jaxlie.SO3.from_x_radians(jnp.pi)) @ scene.calibration.camera_from_tool,
     )
     with pytest.raises(ValueError, match=r"every point of view 0, 1, .* behind the camera"):
-        fit_joint(scene.data, behind)
+        fit_joint(scene.data, behind, noise="trusted")
 
 
 def test_noise_and_priors_must_be_positive():

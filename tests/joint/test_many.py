@@ -47,7 +47,7 @@ def test_priors_and_losses_weigh_as_in_one_fit(scenes):
     start = nudged(paper_calibration())
     together = fit_many(scenes[:2], start, **told)
     for k in range(2):
-        alone = fit_joint(scenes[k], start, **told)
+        alone = fit_joint(scenes[k], start, noise="trusted", **told)
         np.testing.assert_allclose(
             np.sqrt(np.diag(together.covariance[k])), np.sqrt(np.diag(alone.covariance)), rtol=1e-6
         )
@@ -66,7 +66,7 @@ def test_one_start_serves_all_and_a_lens_may_be_asked_for(scenes):
         "camera.lens.k1",
         "camera.lens.k2",
     )
-    alone = fit_joint(scenes[2], plain, lens="opencv4", fixed=("camera.lens.p1",))
+    alone = fit_joint(scenes[2], plain, lens="opencv4", fixed=("camera.lens.p1",), noise="trusted")
     assert float(found[2].camera.lens.k1) == pytest.approx(
         float(alone.calibration.camera.lens.k1), rel=1e-6
     )

@@ -77,8 +77,10 @@ def test_hand_eye_stays_within_a_fifth_of_the_clean_run(spoilt):
 
 def test_a_trusting_fit_leaves_them_out_where_it_is_asked(spoilt):
     clean, _, data = spoilt[0]
-    kept = fit_joint(clean.data, clean.calibration, fixed=("camera",))
-    robust = fit_joint(data, clean.calibration, fixed=("camera",), bad_views="leave_out")
+    kept = fit_joint(clean.data, clean.calibration, fixed=("camera",), noise="trusted")
+    robust = fit_joint(
+        data, clean.calibration, fixed=("camera",), bad_views="leave_out", noise="trusted"
+    )
     assert [view for view, point, _ in robust.rejected if point is None] == ["7"]
     apart = (
         kept.calibration.camera_from_tool.inverse() @ robust.calibration.camera_from_tool
@@ -99,8 +101,8 @@ def test_a_view_that_sees_nothing_from_where_the_robot_says_is_left_out(spoilt):
         clean.data.base_from_tool.wxyz_xyz.at[2].set(behind.wxyz_xyz),
     )
     with pytest.raises(ValueError, match="every point of view 2 lies behind"):
-        fit_joint(data, clean.calibration)
-    found = fit_joint(data, clean.calibration, bad_views="leave_out")
+        fit_joint(data, clean.calibration, noise="trusted")
+    found = fit_joint(data, clean.calibration, bad_views="leave_out", noise="trusted")
     ((view, _, reason),) = [entry for entry in found.rejected if entry[1] is None]
     assert view == "2"
     assert "disagree" in reason
@@ -109,4 +111,4 @@ def test_a_view_that_sees_nothing_from_where_the_robot_says_is_left_out(spoilt):
 def test_an_unknown_way_with_bad_views_is_named(spoilt):
     clean = spoilt[0][0]
     with pytest.raises(ValueError, match="bad_views is one of keep, leave_out; found 'mask'"):
-        fit_joint(clean.data, clean.calibration, bad_views="mask")
+        fit_joint(clean.data, clean.calibration, bad_views="mask", noise="trusted")

@@ -69,7 +69,7 @@ def test_the_errors_found_are_in_the_units_people_use():
     error = RobotError(field, jnp.full(18, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
     estimate = NoiseEstimate("position", noise, field, bent, tried, settled=False)
-    trusting = fit_joint(scene.data, scene.calibration)
+    trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
     assert errors_found(trusting, scene.data) == []
     joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
     lines = errors_found(joint, scene.data)

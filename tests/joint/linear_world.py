@@ -1,0 +1,105 @@
+"""A linear world: what views would tell of a chain that is linear, and the errors in it.
+
+Small enough for the textbook's formulas on dense matrices.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from smartview_jax.joint.likelihood import LinearisedViews, Sizes
+from smartview_jax.joint.parameters import Step
+from smartview_jax.joint.schur import BlockArrow
+
+CAMERA, MOUNT, FIELD, VIEWS = 3, 4, (2, 3), 30
+SHARED = CAMERA + MOUNT + sum(FIELD)
+
+
+def linear_world():
+    """Information of every view's statistics, and how these come about."""
+    rng = np.random.default_rng(0)
+    size = CAMERA + 6 * VIEWS
+    # An observed value of the camera's numbers and of each view's six, with correlated errors.
+    roots = [rng.normal(size=(9, 6 + CAMERA)) for _ in range(VIEWS)]
+    information = np.zeros((size, size))
+    for k, root in enumerate(roots):
+        where = np.r_[:CAMERA, CAMERA + 6 * k : CAMERA + 6 * k + 6]
+        information[np.ix_(where, where)] += root.T @ root
+    design = np.zeros((size, SHARED + 6 * VIEWS))
+    design[:CAMERA, :CAMERA] = np.eye(CAMERA)
+    design[CAMERA:, CAMERA:SHARED] = rng.normal(size=(6 * VIEWS, SHARED - CAMERA))
+    design[CAMERA:, SHARED:] = np.eye(6 * VIEWS)
+    return information, design
+
+
+TRUTH = Sizes(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
+GROUP = np.repeat([-1, 0, 1], [CAMERA + MOUNT, *FIELD])
+
+
+def drawn(world, seed, held=None):
+    """Statistics drawn from the model; the views' own numbers that are held are nothing."""
+    information, design = world
+    rng = np.random.default_rng(seed)
+    effects = 2.0 * rng.normal(size=SHARED)
+    for k, deviation in enumerate(np.asarray(TRUTH.field)):
+        effects[k == GROUP] = deviation * rng.normal(size=FIELD[k])
+    each = np.repeat([TRUTH.translation, TRUTH.rotation], 3)
+    own = (each * rng.normal(size=(VIEWS, 6))).ravel()
+    own = own if held is None else np.where(held, 0.0, own)
+    noise = np.linalg.cholesky(np.linalg.inv(information)) @ rng.normal(size=len(information))
+    return design @ np.concatenate([effects, own]) + float(TRUTH.pixel) * noise
+
+
+def linearised(world, observed, at=None):
+    """What the library is given: normal equations at a point of all parameters."""
+    information, design = world
+    at = np.zeros(design.shape[1]) if at is None else at
+    residual = observed - design @ at
+    whole = design.T @ information @ design
+    slope = -design.T @ information @ residual
+    own = whole[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6)[range(VIEWS), :, range(VIEWS)]
+    off = whole[SHARED:, SHARED:].copy()
+    for k in range(VIEWS):
+        off[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = 0.0
+    assert np.abs(off).max() < 1e-12
+    return LinearisedViews(
+        matrix=BlockArrow(
+            jnp.asarray(whole[:SHARED, :SHARED]),
+            jnp.asarray(whole[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED)),
+            jnp.asarray(own),
+        ),
+        gradient=Step(jnp.asarray(slope[:SHARED]), jnp.asarray(slope[SHARED:].reshape(VIEWS, 6))),
+        between=jnp.asarray(residual @ information @ residual),
+        off_mean=Step(jnp.asarray(at[:SHARED]), jnp.asarray(at[SHARED:].reshape(VIEWS, 6))),
+        known_weight=jnp.zeros(SHARED),
+        group=jnp.asarray(GROUP),
+        own_free=jnp.ones((VIEWS, 6), dtype=bool),
+        count=jnp.asarray(float(len(observed))),
+        white_sigma=jnp.asarray(1e-6),
+    )
+
+
+GROUP_FIXED = np.concatenate([GROUP < 0, np.zeros(6 * VIEWS, dtype=bool)])
+
+OTHERS = (
+    Sizes(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
+    Sizes(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
+)
+
+
+def moved(sizes, k, share):
+    """One of the sizes larger by a share of it."""
+    numbers = sizes.numbers.at[k].multiply(1.0 + share)
+    return Sizes.of(numbers)
+
+
+def with_held(views, free):
+    """What `JointProblem` makes of corrections that are held: no columns."""
+    own = jnp.where(free[..., None] & free[:, None], views.matrix.own, 0.0)
+    border = jnp.where(free[..., None], views.matrix.border, 0.0)
+    gradient = jnp.where(free, views.gradient.corrections, 0.0)
+    return eqx.tree_at(
+        lambda v: (v.matrix.own, v.matrix.border, v.gradient.corrections, v.own_free),
+        views,
+        (own, border, gradient, free),
+    )
