@@ -4,7 +4,8 @@
 
 The file has a column `view` and one a joint: `q1`, `q2`, ... In place of a name `arm` may hold the
 Denavit-Hartenberg numbers, rad and m: rows `theta`, `d`, `a`, `alpha`, the `convention`, which
-joints are `prismatic`, and `flange_from_tool`.
+joints are `prismatic`, their `limits` (rows of two, null where there is none), `flange_from_tool`
+and `base_from_first`.
 """
 
 from collections.abc import Sequence

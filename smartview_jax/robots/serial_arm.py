@@ -11,8 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxlie import SE3, SO3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..geometry import PoseLike, as_se3
 from .command import Command, JointsLike
@@ -36,6 +37,8 @@ class SerialArm(eqx.Module):
         flange_from_tool: what is mounted on the last link.
         convention: `"standard"` or `"modified"`.
         prismatic: which joints slide.
+        limits: least and largest reading of each joint, rad or m; infinite where it has none.
+        base_from_first: where the first joint's axis is, if it is not the base's z axis.
     """
 
     theta: Float[Array, "joints"]
@@ -45,6 +48,8 @@ class SerialArm(eqx.Module):
     flange_from_tool: SE3
     convention: str = eqx.field(static=True)
     prismatic: tuple[bool, ...] = eqx.field(static=True)
+    limits: Float[Array, "joints 2"]
+    base_from_first: SE3
 
     def __init__(
         self,
@@ -55,6 +60,8 @@ class SerialArm(eqx.Module):
         convention: str = "standard",
         prismatic: Sequence[bool] | None = None,
         flange_from_tool: PoseLike | None = None,
+        limits: Sequence[Sequence[float]] | np.ndarray | Array | None = None,
+        base_from_first: PoseLike | None = None,
     ):
         if convention not in CONVENTIONS:
             raise ValueError(f"convention is one of {', '.join(CONVENTIONS)}; found {convention!r}")
@@ -70,7 +77,11 @@ class SerialArm(eqx.Module):
             raise ValueError(f"an arm has one number a joint in each row; found {shapes}")
         tool = SE3.identity() if flange_from_tool is None else as_se3(flange_from_tool)
         self.flange_from_tool = tool
+        self.base_from_first = (
+            SE3.identity() if base_from_first is None else as_se3(base_from_first)
+        )
         self.convention = convention
+        self.limits = _checked_limits(limits, self.size)
 
     @property
     def size(self) -> int:
@@ -88,7 +99,7 @@ class SerialArm(eqx.Module):
             raise ValueError(
                 f"joints: expected (..., {self.size}), a reading a joint, found {joints.shape}"
             )
-        pose = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, (*joints.shape[:-1], 7)))
+        pose = SE3(jnp.broadcast_to(self.base_from_first.wxyz_xyz, (*joints.shape[:-1], 7)))
         for k in range(self.size):
             pose = pose @ self._link(k, joints[..., k])
         tool = jnp.broadcast_to(self.flange_from_tool.wxyz_xyz, pose.wxyz_xyz.shape)
@@ -97,6 +108,12 @@ class SerialArm(eqx.Module):
     def command(self, joints: JointsLike) -> Command:
         """The joints' readings, and where the controller believes the tool to be."""
         return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
+
+    def out_of_limits(self, joints: JointsLike) -> Bool[Array, "*views joints"]:
+        """Which readings are beyond what their joints can do."""
+        joints = jnp.asarray(joints, dtype=float)
+        lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in self.limits.T)
+        return (joints < lower) | (joints > upper)
 
     def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
         """Twist at the tool per unit of each joint, translation first."""
@@ -111,6 +128,25 @@ class SerialArm(eqx.Module):
         joint = _screw(SO3.from_z_radians(about), along, 2)
         link = _screw(SO3.from_x_radians(self.alpha[k] + nothing), self.a[k] + nothing, 0)
         return joint @ link if self.convention == "standard" else link @ joint
+
+
+def _checked_limits(
+    limits: Sequence[Sequence[float]] | np.ndarray | Array | None, joints: int
+) -> Float[Array, "joints 2"]:
+    """Raises ValueError naming the joint, counted from one, whose bounds are no range."""
+    if limits is None:
+        return jnp.broadcast_to(jnp.array([-jnp.inf, jnp.inf]), (joints, 2))
+    if np.shape(limits) != (joints, 2):
+        raise ValueError(
+            f"limits: expected ({joints}, 2), the least and the largest reading of each joint, "
+            f"found {np.shape(limits)}"
+        )
+    # Inside jit there are no values to look at; they were looked at outside.
+    if not isinstance(limits, Tracer):
+        for k, (lower, upper) in enumerate(np.asarray(limits, dtype=float).tolist()):
+            if not lower < upper:
+                raise ValueError(f"limits of joint {1 + k}: {lower} is not below {upper}")
+    return jnp.asarray(limits, dtype=float)
 
 
 def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:

@@ -1,3 +1,7 @@
+import dataclasses
+import json
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -5,7 +9,14 @@ import pytest
 from jaxlie import SE3
 from shared_data import shared_data
 
-from smartview_jax.robots import SerialArm, joints_near, kuka_lwr4, six_axes
+from smartview_jax.robots import (
+    SerialArm,
+    arm_from_dict,
+    arm_to_dict,
+    joints_near,
+    kuka_lwr4,
+    six_axes,
+)
 
 
 def by_matrices(arm, joints):
@@ -96,7 +107,44 @@ def test_a_pose_out_of_reach_is_said_to_be():
     assert np.isfinite(joints).all()
 
 
+def test_readings_beyond_the_limits_are_told():
+    arm = SerialArm(*np.zeros((4, 3)), limits=[[-1.0, 1.0], [-np.inf, 0.5], [-np.inf, np.inf]])
+    found = arm.out_of_limits(np.array([[1.5, -9.0, 99.0], [-0.5, 0.6, 0.0]]))
+    np.testing.assert_array_equal(found, [[True, False, False], [False, True, False]])
+    assert not six_axes().out_of_limits(np.full(6, 1e3)).any()
+
+
+def test_the_chain_begins_where_the_first_joint_is():
+    arm, start = six_axes(), SE3.exp(jnp.arange(6.0) / 7.0)
+    moved = dataclasses.replace(arm, base_from_first=start)
+    joints = np.full((2, 6), 0.3)
+    expected = start.as_matrix() @ arm.base_from_tool(joints).as_matrix()
+    np.testing.assert_allclose(moved.base_from_tool(joints).as_matrix(), expected, atol=1e-15)
+
+
+def test_files_keep_limits_and_ends_and_read_what_older_ones_lack():
+    ends = {
+        name: SE3.exp(scale * jnp.ones(6))
+        for name, scale in (("flange_from_tool", 0.1), ("base_from_first", -0.2))
+    }
+    arm = SerialArm(*np.eye(4, 2), limits=[[-1.0, 1.0], [-np.inf, 0.5]], **ends)
+    content = json.loads(json.dumps(arm_to_dict(arm), allow_nan=False))
+    assert eqx.tree_equal(arm_from_dict(content), arm)
+    older = {key: content[key] for key in ("theta", "d", "a", "alpha", "convention")}
+    assert eqx.tree_equal(arm_from_dict(older), SerialArm(*np.eye(4, 2)))
+
+
+def test_limits_can_be_kept_inside_jit():
+    arm = SerialArm(*np.zeros((4, 1)), limits=[[-1.0, 1.0]])
+    longer = eqx.filter_jit(lambda arm: dataclasses.replace(arm, a=arm.a + 1.0))(arm)
+    np.testing.assert_array_equal(longer.limits, arm.limits)
+
+
 def test_wrong_input_is_named():
+    with pytest.raises(ValueError, match=r"limits: expected \(2, 2\).*found \(1, 2\)"):
+        SerialArm(*np.zeros((4, 2)), limits=[[-1.0, 1.0]])
+    with pytest.raises(ValueError, match=r"limits of joint 2: 1.0 is not below -1.0"):
+        SerialArm(*np.zeros((4, 2)), limits=[[-1.0, 1.0], [1.0, -1.0]])
     with pytest.raises(ValueError, match="convention is one of standard, modified; found 'craig'"):
         SerialArm([0.0], [0.0], [0.0], [0.0], convention="craig")
     with pytest.raises(ValueError, match=r"one number a joint in each row; found .*'d': \(2,\)"):
