@@ -9,11 +9,15 @@ from .command import as_command as as_command
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField
 from .inverse_kinematics import joints_near as joints_near
+from .joint_solution import JointSolution as JointSolution
+from .joint_solution import Status as Status
 from .linear_fields import LinearInPose as LinearInPose
 from .linear_fields import LinearInPosition as LinearInPosition
 from .models import ARMS as ARMS
 from .models import arm_by_name as arm_by_name
 from .models import kuka_lwr4 as kuka_lwr4
+from .models import puma_560 as puma_560
+from .models import puma_560_lee as puma_560_lee
 from .models import six_axes as six_axes
 from .names import field_by_name as field_by_name
 from .names import field_name as field_name
@@ -21,6 +25,10 @@ from .plain import arm_from_dict as arm_from_dict
 from .plain import arm_to_dict as arm_to_dict
 from .plain import robot_error_from_dict as robot_error_from_dict
 from .plain import robot_error_to_dict as robot_error_to_dict
+from .puma_inverse import is_puma_like as is_puma_like
+from .puma_inverse import nearest_puma_joints as nearest_puma_joints
+from .puma_inverse import puma_joints as puma_joints
 from .robot_error import RobotError as RobotError
 from .serial_arm import SerialArm as SerialArm
+from .solve_joints import joints_for_pose as joints_for_pose
 from .stretch import PoseOrStretch as PoseOrStretch

@@ -1,4 +1,7 @@
-"""Arms by name, with nominal Denavit-Hartenberg numbers and where they are from."""
+"""Arms by name, with nominal Denavit-Hartenberg numbers and where they are from.
+
+The paper's PUMA 761 is not among them, nor the 762: no source for their lengths was found.
+"""
 
 from collections.abc import Callable
 
@@ -33,7 +36,54 @@ def six_axes() -> SerialArm:
     )
 
 
-ARMS: dict[str, Callable[[], SerialArm]] = {"kuka_lwr4": kuka_lwr4, "six_axes": six_axes}
+def puma_560() -> SerialArm:
+    """Unimation PUMA 560 as Paul and Corke have it: shoulder to flange, all joints zero a righty.
+
+    Lengths: Corke and Armstrong-Helouvry, A search for consensus among model parameters reported
+    for the PUMA 560 robot, ICRA 1994; twists with Paul's signs. Limits: those of Corke's Robotics
+    Toolbox, after Wang and Chen, IEEE Trans. RA 7(4), 1991. The origin is VAL's, in the shoulder;
+    the floor that a pedestal of 26.45 inches stands on is 0.67183 m below (`base_from_first`).
+    """
+    return SerialArm(
+        theta=np.zeros(6),
+        d=[0.0, 0.0, 0.15005, 0.4318, 0.0, 0.0],
+        a=[0.0, 0.4318, 0.0203, 0.0, 0.0, 0.0],
+        alpha=[_RIGHT, 0.0, -_RIGHT, _RIGHT, -_RIGHT, 0.0],
+        limits=np.deg2rad(
+            [[-160, 160], [-45, 225], [-225, 45], [-110, 170], [-100, 100], [-266, 266]]
+        ),
+    )
+
+
+def puma_560_lee() -> SerialArm:
+    """Unimation PUMA 560 as Lee has it: shoulder to the end of the flange, all joints zero a lefty.
+
+    C. S. G. Lee, Robot arm kinematics, dynamics and control, Computer 15(12), 1982; Fu, Gonzalez
+    and Lee, Robotics, 1987, figure 2.11, limits included. With the same lengths it is `puma_560`:
+
+        joints of puma_560 = joints of puma_560_lee + (pi, pi, -pi, 0, 0, pi)
+
+    for `a3` of the opposite sign and Lee's `d2` in place of Corke's `d3`. Their lengths differ by
+    up to 1.3 mm, being measured on two arms, and Lee's `d6` reaches to the end of the flange. The
+    limits of joints 1 and 6 are each author's own, and agree with no half turn between the two.
+    """
+    return SerialArm(
+        theta=np.zeros(6),
+        d=[0.0, 0.14909, 0.0, 0.43307, 0.0, 0.05625],
+        a=[0.0, 0.4318, -0.02032, 0.0, 0.0, 0.0],
+        alpha=[-_RIGHT, 0.0, _RIGHT, -_RIGHT, _RIGHT, 0.0],
+        limits=np.deg2rad(
+            [[-160, 160], [-225, 45], [-45, 225], [-110, 170], [-100, 100], [-266, 266]]
+        ),
+    )
+
+
+ARMS: dict[str, Callable[[], SerialArm]] = {
+    "kuka_lwr4": kuka_lwr4,
+    "six_axes": six_axes,
+    "puma_560": puma_560,
+    "puma_560_lee": puma_560_lee,
+}
 
 
 def arm_by_name(name: str) -> SerialArm:

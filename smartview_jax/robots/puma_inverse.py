@@ -1,0 +1,204 @@
+"""Joints of a Puma-like arm for a pose of its tool, in closed form: all eight ways to reach it.
+
+An arm is of this shape when its standard Denavit-Hartenberg numbers are, from joint 1 to 6,
+
+    alpha   +-90     0   +-90   +-90   +-90   any    degrees
+    a         a1    a2     a3      0      0    a6
+    d         d1    d2     d3     d4      0    d6
+
+The last three axes then meet in one point, the wrist's centre, which the last three joints do not
+move, and joints 2 and 3 move in a plane. Any signs, lengths and zeros will do: both models of the
+PUMA 560 and most six-axis arms of industry.
+
+Source: Paul and Zhang, Computationally efficient kinematics for manipulators with spherical wrists,
+IJRR 5(2), 1986, for the order of the steps; the formulae are derived here for any signs.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxlie import SE3, SO3
+from jaxtyping import Array, Bool, Float, Int
+
+from ..geometry import PoseLike, as_se3
+from .command import JointsLike
+from .joint_solution import JointSolution, Status, beyond_limits, nearest_turn
+from .serial_arm import SerialArm
+
+BRANCHES = tuple(
+    (shoulder, elbow, wrist) for shoulder in (1, -1) for elbow in (1, -1) for wrist in (1, -1)
+)
+"""Signs: the wrist before or behind the first axis, of the elbow's bend, of the wrist's."""
+
+SINGULAR = 1e-9
+"""Distance to a singularity, m or rad, below which it is taken to be one."""
+
+_SHAPE = (
+    "a Puma-like arm has six turning joints, standard numbers, alpha = +-90, 0, +-90, +-90, +-90 "
+    "degrees, a4 = a5 = d5 = 0, a2 not 0, and a3 and d4 not both 0"
+)
+
+
+def is_puma_like(arm: SerialArm) -> bool:
+    """Whether `puma_joints` solves for an arm; False inside jit, where its numbers are hidden."""
+    hidden = any(isinstance(number, Tracer) for number in (arm.a, arm.d, arm.alpha))
+    return _has_structure(arm) and not hidden and bool(_misshape(arm) <= SINGULAR)
+
+
+def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
+    """All eight answers to wanted poses, `(*views)`, in the order of `BRANCHES`.
+
+    Angles are turned into the joints' limits where a turn is. At a singularity joint 4 (the wrist),
+    1 or 2 (the shoulder) is zero where any angle would do, and answers coincide. Differentiable
+    where there is an answer that is not singular.
+
+    Args:
+        arm: of the shape above.
+        base_from_tool: wanted.
+
+    Returns:
+        Joints `(*views, 8, 6)`; NaN where a branch does not reach.
+
+    Raises:
+        ValueError: another arm; inside jit an error at run time.
+    """
+    if not _has_structure(arm):
+        raise ValueError(_SHAPE)
+    wrong = _misshape(arm)
+    if not isinstance(wrong, Tracer) and not wrong <= SINGULAR:
+        raise ValueError(f"{_SHAPE}; found alpha {arm.alpha}, a {arm.a}, d {arm.d}")
+    poses = as_se3(base_from_tool).wxyz_xyz
+    poses = eqx.error_if(poses, wrong > SINGULAR, _SHAPE)
+    signs = jnp.array(BRANCHES, dtype=float)
+    solve = jax.vmap(lambda pose, sign: _branch(arm, SE3(pose), sign), in_axes=(None, 0))
+    for _ in poses.shape[:-1]:
+        solve = jax.vmap(solve, in_axes=(0, None))
+    angles, reached, singular = solve(poses, signs)
+    joints = nearest_turn(arm, angles - jnp.broadcast_to(arm.theta, angles.shape))
+    beyond = beyond_limits(arm, joints) & reached[..., None]
+    return JointSolution(
+        jnp.where(reached[..., None], joints, jnp.nan), _status(reached, singular, beyond), beyond
+    )
+
+
+def nearest_puma_joints(
+    arm: SerialArm, base_from_tool: PoseLike, near: JointsLike
+) -> JointSolution:
+    """The answer nearest given joints, those within their limits first, `(*views, 6)`.
+
+    Nearest in the sum of squares. Joints with room for several turns take the nearest of them.
+    """
+    found = puma_joints(arm, base_from_tool)
+    shape = found.joints.shape
+    near = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*shape[:-2], 6))[..., None, :]
+    near = jnp.broadcast_to(near, shape)
+    joints = nearest_turn(arm, found.joints, near)
+    far = jnp.sum((joints - near) ** 2, axis=-1)
+    # Beyond any distance between joints: an answer out of limits only where there is none within.
+    far = jnp.where(found.reached, far, 1e12 + far)
+    far = jnp.where(jnp.isnan(far), jnp.inf, far)
+    best = jnp.argmin(jax.lax.stop_gradient(far), axis=-1, keepdims=True)
+    return JointSolution(
+        jnp.take_along_axis(joints, best[..., None], axis=-2)[..., 0, :],
+        jnp.take_along_axis(found.status, best, axis=-1)[..., 0],
+        jnp.take_along_axis(found.beyond, best[..., None], axis=-2)[..., 0, :],
+    )
+
+
+def _has_structure(arm: SerialArm) -> bool:
+    return arm.convention == "standard" and arm.size == 6 and not any(arm.prismatic)
+
+
+def _misshape(arm: SerialArm) -> Float[Array, ""]:
+    """How far an arm's numbers are from the shape, m or rad; infinite where a division would be."""
+    right = np.array([0, 2, 3, 4])
+    off = [jnp.cos(arm.alpha[right]), jnp.sin(arm.alpha[1])[None], arm.a[3:5], arm.d[4:5]]
+    wrong = jnp.max(jnp.abs(jnp.concatenate(off)))
+    turned = (jnp.cos(arm.alpha[1]) < 0.0) | (arm.a[1] == 0.0)
+    return jnp.where(turned | ((arm.a[2] == 0.0) & (arm.d[3] == 0.0)), jnp.inf, wrong)
+
+
+def _branch(
+    arm: SerialArm, base_from_tool: SE3, sign: Float[Array, "3"]
+) -> tuple[Float[Array, "6"], Bool[Array, ""], Bool[Array, "3"]]:
+    """Angles `reading + theta` of one branch, whether it reaches, and where it is singular."""
+    s = jnp.sin(arm.alpha)
+    hand = arm.base_from_first.inverse() @ base_from_tool @ arm.flange_from_tool.inverse()
+    hand = hand @ _last_link(arm).inverse()
+    x, y, z = hand.translation()
+
+    # The wrist's centre is Rz(t1) (a1 + reach_x, -s1 offset, d1 + s1 reach_y).
+    offset = arm.d[1] + arm.d[2]
+    from_axis = jnp.sqrt(_positive(x**2 + y**2))
+    room = from_axis - jnp.abs(offset)
+    ahead = sign[0] * jnp.sqrt(_positive(room * (from_axis + jnp.abs(offset))))
+    t1 = _angle(y, x, arm.theta[0]) - _angle(-s[0] * offset, ahead, 0.0)
+    reach_x, reach_y = ahead - arm.a[0], s[0] * (z - arm.d[0])
+
+    # Two links in a plane: a2, and from there (a3, -s3 d4), of length `fore`.
+    upper, fore = arm.a[1], jnp.sqrt(arm.a[2] ** 2 + arm.d[3] ** 2)
+    square = reach_x**2 + reach_y**2
+    stretched = (upper + fore) ** 2 - square
+    folded = square - (upper - fore) ** 2
+    sine = jnp.sqrt(_positive(stretched)) * jnp.sqrt(_positive(folded)) / (2.0 * upper * fore)
+    cosine = (square - upper**2 - fore**2) / (2.0 * upper * fore)
+    bend = _angle(sign[1] * sine, cosine, 0.0)
+    t3 = bend - jnp.arctan2(-s[2] * arm.d[3], arm.a[2])
+    along = jnp.arctan2(fore * jnp.sin(bend), upper + fore * jnp.cos(bend))
+    t2 = _angle(reach_y, reach_x, arm.theta[1] + along) - along
+
+    # What is left to the wrist is Rz(t4) Ry(-s4 t5) Rz(t6), or has half a turn about x after it.
+    fore_arm = SO3.from_z_radians(t1) @ SO3.from_x_radians(arm.alpha[0])
+    fore_arm = fore_arm @ SO3.from_z_radians(t2 + t3) @ SO3.from_x_radians(arm.alpha[2])
+    same = s[3] * s[4]
+    flip = jnp.stack([jnp.ones(()), -same, -same])
+    W = (fore_arm.inverse() @ hand.rotation()).as_matrix() * flip[None]
+    tilt = jnp.sqrt(_positive(W[0, 2] ** 2 + W[1, 2] ** 2))
+    straight = tilt < SINGULAR
+    t4 = jnp.where(
+        straight, arm.theta[3], _angle(sign[2] * W[1, 2], sign[2] * W[0, 2], arm.theta[3])
+    )
+    sin4, cos4 = jnp.sin(t4), jnp.cos(t4)
+    t5 = -s[3] * jnp.arctan2(cos4 * W[0, 2] + sin4 * W[1, 2], W[2, 2])
+    # From the axis that joint 5 turns about, which is well defined however small its angle.
+    t6 = -same * jnp.arctan2(cos4 * W[1, 0] - sin4 * W[0, 0], cos4 * W[1, 1] - sin4 * W[0, 1])
+
+    length = jnp.abs(upper) + fore
+    margin = jnp.minimum(stretched, folded) / length
+    reached = (room > -SINGULAR) & (margin > -SINGULAR)
+    singular = jnp.stack([room < SINGULAR, margin < SINGULAR, straight])
+    return jnp.stack([t1, t2, t3, t4, t5, t6]), reached, singular
+
+
+def _last_link(arm: SerialArm) -> SE3:
+    """What is beyond the wrist's centre and joint 6, which turns about the same axis as `d6`."""
+    zero = jnp.zeros_like(arm.a[5])
+    along = SE3.from_translation(jnp.stack([arm.a[5], zero, arm.d[5]]))
+    return along @ SE3.from_rotation(SO3.from_x_radians(arm.alpha[5]))
+
+
+def _positive(square: Float[Array, ""]) -> Float[Array, ""]:
+    """A root's argument: at least next to nothing, so that the root has a finite derivative."""
+    return jnp.maximum(square, 1e-200)
+
+
+def _angle(
+    y: Float[Array, ""], x: Float[Array, ""], otherwise: Float[Array, ""] | float
+) -> Float[Array, ""]:
+    """The angle of (x, y), and another where both are nothing and it has neither."""
+    nothing = (jnp.abs(x) < SINGULAR) & (jnp.abs(y) < SINGULAR)
+    found = jnp.arctan2(jnp.where(nothing, 0.0, y), jnp.where(nothing, 1.0, x))
+    return jnp.where(nothing, otherwise, found)
+
+
+def _status(
+    reached: Bool[Array, "*b"], singular: Bool[Array, "*b 3"], beyond: Bool[Array, "*b 6"]
+) -> Int[Array, "*b"]:
+    kinds = (Status.SHOULDER_SINGULAR, Status.ELBOW_SINGULAR, Status.WRIST_SINGULAR)
+    status = jnp.where(reached, 0, int(Status.OUT_OF_REACH))
+    status = status | jnp.where(beyond.any(axis=-1), int(Status.OUT_OF_LIMITS), 0)
+    for k, kind in enumerate(kinds):
+        status = status | jnp.where(singular[..., k] & reached, int(kind), 0)
+    return status

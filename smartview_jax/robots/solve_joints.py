@@ -1,0 +1,56 @@
+"""Joints for a pose of the tool, of any arm, and in words why there are none."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry import PoseLike, as_se3
+from .command import JointsLike
+from .inverse_kinematics import joints_near
+from .joint_solution import JointSolution, Status
+from .puma_inverse import is_puma_like, nearest_puma_joints
+from .serial_arm import SerialArm
+
+AT_LIMIT = 1e-3
+"""Share of its range within which a joint that did not arrive counts as held up by its limit."""
+
+DULL = 1e-6
+"""Least singular value of the Jacobian, m and rad a rad, of an arm that is not singular."""
+
+
+def joints_for_pose(arm: SerialArm, base_from_tool: PoseLike, near: JointsLike) -> JointSolution:
+    """Joints that put an arm's tool at wanted poses, `(*views)`, within their limits.
+
+    A Puma-like arm is solved in closed form: of all its answers the one nearest `near`. Others, and
+    arms whose numbers jit hides, by iteration from there, which finds one answer at most.
+
+    Args:
+        arm: any.
+        base_from_tool: wanted.
+        near: joints to be near to.
+    """
+    if is_puma_like(arm):
+        return nearest_puma_joints(arm, base_from_tool, near)
+    poses = as_se3(base_from_tool)
+    joints, reached = joints_near(arm, poses, near)
+    lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in arm.limits.T)
+    span = jnp.where(jnp.isfinite(upper - lower), upper - lower, 1.0)
+    at_limit = jnp.minimum(joints - lower, upper - joints) < AT_LIMIT * span
+    beyond = at_limit & ~reached[..., None]
+    held = int(Status.OUT_OF_LIMITS)
+    missed = jnp.where(beyond.any(axis=-1), held, int(Status.OUT_OF_REACH))
+    singular = jnp.where(_sharpness(arm, joints) < DULL, int(Status.SINGULAR), 0)
+    return JointSolution(
+        jnp.where(reached[..., None], joints, jnp.nan),
+        jnp.where(reached, 0, missed) | singular,
+        beyond,
+    )
+
+
+def _sharpness(arm: SerialArm, joints: Float[Array, "*views joints"]) -> Float[Array, "*views"]:
+    """Least singular value of the Jacobian: how far the tool moves in its worst direction."""
+    jacobian = arm.jacobian
+    for _ in joints.shape[:-1]:
+        jacobian = jax.vmap(jacobian)
+    values = jnp.linalg.svd(jax.lax.stop_gradient(jacobian(joints)), compute_uv=False)
+    return values[..., -1]

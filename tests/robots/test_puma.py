@@ -1,0 +1,286 @@
+"""The Puma's models, and its closed-form inverse."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax.robots import (
+    SerialArm,
+    Status,
+    is_puma_like,
+    kuka_lwr4,
+    nearest_puma_joints,
+    puma_560,
+    puma_560_lee,
+    puma_joints,
+    six_axes,
+)
+
+
+def tooled(arm):
+    """Another zero of every joint, a base, a tool, and a bent last link."""
+    pose = SE3.exp(jnp.linspace(-0.3, 0.4, 6))
+    return dataclasses.replace(
+        arm,
+        theta=arm.theta + jnp.linspace(0.2, -1.0, 6),
+        a=arm.a.at[5].set(0.03),
+        alpha=arm.alpha.at[5].set(0.4),
+        flange_from_tool=pose,
+        base_from_first=pose @ pose,
+    )
+
+
+def twisted():
+    """Twists of joints 4 and 5 to the same side, a shoulder both aside and ahead."""
+    right = 0.5 * np.pi
+    return SerialArm(
+        np.zeros(6),
+        [0.1, 0.05, 0.1, -0.4, 0.0, 0.1],
+        [0.08, 0.5, -0.05, 0.0, 0.0, 0.0],
+        [-right, 0.0, -right, right, right, 0.3],
+    )
+
+
+ARMS = {
+    "paul": puma_560(),
+    "lee": puma_560_lee(),
+    "tooled": tooled(puma_560()),
+    "tooled_lee": tooled(puma_560_lee()),
+    "six_axes": six_axes(),
+    "twisted": twisted(),
+}
+
+
+def same_pose(found, expected, atol):
+    left = (found.inverse() @ expected).log()
+    np.testing.assert_allclose(left, 0.0, atol=atol)
+
+
+def test_published_poses():
+    """Of the toolboxes for Matlab (its wiki, "Arm robot examples") and Scilab (help of Ikine6s)."""
+    zero, nominal = (
+        puma_560()
+        .base_from_tool(np.array([np.zeros(6), [0.0, np.pi / 4, np.pi, 0.0, np.pi / 4, 0.0]]))
+        .as_matrix()
+    )
+    np.testing.assert_allclose(zero[:3, :3], np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(zero[:3, 3], [0.4521, -0.15005, 0.4318], atol=1e-9)
+    turned = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    np.testing.assert_allclose(nominal[:3, :3], turned, atol=1e-15)
+    np.testing.assert_allclose(nominal[:3, 3], [0.5963031, -0.15005, -0.0143543], atol=5e-8)
+
+
+def test_a_published_answer_is_among_the_branches():
+    """Scilab's help of Ikine6s, for the nominal pose; the limits there are none."""
+    arm = dataclasses.replace(puma_560(), limits=jnp.tile(jnp.array([-jnp.inf, jnp.inf]), (6, 1)))
+    pose = arm.base_from_tool(np.array([0.0, np.pi / 4, np.pi, 0.0, np.pi / 4, 0.0]))
+    published = [2.6485612, -3.9269908, 0.0939558, 2.5325594, 0.9743496, 0.3733996]
+    off = np.asarray(puma_joints(arm, pose).joints) - published
+    off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))
+    assert np.abs(off).max(axis=1).min() < 1e-7
+
+
+def test_a_toolboxs_own_numbers():
+    models = pytest.importorskip("roboticstoolbox.models.DH", exc_type=ImportError)
+    theirs, arm = models.Puma560(), puma_560()
+    joints = np.random.default_rng(0).uniform(-2.0, 2.0, (20, 6))
+    pedestal = np.array([0.0, 0.0, theirs.links[0].d])
+    for q, pose in zip(joints, arm.base_from_tool(joints).as_matrix(), strict=True):
+        expected = np.asarray(theirs.fkine(q))
+        np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(pose[:3, 3] + pedestal, expected[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(arm.limits, theirs.qlim.T, atol=1e-12)
+
+
+def test_the_two_models_are_one_arm_but_for_their_zeros():
+    paul, lee = puma_560(), puma_560_lee()
+    same = dataclasses.replace(
+        paul, d=lee.d.at[2].set(lee.d[1]).at[1].set(0.0), a=lee.a.at[2].set(-lee.a[2])
+    )
+    joints = np.random.default_rng(1).uniform(-np.pi, np.pi, (50, 6))
+    shift = np.pi * np.array([1, 1, -1, 0, 0, 1])
+    same_pose(same.base_from_tool(joints + shift), lee.base_from_tool(joints), 1e-14)
+    for k in (1, 2, 3, 4):  # the limits follow the map where it has no half turn of a free choice
+        np.testing.assert_allclose(lee.limits[k] + shift[k], paul.limits[k], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_every_branch_puts_the_tool_there_and_one_is_where_it_came_from(name):
+    arm = ARMS[name]
+    joints = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, 6))
+    poses = arm.base_from_tool(joints)
+    found = jax.jit(lambda poses: puma_joints(arm, poses))(poses)
+    assert found.joints.shape == (2000, 8, 6)
+    there = np.isfinite(found.joints).all(axis=-1)
+    lost = (np.asarray(found.status) & Status.OUT_OF_REACH) != 0
+    np.testing.assert_array_equal(there, ~lost)
+    view, _ = np.nonzero(there)
+    same_pose(arm.base_from_tool(found.joints[there]), SE3(poses.wxyz_xyz[jnp.asarray(view)]), 1e-9)
+    off = np.asarray(found.joints) - joints[:, None]
+    off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))
+    closest = np.nanmin(np.abs(off).max(axis=-1), axis=1)
+    assert np.median(closest) < 1e-12
+    assert closest.max() < 1e-6  # near the edges a root halves the digits
+
+
+def test_the_branches_are_eight_different_arms():
+    found = puma_joints(puma_560(), puma_560().base_from_tool(np.array([0.3, 0.6, -0.8, 1, 1, 1])))
+    turned = np.exp(1j * np.asarray(found.joints))
+    apart = np.abs(turned[:, None] - turned[None]).max(axis=-1)
+    assert (apart + np.eye(8) > 1e-3).all()
+
+
+def test_leading_axes_and_one_pose_agree():
+    arm = puma_560()
+    joints = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 3, 6))
+    poses = arm.base_from_tool(joints)
+    together = puma_joints(arm, poses)
+    assert together.joints.shape == (2, 3, 8, 6)
+    one = puma_joints(arm, SE3(poses.wxyz_xyz[1, 2]))
+    np.testing.assert_allclose(one.joints, together.joints[1, 2], atol=1e-12)
+    mapped = jax.vmap(lambda p: puma_joints(arm, SE3(p)).status)(poses.wxyz_xyz[0])
+    np.testing.assert_array_equal(mapped, together.status[0])
+
+
+@pytest.mark.parametrize("name", ["paul", "lee", "six_axes", "twisted"])
+def test_the_derivative_is_the_inverse_of_the_jacobian(name):
+    arm, joints = ARMS[name], jnp.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
+    pose = arm.base_from_tool(joints)
+
+    def nearest(twist):
+        return nearest_puma_joints(arm, pose @ SE3.exp(twist), joints).joints
+
+    forward, reverse = (d(nearest)(jnp.zeros(6)) for d in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_allclose(forward @ arm.jacobian(joints), np.eye(6), atol=1e-9)
+    np.testing.assert_allclose(reverse, forward, atol=1e-11)
+
+
+def test_a_straight_wrist_has_a_definite_answer_and_says_so():
+    arm = tooled(puma_560())
+    joints = jnp.array([0.3, 0.6, -0.8, 0.5, -arm.theta[4], 1.0])
+    pose = arm.base_from_tool(joints)
+    found = nearest_puma_joints(arm, pose, joints)
+    assert int(found.status) == Status.WRIST_SINGULAR
+    assert found.reached
+    assert found.reason().startswith("singular wrist")
+    assert found.joints[3] == 0.0
+    same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
+    slopes = jax.jacrev(lambda t: puma_joints(arm, pose @ SE3.exp(t)).joints)(jnp.zeros(6))
+    there = np.isfinite(puma_joints(arm, pose).joints).all(axis=-1)
+    assert there.any()
+    assert np.isfinite(slopes[there]).all()
+
+
+def test_a_wrist_a_little_off_straight_is_met_exactly():
+    arm = puma_560()
+    for small in (1e-12, 1e-9, 1e-8, 1e-7, 1e-5, 1e-3):
+        pose = arm.base_from_tool(np.array([0.3, 0.6, -0.8, 0.5, small, 1.0]))
+        joints = puma_joints(arm, pose).joints
+        same_pose(arm.base_from_tool(joints), SE3(jnp.broadcast_to(pose.wxyz_xyz, (8, 7))), 2e-9)
+
+
+def test_a_stretched_arm_is_a_singular_elbow():
+    arm = puma_560()
+    straight = float(jnp.arctan2(-arm.d[3], arm.a[2]))  # the forearm on the upper arm's line
+    pose = arm.base_from_tool(np.array([0.3, 0.6, straight, 0.5, 0.7, 1.0]))
+    found = puma_joints(arm, pose)
+    assert (found.status[4:] & Status.ELBOW_SINGULAR).all() or (
+        found.status[:4] & Status.ELBOW_SINGULAR
+    ).all()
+    view = int(np.argmax(np.asarray(found.status) & Status.ELBOW_SINGULAR))
+    assert "singular elbow" in found.reason(view)
+    there = np.isfinite(found.joints).all(axis=-1)
+    poses = SE3(jnp.broadcast_to(pose.wxyz_xyz, (int(there.sum()), 7)))
+    same_pose(arm.base_from_tool(found.joints[there]), poses, 1e-9)
+
+
+def test_a_wrist_above_the_shoulder_is_singular_and_nearer_out_of_reach():
+    arm, turn = puma_560(), SE3.exp(jnp.array([0.0, 0.0, 0.0, 0.4, 0.2, 0.1])).rotation()
+    side = float(arm.d[2])
+
+    def at(distance):
+        where = jnp.array([0.0, distance, 0.6])
+        return puma_joints(arm, SE3.from_rotation_and_translation(turn, where))
+
+    assert (at(side).status & Status.SHOULDER_SINGULAR).all()
+    assert (at(0.9 * side).status == Status.OUT_OF_REACH).all()
+    assert not (at(1.1 * side).status & Status.SHOULDER_SINGULAR).any()
+    # An arm without an offset: joint 1 may be anything, and is zero.
+    over = puma_joints(six_axes(), six_axes().base_from_tool(above_the_axis(six_axes())))
+    assert (over.status & Status.SHOULDER_SINGULAR).any()
+
+
+def above_the_axis(arm):
+    """Joints that bring the wrist onto the first axis."""
+    joints = np.array([0.7, 0.0, 0.0, 0.3, 0.5, 0.2])
+    # The wrist's circle about the shoulder, with the elbow as it is.
+    bare = dataclasses.replace(arm, d=arm.d.at[5].set(0.0))
+
+    def ahead(q2):
+        at = np.asarray(bare.base_from_tool(np.array([0.0, q2, *joints[2:]])).translation())
+        return at[0]
+
+    low, high = -1.0, 0.5
+    assert ahead(low) * ahead(high) < 0.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ahead(low) * ahead(middle) > 0.0 else (low, middle)
+    return np.array([joints[0], middle, *joints[2:]])
+
+
+def test_out_of_reach_is_nan_and_named():
+    found = nearest_puma_joints(
+        puma_560(), SE3.from_translation(jnp.array([2.0, 0, 0])), np.zeros(6)
+    )
+    assert np.isnan(found.joints).all()
+    assert not found.reached
+    assert found.reason() == "out of reach"
+
+
+def test_out_of_limits_names_the_joint_and_still_says_where():
+    arm = puma_560()
+    wide, joints = dataclasses.replace(arm, limits=3.2 * jnp.array([[-1.0, 1.0]] * 6)), np.zeros(6)
+    narrow = dataclasses.replace(arm, limits=arm.limits.at[0].set(jnp.array([1.0, 1.1])))
+    pose = arm.base_from_tool(joints + np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0]))
+    found = nearest_puma_joints(narrow, pose, joints)
+    assert found.reason() == "out of limits: joint 1"
+    assert not found.reached
+    same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
+    assert nearest_puma_joints(wide, pose, joints).reached
+
+
+@pytest.mark.parametrize(
+    ("near", "expected"), [(0.0, 2.0), (-4.0, 2.0 - 2 * np.pi), (-9.0, 2.0 - 2 * np.pi)]
+)
+def test_the_nearest_turn_within_the_limits(near, expected):
+    """The hand's joint turns by 266 degrees either way: two readings for most of its angles."""
+    arm, joints = puma_560(), np.array([0.3, 0.6, -0.8, 0.5, 0.7, 2.0])
+    close = joints.copy()
+    close[5] = near
+    found = nearest_puma_joints(arm, arm.base_from_tool(joints), close)
+    assert found.reached
+    np.testing.assert_allclose(found.joints[5], expected, atol=1e-9)
+
+
+def test_a_joint_at_its_limit_is_within():
+    arm = puma_560()
+    joints = np.asarray(arm.limits[:, 1]).copy()
+    joints[1:3] = 0.6, -0.8
+    found = nearest_puma_joints(arm, arm.base_from_tool(joints), joints)
+    assert found.reached
+    np.testing.assert_allclose(found.joints, joints, atol=1e-9)
+
+
+def test_other_arms_are_refused():
+    skew = dataclasses.replace(puma_560(), alpha=puma_560().alpha.at[3].add(1e-3))
+    offset = dataclasses.replace(puma_560(), a=puma_560().a.at[3].set(0.01))
+    modified = dataclasses.replace(puma_560(), convention="modified")
+    for arm in (kuka_lwr4(), skew, offset, modified):
+        assert not is_puma_like(arm)
+        with pytest.raises(ValueError, match="a Puma-like arm has six turning joints"):
+            puma_joints(arm, SE3.identity())
+    assert is_puma_like(puma_560())
