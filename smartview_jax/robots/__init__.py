@@ -2,6 +2,8 @@
 
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
+from .arm_errors import JointRatios as JointRatios
+from .axes import arm_from_axes as arm_from_axes
 from .command import Command as Command
 from .command import CommandLike as CommandLike
 from .command import JointsLike as JointsLike

@@ -1,4 +1,4 @@
-"""What is wrong with an arm itself: zeros of its joints, and its Denavit-Hartenberg numbers.
+"""What is wrong with an arm itself: zeros and gears of its joints, its Denavit-Hartenberg numbers.
 
 Unlike the linear fields these are exact: the tool is where forward kinematics with the corrected
 numbers puts it. An error at either end of the chain that is the same in all views is also a
@@ -33,6 +33,11 @@ class AbstractArmErrors(AbstractField):
     def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
         """The arm as it is."""
 
+    def ratios(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "joints"]:
+        """How far each joint of the corrected arm goes per unit of its reading."""
+        del coefficients
+        return jnp.ones(self.arm.size)
+
     def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         """`base_from_tool` as it is.
 
@@ -44,7 +49,9 @@ class AbstractArmErrors(AbstractField):
                 "the errors of an arm are corrected by its joints: give arm.command(joints) "
                 "instead of a pose, or corrected=False for the bare chain"
             )
-        return self.corrected(coefficients).base_from_tool(reported.joints)
+        joints = jnp.asarray(reported.joints, dtype=float)
+        gone = joints * jnp.broadcast_to(self.ratios(coefficients), joints.shape)
+        return self.corrected(coefficients).base_from_tool(gone)
 
     def command(
         self,
@@ -62,7 +69,13 @@ class AbstractArmErrors(AbstractField):
                 "an arm reaches a pose in several ways: give near=joints, angles in whose "
                 "neighbourhood to look"
             )
-        joints, reached = joints_near(self.corrected(coefficients), true, near)
+        ratios = self.ratios(coefficients)
+        arm = self.corrected(coefficients)
+        # The limits are of the readings.
+        arm = dataclasses.replace(arm, limits=arm.limits * ratios[:, None])
+        near = jnp.asarray(near, dtype=float)
+        gone, reached = joints_near(arm, true, near * jnp.broadcast_to(ratios, near.shape))
+        joints = gone / jnp.broadcast_to(ratios, gone.shape)
         return self.arm.command(jnp.where(reached[..., None], joints, jnp.nan))
 
 
@@ -79,6 +92,32 @@ class JointOffsets(AbstractArmErrors):
 
     def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
         return _with_offsets(self.arm, coefficients)
+
+
+class JointRatios(AbstractArmErrors):
+    """The zero of every joint, and how much further it goes than it reads, a share of the reading.
+
+    A joint goes `(1 + joint_ratio) * reading + joint_offset`: a gear of other teeth, an encoder of
+    other counts. The arm's own zero is where no joint's share counts.
+    """
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        return (("joint_offset", self.arm.size), ("joint_ratio", self.arm.size))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return _by_joint(("joint_offset", "joint_ratio"), self.arm)
+
+    @property
+    def nested(self) -> tuple[AbstractField, ...]:
+        return (JointOffsets(self.arm), self)
+
+    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        return _with_offsets(self.arm, coefficients[: self.arm.size])
+
+    def ratios(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "joints"]:
+        return 1.0 + coefficients[self.arm.size :]
 
 
 class DHErrors(AbstractArmErrors):

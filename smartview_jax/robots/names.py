@@ -1,6 +1,6 @@
 """Fields by the name that files and options use."""
 
-from .arm_errors import DHErrors, JointOffsets
+from .arm_errors import DHErrors, JointOffsets, JointRatios
 from .field import AbstractField
 from .linear_fields import LinearInPose, LinearInPosition
 
@@ -8,6 +8,7 @@ FIELDS: dict[str, type[AbstractField]] = {
     "position": LinearInPosition,
     "pose": LinearInPose,
     "joint_offsets": JointOffsets,
+    "joint_ratios": JointRatios,
     "dh": DHErrors,
 }
 

@@ -9,12 +9,20 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robots import DHErrors, JointOffsets, RobotError, SerialArm, kuka_lwr4, six_axes
+from smartview_jax.robots import (
+    DHErrors,
+    JointOffsets,
+    JointRatios,
+    RobotError,
+    SerialArm,
+    kuka_lwr4,
+    six_axes,
+)
 
 ARMS = [six_axes(), kuka_lwr4(), SerialArm(*np.eye(4, 3), prismatic=[False, True, False])]
 
 
-@pytest.fixture(scope="module", params=[JointOffsets, DHErrors])
+@pytest.fixture(scope="module", params=[JointOffsets, JointRatios, DHErrors])
 def field(request):
     return request.param(six_axes())
 
@@ -47,8 +55,29 @@ def test_the_tool_is_where_the_corrected_numbers_put_it(joints):
     np.testing.assert_allclose((found.inverse() @ expected).log(), 0.0, atol=1e-13)
 
 
-def test_the_smaller_field_is_the_first_part_of_the_larger(joints):
-    larger = DHErrors(six_axes())
+def test_a_joint_goes_its_ratio_times_its_reading_and_its_offset():
+    arm = ARMS[2]
+    offset, ratio = jnp.array([0.01, -0.02, 0.03]), jnp.array([0.1, -0.2, 0.05])
+    readings = jnp.array([[0.3, -0.4, 0.5], [-1.0, 0.2, 0.7]])
+    error = RobotError(JointRatios(arm), jnp.concatenate([offset, ratio]))
+    expected = arm.base_from_tool(readings * (1.0 + ratio)[None] + offset[None])
+    found = error.true_pose(arm.command(readings))
+    np.testing.assert_allclose((found.inverse() @ expected).log(), 0.0, atol=1e-13)
+
+
+def test_a_command_keeps_readings_within_their_limits(joints):
+    """What a joint goes may pass the limit that its reading keeps."""
+    reading = joints[0] * 0.9
+    arm = dataclasses.replace(six_axes(), limits=jnp.tile(jnp.array([-1.0, 1.0]), (6, 1)))
+    error = RobotError(JointRatios(arm), jnp.concatenate([jnp.zeros(6), jnp.full(6, 0.3)]))
+    assert np.abs(1.3 * reading).max() > 1.0
+    told = error.command(error.true_pose(arm.command(reading)), reading)
+    np.testing.assert_allclose(told.joints, reading, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", [JointRatios, DHErrors])
+def test_the_smaller_field_is_the_first_part_of_the_larger(joints, kind):
+    larger = kind(six_axes())
     smaller = larger.nested[0]
     assert isinstance(smaller, JointOffsets)
     assert larger.groups[: len(smaller.groups)] == smaller.groups
@@ -64,7 +93,7 @@ def test_the_smaller_field_is_the_first_part_of_the_larger(joints):
 @pytest.mark.parametrize("arm", ARMS, ids=["six", "seven", "sliding"])
 def test_no_errors_leave_the_pose_as_reported(arm):
     reported = arm.command(np.full((2, arm.size), 0.3))
-    for field in DHErrors(arm).nested:
+    for field in (*DHErrors(arm).nested, JointRatios(arm)):
         found = RobotError.none(field).true_pose(reported)
         np.testing.assert_array_equal(found.wxyz_xyz, reported.base_from_tool.wxyz_xyz)
 
@@ -138,7 +167,9 @@ def test_differentiable_through_the_inversion(error, joints):
 
     along = jnp.ones(error.field.size)
     _, moved = jax.jvp(told, (error.coefficients,), (along,))
-    by_joints = error.field.corrected(error.coefficients).jacobian(joints[0])
+    ratios = error.field.ratios(error.coefficients)
+    corrected = error.field.corrected(error.coefficients)
+    by_joints = corrected.jacobian(joints[0] * ratios) * ratios[None]
     one = type(command)(SE3(command.base_from_tool.wxyz_xyz[None]), command.joints[None])
     by_coefficients = error.by_coefficients(one)[0] @ along
     np.testing.assert_allclose(by_joints @ moved, -by_coefficients, atol=1e-6)
