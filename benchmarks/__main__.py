@@ -12,6 +12,7 @@ import sys
 BENCHMARKS = {
     "table1": "the paper's Table 1 on its simulated set-up, with the joint fit beside it",
     "real_sets": "the joint fit on the real data sets, against their reference figures",
+    "kinematics": "axes and gear ratios of a real positioner from measured poses",
     "held_out": "error on unseen views of the real data sets, beside OpenCV and vision-calibration",
     "consistency": "whether stated uncertainty is true: NEES and coverage over simulated runs",
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",

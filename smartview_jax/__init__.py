@@ -41,6 +41,7 @@ from .joint import Prior as Prior  # noqa: E402
 from .joint import calibrate as calibrate  # noqa: E402
 from .joint import fit_camera as fit_camera  # noqa: E402
 from .joint import fit_joint as fit_joint  # noqa: E402
+from .joint import fit_kinematics as fit_kinematics  # noqa: E402
 from .joint import fit_many as fit_many  # noqa: E402
 from .joint import view_influence as view_influence  # noqa: E402
 from .staged import StagedFit as StagedFit  # noqa: E402

@@ -16,6 +16,7 @@ from .matrix_rows import write_matrix_rows as write_matrix_rows
 from .opencv_camera import read_opencv_camera as read_opencv_camera
 from .pairs import import_pairs as import_pairs
 from .pictures import from_pictures as from_pictures
+from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .sample import sample_folder as sample_folder
 from .visp import import_visp as import_visp

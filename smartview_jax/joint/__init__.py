@@ -13,6 +13,8 @@ from .fit import JointFit as JointFit
 from .fit import fit_joint as fit_joint
 from .fit import view_influence as view_influence
 from .influence import Influence as Influence
+from .kinematics import KinematicFit as KinematicFit
+from .kinematics import fit_kinematics as fit_kinematics
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure
