@@ -19,6 +19,7 @@ from .pictures import from_pictures as from_pictures
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .sample import sample_folder as sample_folder
+from .urdf import load_urdf as load_urdf
 from .visp import import_visp as import_visp
 from .visp import read_visp_camera as read_visp_camera
 from .visp import read_visp_pose as read_visp_pose
