@@ -15,7 +15,7 @@ def joint(name, parent, child, kind="revolute", xyz="0 0 0", rpy="0 0 0", axis="
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
-        f"{LIMIT if kind in ('revolute', 'prismatic') else ''}{more}</joint>"
+        f"{LIMIT if kind != 'fixed' else ''}{more}</joint>"
     )
 
 
