@@ -20,7 +20,7 @@ from .noise import Noise
 from .parameters import CORRECTIONS, ROBOT_ERROR, Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
-from .scoring import Likeliest, likeliest
+from .scoring import Likeliest, doubt, likeliest
 from .solver import compiled, solve
 
 ROUNDS = 6
@@ -85,6 +85,10 @@ class NoiseEstimate(NamedTuple):
         start: the calibration that the estimate ended at.
         alternatives: every model of the robot's error that was tried.
         settled: whether the sizes stopped changing.
+        relative_std: of pixels, translations, rotations and groups of the field, as shares of their
+            sizes; of one that is next to nothing the data do not tell, and it is large.
+        parameter_names: of the fit's shared parameters.
+        doubt: what the sizes' own uncertainty adds to the covariance of these.
     """
 
     name: str
@@ -93,6 +97,14 @@ class NoiseEstimate(NamedTuple):
     start: Calibration
     alternatives: tuple[Alternative, ...]
     settled: bool
+    relative_std: tuple[float, ...]
+    parameter_names: tuple[str, ...]
+    doubt: Float[np.ndarray, "shared shared"]
+
+    def doubt_of(self, names: Sequence[str]) -> Float[np.ndarray, "names names"]:
+        """`doubt` of some of the parameters."""
+        chosen = [self.parameter_names.index(name) for name in names]
+        return self.doubt[np.ix_(chosen, chosen)]
 
 
 def estimate_noise(
@@ -145,14 +157,24 @@ def estimate_noise(
     gains = {name: float(robotless - one.deviance) for name, one in best.items()}
     name = _choice(gains, tried, len(placed)) if field is None else list(tried)[-1]
     say(f"errors of the robot: {name}")
-    z, sizes, settled = _settled(views, z, best[name].sizes, tried[name])
+    z, found, settled = _settled(views, z, best[name], tried[name])
     alternatives = tuple(
         Alternative(other, gains[other], _noise(one.sizes, white, tried[other]))
         for other, one in best.items()
     )
     calibration, _ = built.problem.calibration(z)
-    noise = _noise(sizes, white, tried[name])
-    return NoiseEstimate(name, noise, *_kept(calibration, name), alternatives, settled)
+    told, more = _doubt(views.linearised(z), found, jnp.asarray(tried[name]))
+    shares = np.asarray(told)[np.concatenate([[True] * 3, tried[name][2:]])]
+    return NoiseEstimate(
+        name,
+        _noise(found.sizes, white, tried[name]),
+        *_kept(calibration, name),
+        alternatives,
+        settled,
+        tuple(map(float, shares)),
+        built.names,
+        np.asarray(more),
+    )
 
 
 def _searched(
@@ -212,18 +234,18 @@ class _Statistics:
 
 
 def _settled(
-    views: _Statistics, z: Step, sizes: Sizes, active: Bool[np.ndarray, "robot"]
-) -> tuple[Step, Sizes, bool]:
+    views: _Statistics, z: Step, found: Likeliest, active: Bool[np.ndarray, "robot"]
+) -> tuple[Step, Likeliest, bool]:
     """Parameters and sizes that agree: those fitted with these, these likeliest there."""
     for _ in range(ROUNDS):
-        ahead = jax.tree.map(jnp.add, z, _best_step(views.linearised(z), sizes))
-        z = solve(_weighed(views.problem, sizes, views.groups), start=ahead)[0].z
-        before = sizes
-        sizes = _likeliest(views.linearised(z), sizes, jnp.asarray(active)).sizes
-        change = np.abs(np.log((sizes.numbers + NONE) / (before.numbers + NONE)))
+        ahead = jax.tree.map(jnp.add, z, _best_step(views.linearised(z), found.sizes))
+        weighed = _weighed(views.problem, found.sizes, views.groups)
+        z, before = solve(weighed, start=ahead)[0].z, found.sizes.numbers
+        found = _likeliest(views.linearised(z), found.sizes, jnp.asarray(active))
+        change = np.abs(np.log((found.sizes.numbers + NONE) / (before + NONE)))
         if (change < SETTLED).all():
-            return z, sizes, True
-    return z, sizes, False
+            return z, found, True
+    return z, found, False
 
 
 def _choice(
@@ -320,6 +342,7 @@ def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem
 
 
 _likeliest, _best_step = eqx.filter_jit(likeliest), eqx.filter_jit(best_step)
+_doubt = eqx.filter_jit(doubt)
 
 
 def _noise(sizes: Sizes, white: float, active: Bool[np.ndarray, "robot"]) -> Noise:

@@ -205,6 +205,9 @@ def _assemble(
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     columns = UnitColumns(np.asarray(parts.reduced), lengths)
     full, std = covariance(columns, factor)
+    if estimate is not None:
+        more = estimate.doubt_of(built.names)
+        full, std = full + more, np.sqrt(std**2 + np.diagonal(more))
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
 

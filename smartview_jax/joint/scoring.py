@@ -15,7 +15,17 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int
 
-from .likelihood import LEAST, Integral, LinearisedViews, Sizes, draws, integrate, members, slopes
+from .likelihood import (
+    LEAST,
+    Integral,
+    LinearisedViews,
+    Sizes,
+    best_step,
+    draws,
+    integrate,
+    members,
+    slopes,
+)
 
 WIDEST = 15.0
 """Logarithms of deviations are kept within this of where the search began."""
@@ -25,6 +35,9 @@ LONGEST = 3.0
 
 ENOUGH = 1e-4
 """Half the deviance that a further step promises, below which the search ends."""
+
+UNTOLD = 3.0
+"""Deviation of a size's logarithm where the views say nothing of it."""
 
 STEPS = 100
 """Of the search, at most."""
@@ -134,6 +147,27 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
     )
     best = search.best
     return Likeliest(best.sizes, best.deviance, best.information, search.steps)
+
+
+def doubt(
+    views: LinearisedViews, found: Likeliest, active: Bool[Array, "robot"]
+) -> tuple[Float[Array, "kinds"], Float[Array, "shared shared"]]:
+    """Deviations of the sizes' logarithms, and what they add to the parameters' covariance.
+
+    They move with the sizes, to first order; a size that is next to nothing moves nothing.
+
+    Reference: Kackar and Harville, Approximations for standard errors of estimators of fixed and
+    random effects in mixed linear models, 1984.
+    """
+
+    def fitted(logarithms: Float[Array, "kinds"]) -> Float[Array, "shared"]:
+        return best_step(views, Sizes.of(jnp.exp(logarithms))).shared
+
+    moves = jax.jacfwd(fitted)(jnp.log(found.sizes.numbers))
+    counted = jnp.concatenate([jnp.ones(1), active.astype(float)])
+    told = found.information * jnp.outer(counted, counted) + jnp.eye(len(counted)) / UNTOLD**2
+    spread = jnp.linalg.inv(told) * jnp.outer(counted, counted)
+    return jnp.sqrt(jnp.diagonal(spread)), moves @ spread @ moves.T
 
 
 class _Expansion(NamedTuple):

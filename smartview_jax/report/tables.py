@@ -157,6 +157,8 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         return []
     gains = ", ".join(f"{other.name} {other.gain:.0f}" for other in estimate.alternatives)
     white = "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
+    # Of a size that is next to nothing the share says nothing.
+    known = [f" +- {share:.0%}" if share < 1.0 else "" for share in estimate.relative_std]
     lines = [
         (
             "errors of the robot",
@@ -164,8 +166,9 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         ),
         (
             "sizes of errors",
-            f"pixels {noise.pixel:.3f} px{white}; poses, each by itself, "
-            f"{1e3 * noise.translation:.3f} mm and {np.rad2deg(noise.rotation):.4f} deg",
+            f"pixels {noise.pixel:.3f} px{known[0]}{white}; poses, each by itself, "
+            f"{1e3 * noise.translation:.3f} mm{known[1]} and "
+            f"{np.rad2deg(noise.rotation):.4f} deg{known[2]}",
         ),
     ]
     if joint.calibration.robot_error is not None:

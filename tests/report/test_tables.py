@@ -68,15 +68,17 @@ def test_the_errors_found_are_in_the_units_people_use():
     field = LinearInPosition.over(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
-    estimate = NoiseEstimate("position", noise, field, bent, tried, settled=False)
+    estimate = NoiseEstimate(
+        "position", noise, field, bent, tried, False, (0.1, 0.2, 3.0), (), np.zeros((0, 0))
+    )
     trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
     assert errors_found(trusting, scene.data) == []
     joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
     lines = errors_found(joint, scene.data)
     assert lines[0][1].startswith("position; ")
     assert lines[0][1].endswith("trusted 0, position 31")
-    assert "0.400 px (within a view 0.100)" in lines[1][1]
-    assert "0.100 mm and 0.0200 deg" in lines[1][1]
+    assert "0.400 px +- 10% (within a view 0.100)" in lines[1][1]
+    assert "0.100 mm +- 20% and 0.0200 deg" in lines[1][1]
     # The scene was made without any error: taking the field away leaves nothing.
     assert lines[2][0] == "without the correction"
     assert "0.00 px RMS" in lines[2][1]
