@@ -23,6 +23,7 @@ from . import io as io  # noqa: E402
 from . import robots as robots  # noqa: E402
 from . import simulation as simulation  # noqa: E402
 from . import targets as targets  # noqa: E402
+from . import viewpoints as viewpoints  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402
 from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
@@ -31,6 +32,8 @@ from .evaluation import cramer_rao as cramer_rao  # noqa: E402
 from .evaluation import error_budget as error_budget  # noqa: E402
 from .evaluation import held_out as held_out  # noqa: E402
 from .evaluation import std_of as std_of  # noqa: E402
+from .geometry import five_viewpoints as five_viewpoints  # noqa: E402
+from .geometry import look_at as look_at  # noqa: E402
 from .geometry import se3_from_xyzoat as se3_from_xyzoat  # noqa: E402
 from .geometry import xyzoat as xyzoat  # noqa: E402
 from .io import load_dataset as load_dataset  # noqa: E402
@@ -46,6 +49,7 @@ from .joint import fit_many as fit_many  # noqa: E402
 from .joint import view_influence as view_influence  # noqa: E402
 from .staged import StagedFit as StagedFit  # noqa: E402
 from .staged import fit_staged as fit_staged  # noqa: E402
+from .viewpoints import viewpoint_commands as viewpoint_commands  # noqa: E402
 
 try:
     __version__ = _version("smartview-jax")

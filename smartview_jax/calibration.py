@@ -30,6 +30,7 @@ from .geometry import (
 )
 from .robots import (
     AbstractField,
+    Command,
     CommandLike,
     JointsLike,
     RobotError,
@@ -201,10 +202,19 @@ class Calibration(eqx.Module):
         Raises:
             ValueError: the errors of an arm were fitted, and `near` is not given.
         """
+        return self.reported_for(camera_from_world, corrected, near).base_from_tool
+
+    def reported_for(
+        self,
+        camera_from_world: PoseLike,
+        corrected: bool = True,
+        near: JointsLike | None = None,
+    ) -> Command:
+        """As `command_for`, with the joints where an arm's own errors were fitted."""
         true_pose = self._pose_for(camera_from_world)
         if self.robot_error is None or not corrected:
-            return true_pose
-        return self.robot_error.command(true_pose, near).base_from_tool
+            return Command(true_pose)
+        return self.robot_error.command(true_pose, near)
 
     def joints_for(
         self,
@@ -212,10 +222,7 @@ class Calibration(eqx.Module):
         near: JointsLike,
     ) -> Float[Array, "*views joints"]:
         """As `command_for`, in joint angles, where an arm's own errors were fitted."""
-        error = self.robot_error
-        joints = None
-        if error is not None:
-            joints = error.command(self._pose_for(camera_from_world), near).joints
+        joints = self.reported_for(camera_from_world, near=near).joints
         if joints is None:
             raise ValueError("this calibration knows no arm; robots.joints_near finds joint angles")
         return joints

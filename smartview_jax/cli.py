@@ -189,6 +189,64 @@ def export(
         typer.echo(text, nl=False)
 
 
+@app.command()
+def viewpoint(
+    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    at: Annotated[
+        tuple[float, float, float], typer.Option(help="Point to look at, in the world's frame, m.")
+    ] = (0.0, 0.0, 0.0),
+    distance: Annotated[float, typer.Option(help="From the camera to the point, m.")] = 0.2,
+    tilt: Annotated[float, typer.Option(help="From straight above, degrees.")] = 0.0,
+    azimuth: Annotated[
+        float, typer.Option(help="Where the camera stands, about z from x, degrees.")
+    ] = 0.0,
+    roll: Annotated[float, typer.Option(help="About the optical axis, degrees.")] = 0.0,
+    five: Annotated[
+        bool, typer.Option("--five", help="The paper's five viewpoints; tilt is their step.")
+    ] = False,
+    below: Annotated[
+        bool, typer.Option("--below", help="The world's z points away from the camera.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
+    ] = None,
+    debug: DebugOption = False,
+) -> None:
+    """Print what to tell the robot so that the camera looks at a point, and write it for it."""
+    with _errors(debug):
+        import numpy as np
+
+        from .calibration import Calibration
+        from .io import write_viewpoints
+        from .viewpoints import (
+            FIVE_STEP,
+            direction_of,
+            five_viewpoints,
+            look_at,
+            viewpoint_commands,
+        )
+
+        known = Calibration.load(calibration)
+        if not distance > 0.0:
+            raise ValueError(f"--distance is in metres and positive; found {distance}")
+        lean, around, turn = np.deg2rad([tilt, azimuth, roll])
+        place, directions = np.array(at), direction_of(lean, np.array([around]), not below)
+        if five:
+            step = float(lean) or FIVE_STEP
+            wanted = five_viewpoints(place, distance, float(turn), step, not below)
+        else:
+            wanted = look_at(place, directions, distance, float(turn))
+        commands = viewpoint_commands(known, wanted, place[None])
+        table = Table("view", "x mm", "y mm", "z mm", "O deg", "A deg", "T deg", "", box=box.SIMPLE)
+        rows = np.asarray(commands.xyzoat) * np.repeat([1e3, 180.0 / np.pi], 3)
+        for k, (row, reason) in enumerate(zip(rows, commands.checks.reasons(), strict=True)):
+            table.add_row(f"v{1 + k}", *(f"{value:.3f}" for value in row), reason)
+        Console().print(table)
+        if out is not None:
+            write_viewpoints(out, commands.base_from_tool)
+            typer.echo(out)
+
+
 def _load(
     dataset: Path | None, bad_views: str, say: Callable[[str], None]
 ) -> "tuple[Dataset, str]":

@@ -153,3 +153,30 @@ def test_what_is_compiled_is_kept_where_the_user_says(tmp_path, monkeypatch):
 
 def test_version():
     assert "smartview_jax" in RUNNER.invoke(app, ["--version"]).output
+
+
+def test_a_viewpoint_is_printed_and_written(tmp_path):
+    from smartview_jax.io import read_viewpoints
+    from smartview_jax.simulation import paper_calibration
+    from smartview_jax.viewpoints import five_viewpoints, look_at
+
+    paper_calibration().save(tmp_path / "calibration.yaml")
+    given = ["viewpoint", str(tmp_path / "calibration.yaml"), "--at", "0.018", "0.015", "0.01"]
+    out = tmp_path / "v.json"
+    run = RUNNER.invoke(app, [*given, "--roll", "30", "--out", str(out)])
+    assert run.exit_code == 0, run.output
+    point = np.array([0.018, 0.015, 0.01])
+    wanted = look_at(point, np.array([[0.0, 0.0, -1.0]]), 0.2, np.deg2rad(30.0))
+    expected = paper_calibration().command_for(wanted)
+    found = read_viewpoints(out).base_from_tool
+    np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-9)
+    assert f"{1e3 * float(expected.translation()[0, 2]):.3f}" in run.stdout
+
+    run = RUNNER.invoke(app, [*given, "--five", "--below", "--out", str(tmp_path / "v.csv")])
+    assert run.exit_code == 0, run.output
+    expected = paper_calibration().command_for(five_viewpoints(point, 0.2, above=False))
+    found = read_viewpoints(tmp_path / "v.csv").base_from_tool
+    np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-9)
+    run = RUNNER.invoke(app, [*given, "--distance", "-1"])
+    assert run.exit_code == 2
+    assert "--distance" in run.stderr

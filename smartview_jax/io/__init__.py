@@ -20,6 +20,10 @@ from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_ki
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .sample import sample_folder as sample_folder
 from .urdf import load_urdf as load_urdf
+from .viewpoints import Viewpoints as Viewpoints
+from .viewpoints import read_viewpoints as read_viewpoints
+from .viewpoints import val_program as val_program
+from .viewpoints import write_viewpoints as write_viewpoints
 from .visp import import_visp as import_visp
 from .visp import read_visp_camera as read_visp_camera
 from .visp import read_visp_pose as read_visp_pose

@@ -9,6 +9,7 @@ import abc
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
@@ -72,6 +73,13 @@ class AbstractField(eqx.Module):
             return reported @ (arrived.inverse() @ true), None
 
         return Command(jax.lax.scan(closer, true, length=INVERSION_STEPS)[0])
+
+    def extent(self, reported: Command) -> Float[Array, "*views"]:
+        """How far out poses are: 1 at about the edge of those that the field was made for.
+
+        Zero for a field that does not know where it ends.
+        """
+        return jnp.zeros(reported.base_from_tool.get_batch_axes())
 
     @property
     def nested(self) -> "tuple[AbstractField, ...]":

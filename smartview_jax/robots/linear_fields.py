@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from .command import Command
 from .field import AbstractField, AbstractLinearField
 
 SPREAD = 1.7
@@ -30,6 +31,9 @@ class LinearInPosition(AbstractLinearField):
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (("translation_by_position", 9), ("rotation_by_position", 9))
+
+    def extent(self, reported: Command) -> Float[Array, "*views"]:
+        return _extent(self.centre, self.reach, reported)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 18"]:
         offset = _beyond(self.centre, base_from_tool.translation()) / self.reach
@@ -65,6 +69,9 @@ class LinearInPose(AbstractLinearField):
             ("rotation_by_orientation", 18),
         )
 
+    def extent(self, reported: Command) -> Float[Array, "*views"]:
+        return _extent(self.centre, self.reach, reported)
+
     @property
     def nested(self) -> tuple[AbstractField, ...]:
         return (LinearInPosition(self.centre, self.reach), self)
@@ -80,6 +87,14 @@ def _reach(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
     variance = jnp.sum(jnp.var(positions, axis=0)) / 3.0
     # A robot that only turned has no spread to scale by; a field in position is then zero anyway.
     return SPREAD * jnp.sqrt(jnp.where(variance > 0.0, variance, 1.0))
+
+
+def _extent(
+    centre: Float[Array, "3"], reach: Float[Array, ""], reported: Command
+) -> Float[Array, "*views"]:
+    """Evenly spread positions end at a reach of 1.7 standard deviations."""
+    offset = _beyond(centre, reported.base_from_tool.translation())
+    return jnp.max(jnp.abs(offset), axis=-1) / reach
 
 
 def _beyond(

@@ -13,6 +13,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from .command import Command
 from .field import AbstractLinearField
 from .linear_fields import LinearInPose
 
@@ -41,6 +42,9 @@ class PoseOrStretch(AbstractLinearField):
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (*self.pose.groups, (self.STRETCH, 1), (self.SCALE, 1))
+
+    def extent(self, reported: Command) -> Float[Array, "*views"]:
+        return self.pose.extent(reported)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 56"]:
         position = base_from_tool.translation()

@@ -9,10 +9,8 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
-from ..geometry import PoseLike, as_se3
-
-PAPER_VIEWPOINT_TILT = np.deg2rad(9.5)
-"""Angle between neighbouring viewpoints, seen from the object (the paper's Section 5)."""
+from ..geometry import PoseLike, as_se3, direction_of, five_viewpoints
+from ..geometry import look_at as look_along
 
 
 class Scene(eqx.Module):
@@ -96,22 +94,12 @@ def look_at(
         distance: from the camera to it, m.
         tilt: angle between the viewing direction and the world's z axis, rad.
         azimuth: direction of the tilt about the world's z axis, from x, rad.
-        roll: rotation about the optical axis, rad.
+        roll: rotation about the optical axis, rad; zero as in `geometry.look_at`.
 
     Returns:
         Transforms with the broadcast shape of the four numbers.
     """
-    numbers = np.broadcast_arrays(distance, tilt, azimuth, roll)
-    away, lean, around, turn = (jnp.asarray(number, dtype=float) for number in numbers)
-    # Seen from straight above, the picture's x is the world's x and its y the world's -y.
-    downward = SO3.from_x_radians(jnp.full(lean.shape, jnp.pi))
-    tilted = SO3.from_z_radians(around) @ SO3.from_y_radians(lean) @ SO3.from_z_radians(-around)
-    camera_rotation = SO3.from_z_radians(-turn) @ downward @ tilted.inverse()
-    offset = jnp.stack([jnp.zeros_like(away), jnp.zeros_like(away), away], axis=-1)
-    centre = jnp.broadcast_to(jnp.asarray(target, dtype=float), offset.shape)
-    return SE3.from_rotation_and_translation(
-        camera_rotation, offset - camera_rotation.apply(centre)
-    )
+    return look_along(np.asarray(target), direction_of(tilt, azimuth), distance, roll)
 
 
 def views_around(
@@ -160,9 +148,7 @@ def paper_viewpoints(rng: np.random.Generator, roll: float = 0.6) -> SE3:
     is poorly determined.
     """
     centre = np.array([0.018, 0.015, 0.01])
-    tilt = PAPER_VIEWPOINT_TILT * np.array([0.0, 1.0, 2.0, 1.0, 2.0])
-    azimuth = np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.5 * np.pi])
-    return look_at(centre, 0.2, tilt, azimuth, rng.uniform(-roll, roll, 5))
+    return five_viewpoints(centre, 0.2, rng.uniform(-roll, roll, 5))
 
 
 def paper_scene(

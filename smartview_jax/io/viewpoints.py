@@ -1,0 +1,202 @@
+"""Viewpoints for the robot's controller: VAL II programs, and CSV and JSON, also read back.
+
+VAL has mm and degrees, CSV names its units in the header, JSON in an entry of its own. What no
+robot can do is refused when it is written, not when it moves.
+"""
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
+
+from ..files import read_yaml, write_atomically
+from ..geometry import pose_codec
+from .tables import duplicates, numbers, read_table, write_table
+
+FORMAT_VERSION = 1
+
+FARTHEST = 10.0
+"""Of a coordinate, m: no arm is longer; what is, is in another unit."""
+
+_POSE = pose_codec("val_oat")
+_COLUMNS = ("x_mm", "y_mm", "z_mm", "o_deg", "a_deg", "t_deg")
+_UNITS = {"length": "mm", "angle": "deg", "joint_that_turns": "rad", "joint_that_slides": "m"}
+_VAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,14}")
+
+
+class Viewpoints(NamedTuple):
+    """Commands as a file has them.
+
+    Attributes:
+        base_from_tool: `(views)`.
+        names: one a view.
+        joints: rad, m for a joint that slides; None where the file has none.
+    """
+
+    base_from_tool: SE3
+    names: tuple[str, ...]
+    joints: Float[np.ndarray, "views joints"] | None = None
+
+
+def write_viewpoints(
+    path: str | Path,
+    base_from_tool: SE3,
+    names: Sequence[str] | None = None,
+    joints: np.ndarray | None = None,
+) -> None:
+    """Write commands in the format that the file's ending names, whole or not at all.
+
+    Args:
+        path: ends in `.val` (or `.v2`), `.csv` or `.json`.
+        base_from_tool: `(views)`.
+        names: one a view; by default v1, v2, ...
+        joints: `(views, joints)` rad, m for a joint that slides; VAL's `TRANS` has none.
+
+    Raises:
+        ValueError: an unknown ending, or a command that no robot can do; it names view and value.
+    """
+    path = Path(path)
+    if path.suffix not in (".val", ".v2", ".csv", ".json"):
+        raise ValueError(f"{path}: expected a file ending in .val, .v2, .csv or .json")
+    if path.suffix == ".csv":
+        views = _checked(base_from_tool, names, joints)
+        readings = np.zeros((len(views.names), 0)) if views.joints is None else views.joints
+        header = ["view", *_COLUMNS, *(f"joint_{1 + k}" for k in range(readings.shape[1]))]
+        rows = np.concatenate([_rows(views), readings], axis=1).tolist()
+        write_table(path, header, [[n, *row] for n, row in zip(views.names, rows, strict=True)])
+    elif path.suffix == ".json":
+        write_atomically(path, _as_json(_checked(base_from_tool, names, joints)))
+    else:
+        write_atomically(path, val_program(base_from_tool, names))
+
+
+def read_viewpoints(path: str | Path) -> Viewpoints:
+    """What `write_viewpoints` wrote as CSV or JSON.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: another format, or a value that is wrong; file and view are named.
+    """
+    path = Path(path)
+    if path.suffix == ".csv":
+        return _from_csv(path)
+    if path.suffix == ".json":
+        return _from_json(path)
+    raise ValueError(f"{path}: expected a file ending in .csv or .json")
+
+
+def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
+    """Lines of a VAL II program that moves to one viewpoint after the other; mm and degrees.
+
+    Raises:
+        ValueError: as `write_viewpoints`; also a name that VAL does not take.
+    """
+    views = _checked(base_from_tool, names, None)
+    lines = []
+    for name, row in zip(views.names, _rows(views), strict=True):
+        if not _VAL_NAME.fullmatch(name):
+            raise ValueError(
+                f"view {name!r}: VAL names a location by a letter and up to 14 letters, digits, "
+                "points or underscores"
+            )
+        # A tenth of a micrometre, and as little of a turn: beyond what a controller resolves.
+        written = ", ".join(f"{value + 0.0:.4f}" for value in np.round(row, 4))
+        lines += [f"SET {name} = TRANS({written})", f"MOVE {name}"]
+    return "\n".join(lines) + "\n"
+
+
+def _checked(
+    base_from_tool: SE3, names: Sequence[str] | None, joints: np.ndarray | None
+) -> Viewpoints:
+    poses = np.asarray(base_from_tool.wxyz_xyz)
+    if poses.ndim != 2:
+        raise ValueError(f"viewpoints: expected one pose a view, found shape {poses.shape[:-1]}")
+    known = tuple(names) if names is not None else tuple(f"v{1 + k}" for k in range(len(poses)))
+    if len(known) != len(poses):
+        raise ValueError(f"viewpoints: {len(poses)} poses, but {len(known)} names")
+    twice = duplicates(known)
+    if twice:
+        raise ValueError(f"view {', '.join(twice)}: named more than once")
+    for name, pose in zip(known, poses, strict=True):
+        for what, value in zip(("qw", "qx", "qy", "qz", "x", "y", "z"), pose, strict=True):
+            if not np.isfinite(value):
+                raise ValueError(f"view {name}: {what} is {value}")
+            if abs(value) > FARTHEST:
+                raise ValueError(
+                    f"view {name}: {what} is {value:.6g} m, more than {FARTHEST:.0f} m from the "
+                    "base: millimetres given as metres?"
+                )
+    if joints is None:
+        return Viewpoints(base_from_tool, known)
+    readings = np.asarray(joints, dtype=float)
+    if readings.ndim != 2 or len(readings) != len(known):
+        raise ValueError(
+            f"joints: expected a row for each of {len(known)} views, found shape {readings.shape}"
+        )
+    for name, row in zip(known, readings, strict=True):
+        if not np.isfinite(row).all():
+            k = int(np.flatnonzero(~np.isfinite(row))[0])
+            raise ValueError(f"view {name}: joint {1 + k} is {row[k]}")
+    return Viewpoints(base_from_tool, known, readings)
+
+
+def _rows(views: Viewpoints) -> Float[np.ndarray, "views 6"]:
+    """x, y, z in mm, O, A, T in degrees."""
+    return np.array(_POSE.encode(views.base_from_tool, "mm", "deg"))
+
+
+def _as_json(views: Viewpoints) -> str:
+    entries = [
+        {"name": name, "xyzoat": row, **({} if joints is None else {"joints": joints})}
+        for name, row, joints in zip(
+            views.names,
+            _rows(views).tolist(),
+            [None] * len(views.names) if views.joints is None else views.joints.tolist(),
+            strict=True,
+        )
+    ]
+    content = {"smartview_viewpoints": FORMAT_VERSION, "units": _UNITS, "viewpoints": entries}
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _from_csv(path: Path) -> Viewpoints:
+    rows = read_table(path, ("view", *_COLUMNS))
+    names = [row["view"] for row in rows]
+    poses = np.array([numbers(path, row, _COLUMNS, row["view"]) for row in rows]).reshape(-1, 6)
+    columns = [name for name in (rows[0] if rows else ()) if name.startswith("joint_")]
+    joints = np.array([numbers(path, row, columns, row["view"]) for row in rows])
+    return _read(path, poses, names, joints if columns else None)
+
+
+def _from_json(path: Path) -> Viewpoints:
+    content = read_yaml(path)
+    version, units = content.get("smartview_viewpoints"), content.get("units")
+    if version != FORMAT_VERSION:
+        raise ValueError(
+            f"{path}: smartview_viewpoints: expected {FORMAT_VERSION}, found {version!r}"
+        )
+    if units != _UNITS:
+        raise ValueError(f"{path}: units: expected {_UNITS}, found {units}")
+    try:
+        entries = content["viewpoints"]
+        names = [str(entry["name"]) for entry in entries]
+        poses = np.array([entry["xyzoat"] for entry in entries], dtype=float).reshape(-1, 6)
+        joints = [entry["joints"] for entry in entries if "joints" in entry]
+    except KeyError as error:
+        raise ValueError(f"{path}: entry {error.args[0]!r} is missing") from error
+    return _read(path, poses, names, np.array(joints, dtype=float) if joints else None)
+
+
+def _read(
+    path: Path, rows: np.ndarray, names: Sequence[str], joints: np.ndarray | None
+) -> Viewpoints:
+    try:
+        poses = _POSE.decode(rows, "mm", "deg", labels=names)
+        return _checked(poses, names, joints)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

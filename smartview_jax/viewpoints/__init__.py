@@ -1,0 +1,14 @@
+"""Viewpoints: where the camera is wanted, what to tell the robot, and which views to take next."""
+
+from ..geometry import FIVE_STEP as FIVE_STEP
+from ..geometry import direction_of as direction_of
+from ..geometry import five_viewpoints as five_viewpoints
+from ..geometry import look_at as look_at
+from .checks import REASONS as REASONS
+from .checks import Checks as Checks
+from .checks import Limits as Limits
+from .checks import Table as Table
+from .commands import ViewCalibration as ViewCalibration
+from .commands import ViewpointCommands as ViewpointCommands
+from .commands import predict as predict
+from .commands import viewpoint_commands as viewpoint_commands

@@ -1,0 +1,99 @@
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import se3_from_xyzoat
+from smartview_jax.io import read_viewpoints, val_program, write_viewpoints
+from smartview_jax.simulation import paper_calibration
+from smartview_jax.viewpoints import five_viewpoints
+
+POSES = paper_calibration().command_for(
+    five_viewpoints(np.zeros(3), 0.2, roll=np.linspace(-1.0, 2.0, 5))
+)
+JOINTS = np.random.default_rng(0).normal(size=(5, 6))
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+@pytest.mark.parametrize("joints", [None, JOINTS])
+def test_files_are_read_back_as_they_were_written(tmp_path, ending, joints):
+    path = tmp_path / f"views.{ending}"
+    names = ("above", "x1", "x2", "y1", "y2")
+    write_viewpoints(path, POSES, names, joints)
+    found = read_viewpoints(path)
+    assert found.names == names
+    np.testing.assert_allclose(
+        found.base_from_tool.as_matrix(), POSES.as_matrix(), atol=1e-12, rtol=0.0
+    )
+    if joints is None:
+        assert found.joints is None
+    else:
+        np.testing.assert_array_equal(found.joints, joints)
+
+
+def test_units_and_version_stand_in_the_files(tmp_path):
+    write_viewpoints(tmp_path / "v.csv", POSES)
+    header, first = (tmp_path / "v.csv").read_text().splitlines()[:2]
+    assert header == "view,x_mm,y_mm,z_mm,o_deg,a_deg,t_deg"
+    assert float(first.split(",")[1]) == pytest.approx(1e3 * float(POSES.translation()[0, 0]))
+    write_viewpoints(tmp_path / "v.json", POSES)
+    content = json.loads((tmp_path / "v.json").read_text())
+    assert content["smartview_viewpoints"] == 1
+    assert content["units"]["length"] == "mm"
+    content["smartview_viewpoints"] = 7
+    (tmp_path / "v.json").write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="expected 1, found 7"):
+        read_viewpoints(tmp_path / "v.json")
+
+
+def test_a_val_program_moves_to_the_poses(tmp_path):
+    write_viewpoints(tmp_path / "v.val", POSES)
+    text = (tmp_path / "v.val").read_text()
+    assert text == val_program(POSES)
+    lines = text.splitlines()
+    assert lines[1::2] == [f"MOVE v{k}" for k in range(1, 6)]
+    for k, line in enumerate(lines[0::2]):
+        assert line.startswith(f"SET v{1 + k} = TRANS(")
+        numbers = np.array(line[line.index("(") + 1 : -1].split(","), dtype=float)
+        numbers *= np.repeat([1e-3, np.pi / 180.0], 3)
+        pose = se3_from_xyzoat(jnp.asarray(numbers))
+        off = (pose.inverse() @ SE3(POSES.wxyz_xyz[k])).log()
+        assert float(jnp.abs(off).max()) < 2e-6
+
+
+def test_what_no_robot_can_do_is_refused_and_nothing_written(tmp_path):
+    def moved(view, column, value):
+        return SE3(POSES.wxyz_xyz.at[view, column].set(value))
+
+    path = tmp_path / "v.csv"
+    with pytest.raises(ValueError, match="view v3: y is nan"):
+        write_viewpoints(path, moved(2, 5, jnp.nan))
+    with pytest.raises(ValueError, match=r"view v1: x is 451 m.*millimetres given as metres"):
+        write_viewpoints(path, moved(0, 4, 451.0))
+    bad = JOINTS.copy()
+    bad[4, 1] = np.inf
+    with pytest.raises(ValueError, match="view v5: joint 2 is inf"):
+        write_viewpoints(path, POSES, joints=bad)
+    with pytest.raises(ValueError, match="5 poses, but 2 names"):
+        write_viewpoints(path, POSES, ("a", "b"))
+    with pytest.raises(ValueError, match="view a: named more than once"):
+        write_viewpoints(path, POSES, ("a", "a", "b", "c", "d"))
+    with pytest.raises(ValueError, match="VAL names a location"):
+        write_viewpoints(tmp_path / "v.val", POSES, ("1st", "b", "c", "d", "e"))
+    with pytest.raises(ValueError, match="ending in"):
+        write_viewpoints(tmp_path / "v.txt", POSES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_read_is_named(tmp_path):
+    path = tmp_path / "v.csv"
+    write_viewpoints(path, POSES)
+    text = path.read_text().splitlines()
+    text[2] = ",".join([*text[2].split(",")[:-1], "nan"])
+    path.write_text("\n".join(text))
+    with pytest.raises(ValueError, match=r"v\.csv: .*row v2 contains NaN"):
+        read_viewpoints(path)
+    with pytest.raises(ValueError, match="ending in"):
+        read_viewpoints(tmp_path / "v.val")
