@@ -20,6 +20,7 @@ BENCHMARKS = {
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, pyceres and scipy: time, memory, cost",
     "growth": "time and memory of the joint fit by points, views and devices",
+    "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "stages": "every stage timed beside OpenCV, in one run",
 }
 

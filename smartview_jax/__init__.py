@@ -49,6 +49,7 @@ from .joint import fit_many as fit_many  # noqa: E402
 from .joint import view_influence as view_influence  # noqa: E402
 from .staged import StagedFit as StagedFit  # noqa: E402
 from .staged import fit_staged as fit_staged  # noqa: E402
+from .viewpoints import choose_views as choose_views  # noqa: E402
 from .viewpoints import viewpoint_commands as viewpoint_commands  # noqa: E402
 
 try:

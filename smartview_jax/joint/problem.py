@@ -184,6 +184,29 @@ class JointProblem(eqx.Module):
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
         return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
 
+    def information_by_view(self, z: Step) -> Float[Array, "views free free"]:
+        """What every view tells of the shared parameters, its own correction integrated out.
+
+        They add up to the normal equations with the views' own numbers eliminated, but for the
+        priors of the shared parameters.
+        """
+        chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
+        views, shared, n = (
+            self._linearised(chain),
+            self._by_shared(chain),
+            self.parameters.camera_size,
+        )
+        told = jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
+        if not len(self.own_free):
+            return told
+        own = chain.by_own * jnp.where(self.own_free, 1.0, 0.0)[:, None, :]
+        own_transposed = jnp.swapaxes(own, 1, 2)
+        border = own_transposed @ (views.gram[:, n:] @ shared)
+        weight = jnp.where(self.own_free, self.prior_weight.corrections**2, 1.0)
+        corner = own_transposed @ views.gram[:, n:, n:] @ own
+        corner = corner + jnp.eye(6)[None] * weight[:, None]
+        return told - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(corner, border)
+
     def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
         chosen, gradient, matrix = self._chosen, observed.gradient, observed.matrix
         residual, own_residual = self._prior_residuals(step)

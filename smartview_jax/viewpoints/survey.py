@@ -1,0 +1,165 @@
+"""What views will tell of a calibration, before a picture is taken.
+
+Pixels depend on a view's pose and on what all views share; errors of the reported pose belong to
+that view alone. With those integrated out, every view tells of the shared parameters by a matrix of
+its own (Fisher information), and the matrices of independent views add up. So candidates are
+linearised once, and what any set of them would tell is a sum. The inverse of that sum is the
+Cramer-Rao bound, as `cramer_rao` has it.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Float
+
+from ..calibration import Calibration
+from ..dataset import Dataset, Observations
+from ..geometry import look_at, transform_points
+from ..joint import JointProblem, Noise, Prior, build_problem
+from ..joint.parameters import Step
+from ..robots import AbstractField
+from .checks import border_distance
+
+
+class Survey(eqx.Module):
+    """A calibration, a target and the sizes of all errors: what any view of it would tell.
+
+    Attributes:
+        problem: its shared parameters, priors and sizes; its observations are not used.
+        points: of the target, m.
+        prior: information that is there without any view.
+        names: of the free parameters, in the order of all matrices here.
+    """
+
+    problem: JointProblem
+    points: Float[Array, "points 3"]
+    prior: Float[Array, "free free"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        calibration: Calibration,
+        points: Float[Array, "points 3"] | np.ndarray,
+        noise: Noise | float,
+        field: AbstractField | None = None,
+        fixed: Sequence[str] = (),
+        free: Sequence[str] = (),
+        priors: Mapping[str, Prior] | None = None,
+        past: Dataset | None = None,
+    ) -> "Survey":
+        """Made from the same words as a fit, or a bound; errors as there.
+
+        Args:
+            calibration: the truth, as far as it is known: nominal numbers will do for a start.
+            points: of the target, m.
+            noise: sizes of all errors; a number is that of pixels, with a robot that is exact.
+            field: of the robot's error, with one deviation for each of its groups in the noise.
+            fixed: paths that are known; and so are `free` and `priors`.
+            free: see there.
+            priors: see there; all that is known where no view has been taken.
+            past: views that have been taken.
+        """
+        target = jnp.asarray(points, dtype=float)
+        # Three views stand in for any: what is taken of the problem does not depend on them.
+        size, middle = jnp.max(jnp.ptp(target, axis=0)), jnp.mean(target, axis=0)
+        facing = look_at(middle, jnp.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)
+        data = Dataset.from_arrays(
+            target,
+            np.zeros((3, len(target), 2)),
+            calibration.command_for(facing),
+            calibration.camera.image_size,
+            mount=calibration.mount,
+        )
+        robot = noise if isinstance(noise, Noise) else "trusted"
+        built = build_problem(
+            data, calibration, noise=robot, field=field, fixed=fixed, free=free, priors=priors
+        )
+        problem = built.problem
+        if not isinstance(noise, Noise):
+            sigma = jnp.asarray(float(noise))
+            problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
+        weight = problem.prior_weight.shared[np.array(problem.free, dtype=int)]
+        survey = cls(problem, target, jnp.diag(weight**2), built.names)
+        if past is None:
+            return survey
+        told = jnp.sum(survey.information_of(past), axis=0)
+        return eqx.tree_at(lambda s: s.prior, survey, survey.prior + told)
+
+    @property
+    def calibration(self) -> Calibration:
+        return self.problem.parameters.start
+
+    @eqx.filter_jit
+    def information(self, camera_from_world: SE3) -> Float[Array, "views free free"]:
+        """Of every view `(views)`, taken from where the robot is told to go for it."""
+        return self._with(self.observed(camera_from_world)).information_by_view(
+            self._start(len(camera_from_world.wxyz_xyz))
+        )
+
+    @eqx.filter_jit
+    def information_of(self, data: Dataset) -> Float[Array, "views free free"]:
+        """Of every view of a data set."""
+        problem = self._with(data.observations)
+        return problem.information_by_view(self._start(len(data.visible)))
+
+    @eqx.filter_jit
+    def moved_pixels(self, camera_from_world: SE3) -> Float[Array, "free free"]:
+        """Mean squared pixels, u and v together, that parameters move in views `(views)`.
+
+        `step @ moved_pixels @ step` is the mean over all points in the pictures, to first order.
+        """
+        seen = self.observed(camera_from_world)
+        problem = eqx.tree_at(lambda p: p.pixel_sigma, self._with(seen), jnp.ones(()))
+        _, told = problem.observed_by_view(self._start(len(seen.visible)))
+        return jnp.sum(told, axis=0) / jnp.maximum(jnp.sum(seen.visible.astype(float)), 1.0)
+
+    def observed(self, camera_from_world: SE3) -> Observations:
+        """What would be seen: the points in the picture; their pixels do not matter."""
+        command = self.calibration.reported_for(camera_from_world)
+        views, count = len(camera_from_world.wxyz_xyz), len(self.points)
+        return Observations(
+            jnp.broadcast_to(self.points[None], (views, count, 3)),
+            jnp.zeros((views, count, 2)),
+            self.border_distance(camera_from_world) >= 0.0,
+            command.base_from_tool,
+            command.joints,
+        )
+
+    def border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
+        """Of every point from the picture's border, px; see there."""
+        points = self.calibration.target_scale * self.points
+        return border_distance(self.calibration, transform_points(camera_from_world, points))
+
+    def _with(self, observations: Observations) -> JointProblem:
+        """The problem with other views; each with a correction of its own, where any has one."""
+        views = len(observations.visible)
+
+        def alike(of_views: Array) -> Array:
+            return jnp.broadcast_to(of_views[:1], (views, 6)) if len(of_views) else of_views
+
+        problem = self.problem
+        return eqx.tree_at(
+            lambda p: (
+                p.observations,
+                p.own_free,
+                p.prior_mean.corrections,
+                p.prior_weight.corrections,
+                p.scale.corrections,
+            ),
+            problem,
+            (
+                observations,
+                alike(problem.own_free),
+                alike(problem.prior_mean.corrections),
+                alike(problem.prior_weight.corrections),
+                alike(problem.scale.corrections),
+            ),
+        )
+
+    def _start(self, views: int) -> Step:
+        corrected = views if len(self.problem.own_free) else 0
+        return Step(jnp.zeros(len(self.names)), jnp.zeros((corrected, 6)))

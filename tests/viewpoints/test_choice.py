@@ -1,0 +1,202 @@
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Noise, Prior, cramer_rao, std_of
+from smartview_jax.simulation import paper_calibration, paper_points, simulate, views_around
+from smartview_jax.viewpoints import (
+    Survey,
+    ViewRange,
+    choose_views,
+    curve,
+    everything,
+    hand_eye,
+    held_out,
+    views_needed,
+)
+from smartview_jax.viewpoints.choice import shown
+from smartview_jax.viewpoints.selection import exchanged, greedy
+
+TRUTH = paper_calibration()
+POINTS = paper_points((0.0, 0.02))[::6]
+CENTRE = POINTS.mean(axis=0)
+NOISE = Noise(0.15, 1e-4, float(np.deg2rad(0.01)))
+RANGE = ViewRange(CENTRE, (0.17, 0.25), 0.7)
+
+
+def views(seed, count, tilt=0.7):
+    return views_around(np.random.default_rng(seed), count, CENTRE, (0.17, 0.25), tilt)
+
+
+def taken(poses):
+    """The data set that views would give."""
+    return simulate(TRUTH, TRUTH.command_for(poses), POINTS, pixel_noise=0.0).data
+
+
+@pytest.fixture(scope="module")
+def survey():
+    return Survey.of(TRUTH, POINTS, NOISE)
+
+
+@pytest.fixture(scope="module")
+def tests():
+    """Views that the error is judged on; their points are all in the picture."""
+    return views(99, 12, 0.3)
+
+
+@pytest.fixture(scope="module")
+def goal(survey, tests):
+    return held_out(survey, tests)
+
+
+@pytest.fixture(scope="module")
+def candidates(survey):
+    poses = views(0, 12)
+    return poses, survey.information(poses)
+
+
+def pixels_of(calibration, tests):
+    return calibration.project(TRUTH.command_for(tests), POINTS)[0]
+
+
+def test_the_goals_are_those_of_the_bound_of_the_chosen_views(survey, goal, tests, candidates):
+    poses, information = candidates
+    some = SE3(poses.wxyz_xyz[:6])
+    bound = cramer_rao(TRUTH, taken(some), NOISE)
+    told = jnp.sum(information[:6], axis=0)
+    assert survey.names == bound.parameter_names
+    spread = std_of(bound, lambda calibration: pixels_of(calibration, tests))
+    expected = np.sqrt(np.mean(np.sum(np.asarray(spread) ** 2, axis=-1)))
+    assert float(goal(told)) == pytest.approx(float(expected), rel=1e-6)
+    shifts = [bound.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"]
+    turns = [bound.std[f"camera_from_tool.rotation.{axis}"] for axis in "xyz"]
+    expected = np.sqrt(np.sum(np.square(shifts)) + 2.0 / 3.0 * 0.2**2 * np.sum(np.square(turns)))
+    assert float(hand_eye(survey, 0.2)(told)) == pytest.approx(float(expected), rel=1e-6)
+    _, logarithm = np.linalg.slogdet(bound.covariance)
+    size = 0.5 * logarithm / len(bound.covariance)
+    assert float(jnp.log(everything()(told))) == pytest.approx(size, abs=1e-6)
+
+
+def test_priors_past_views_and_an_exact_robot_count_as_in_the_bound(candidates):
+    poses, _ = candidates
+    first, rest = SE3(poses.wxyz_xyz[:3]), SE3(poses.wxyz_xyz[3:6])
+    priors = {"camera.lens.k1": Prior(0.01)}
+    bound = cramer_rao(TRUTH, taken(SE3(poses.wxyz_xyz[:6])), 0.15, priors=priors)
+    survey = Survey.of(TRUTH, POINTS, 0.15, priors=priors, past=taken(first))
+    told = survey.prior + jnp.sum(survey.information(rest), axis=0)
+    std = np.sqrt(np.diagonal(np.linalg.inv(told)))
+    np.testing.assert_allclose(std, [bound.std[name] for name in survey.names], rtol=1e-5)
+
+
+def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
+    survey, goal, candidates
+):
+    _, information = candidates
+    free = jnp.ones(12, dtype=bool)
+    found = greedy(information, survey.prior, goal, 5, free)
+    assert len(set(np.asarray(found).tolist())) == 5
+    total = jax.jit(lambda index: goal(jnp.sum(information[index], axis=0)))
+    for k in (3, 4):
+        others = [i for i in range(12) if i not in np.asarray(found[:k])]
+        tried = [float(total(jnp.array([*np.asarray(found[:k]), i]))) for i in others]
+        assert others[int(np.nanargmin(tried))] == int(found[k])
+    sets = np.array(list(itertools.combinations(range(12), 5)))
+    every = np.asarray(jax.lax.map(total, jnp.asarray(sets)))
+    better = exchanged(information, survey.prior, goal, found, free)
+    assert float(total(better)) <= float(total(found))
+    assert float(total(better)) <= np.nanquantile(every, 0.01)
+    # What may not be taken is not.
+    barred = greedy(information, survey.prior, goal, 5, free.at[found].set(False))
+    assert not set(np.asarray(barred).tolist()) & set(np.asarray(found).tolist())
+
+
+def test_the_gradient_of_the_goal_is_that_of_differences(survey, goal):
+    numbers = RANGE.drawn(np.random.default_rng(1), 5)
+
+    def value(step):
+        moved = RANGE.without_limits(numbers) + step * direction
+        poses = RANGE.poses(RANGE.within_limits(moved))
+        return goal(jnp.sum(survey.information(poses), axis=0))
+
+    direction = jnp.asarray(np.random.default_rng(2).normal(size=numbers.shape))
+    both = jax.jit(jax.vmap(jax.value_and_grad(value)))
+    values, slopes = both(jnp.array([-1e-5, 0.0, 1e-5]))
+    assert float(slopes[1]) == pytest.approx(float(values[2] - values[0]) / 2e-5, rel=1e-5)
+
+
+def test_chosen_views_keep_their_limits_and_are_better_than_those_they_came_from(survey, goal):
+    rough = choose_views(survey, goal, 4, RANGE, margin=5.0, refine=False)
+    fine = choose_views(survey, goal, 4, RANGE, margin=5.0)
+    assert float(fine.value) < float(rough.value)
+    assert fine.unit == "px"
+    told = jnp.sum(survey.information(fine.camera_from_world), axis=0)
+    assert float(fine.value) == pytest.approx(float(goal(told)), rel=1e-9)
+    np.testing.assert_allclose(shown(survey, fine.camera_from_world, 5.0), 1.0)
+    ways = np.asarray(fine.camera_from_world.inverse().translation()) - CENTRE
+    away = np.linalg.norm(ways, axis=1)
+    assert (away > 0.17 - 1e-9).all()
+    assert (away < 0.25 + 1e-9).all()
+    assert (np.arccos(ways[:, 2] / away) < 0.7 + 1e-9).all()
+
+
+def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(survey, goal, candidates):
+    poses, _ = candidates
+
+    def left(some):
+        return some.inverse().translation()[:, 0] < CENTRE[0]
+
+    found = choose_views(survey, goal, 3, poses, allowed=left, share=0.3).camera_from_world
+    assert bool(left(found).all())
+    with pytest.raises(ValueError, match=r"13 views asked for; of 12 candidates \d+ may be taken"):
+        choose_views(survey, goal, 13, poses, share=0.3)
+
+
+def test_the_curve_falls_and_says_when_to_stop(survey, goal, candidates):
+    _, information = candidates
+    values = curve(information, survey.prior, goal)
+    assert np.isinf(values[0])
+    falling = np.asarray(values)[np.isfinite(values)]
+    assert (np.diff(falling) < 0.0).all()
+    assert float(values[-1]) == pytest.approx(float(goal(jnp.sum(information, axis=0))))
+    given = jnp.array([jnp.inf, 2.0, 1.0, 0.8, 0.79, 0.5])
+    assert views_needed(given) == 4
+    assert views_needed(given, wanted=1.5) == 3
+    assert views_needed(given, gain=0.0) == 6
+
+
+def test_numbers_without_limits_come_back_within_them():
+    narrow = ViewRange(CENTRE, (0.1, 0.2), 0.5, roll=0.3, beside=0.01, above=False)
+    numbers = narrow.drawn(np.random.default_rng(0), 200)
+    again = narrow.within_limits(narrow.without_limits(numbers))
+    # Next to a limit, numbers are moved inside a little.
+    np.testing.assert_allclose(again, numbers, atol=3e-3)
+    anything = 1e3 * np.random.default_rng(1).normal(size=(200, 6))
+    within = np.asarray(narrow.within_limits(jnp.asarray(anything)))
+    assert (np.linalg.norm(within[:, :2], axis=1) <= np.sin(0.5)).all()
+    assert (np.linalg.norm(within[:, 2:4], axis=1) <= 0.01 + 1e-12).all()
+    assert (np.abs(within[:, 4]) <= 0.3 + 1e-12).all()
+    assert ((within[:, 5] >= 0.1) & (within[:, 5] <= 0.2)).all()
+    assert (np.asarray(narrow.poses(numbers).inverse().translation())[:, 2] < CENTRE[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "given"),
+    [
+        ("distance", ((0.2, 0.1), 0.5, 1.0)),
+        ("tilt", ((0.1, 0.2), 1.6, 1.0)),
+        ("roll", ((0.1, 0.2), 0.5, 0.0)),
+    ],
+)
+def test_a_range_that_is_none_is_refused(words, given):
+    with pytest.raises(ValueError, match=words):
+        ViewRange(CENTRE, *given)
+
+
+def test_what_is_held_cannot_be_the_goal():
+    survey = Survey.of(TRUTH, POINTS, NOISE, fixed=("camera_from_tool",))
+    with pytest.raises(ValueError, match="camera_from_tool is held"):
+        hand_eye(survey, 0.2)
