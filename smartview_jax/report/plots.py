@@ -144,6 +144,29 @@ def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
     return figure
 
 
+def error_by_views(chosen: np.ndarray, drawn: np.ndarray, unit: str = "px") -> Figure:
+    """Expected error against the number of views: chosen ones over the band of random ones.
+
+    Args:
+        chosen: after one view, after two, and so on; infinite where that leaves something open.
+        drawn: the same of random orders of views, `(draws, views)`.
+        unit: of the error.
+    """
+    figure, axes = _figure(6.5, 3.8)
+    number = np.arange(1, 1 + drawn.shape[1])
+    low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0, method="nearest")
+    known = np.isfinite(high)
+    axes.fill_between(number[known], low[known], high[known], color=GREY, alpha=0.25, linewidth=0)
+    axes.plot(number[known], middle[known], color=GREY, label="random, 5 to 95 % of draws")
+    number, known = np.arange(1, 1 + len(chosen)), np.isfinite(chosen)
+    axes.plot(number[known], chosen[known], "o-", color=BLUE, markersize=4, label="chosen")
+    axes.set_yscale("log")
+    axes.set_xlabel("views")
+    axes.set_ylabel(f"expected error ({unit})")
+    axes.legend(frameon=False)
+    return figure
+
+
 def _frustum(
     axes: Axes,
     centre: np.ndarray,

@@ -69,6 +69,7 @@ def exchanged(
     return jax.lax.while_loop(going_on, sweep, (chosen, jnp.array(True), jnp.array(0)))[0]
 
 
+@eqx.filter_jit
 def curve(
     information: Float[Array, "views free free"], known: Float[Array, "free free"], goal: Goal
 ) -> Float[Array, "views"]:

@@ -30,9 +30,9 @@ class ViewRange(eqx.Module):
 
     point: Float[Array, "3"] = eqx.field(converter=jnp.asarray)
     distance: tuple[float, float] = eqx.field(static=True)
-    tilt: float = eqx.field(static=True)
-    roll: float = eqx.field(static=True, default=float(np.pi))
-    beside: float = eqx.field(static=True, default=0.0)
+    tilt: float = eqx.field(static=True, converter=float)
+    roll: float = eqx.field(static=True, converter=float, default=float(np.pi))
+    beside: float = eqx.field(static=True, converter=float, default=0.0)
     above: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):

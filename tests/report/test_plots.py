@@ -79,3 +79,14 @@ def test_cameras_stand_where_the_chain_puts_them(scene):
     labels = [text for text in axes.texts if text.get_text().strip() in scene.data.view_ids]
     places = np.array([text.get_position_3d() for text in labels])
     np.testing.assert_allclose(places, centres, atol=1e-12)
+
+
+def test_the_band_is_that_of_the_draws_and_what_is_open_is_not_drawn():
+    chosen = np.array([np.inf, 2.0, 1.0])
+    drawn = np.stack([np.array([np.inf, 4.0 + k, 3.0 + k]) for k in range(21)])
+    (axes,) = plots.error_by_views(chosen, drawn, "mm").axes
+    np.testing.assert_array_equal(axes.lines[1].get_data(), [[2, 3], [2.0, 1.0]])
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [14.0, 13.0])
+    edge = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert (edge.min(), edge.max()) == (4.0, 23.0)
+    assert "mm" in axes.get_ylabel()
