@@ -1,7 +1,9 @@
 """Joints for a pose of the tool, of any arm, and in words why there are none."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..geometry import PoseLike, as_se3
@@ -29,9 +31,15 @@ def joints_for_pose(arm: SerialArm, base_from_tool: PoseLike, near: JointsLike) 
         base_from_tool: wanted.
         near: joints to be near to.
     """
-    if is_puma_like(arm):
-        return nearest_puma_joints(arm, base_from_tool, near)
     poses = as_se3(base_from_tool)
+    return (_in_closed_form if is_puma_like(arm) else _by_iteration)(arm, poses, near)
+
+
+_in_closed_form = eqx.filter_jit(nearest_puma_joints)
+
+
+@eqx.filter_jit
+def _by_iteration(arm: SerialArm, poses: SE3, near: JointsLike) -> JointSolution:
     joints, reached = joints_near(arm, poses, near)
     lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in arm.limits.T)
     span = jnp.where(jnp.isfinite(upper - lower), upper - lower, 1.0)

@@ -8,10 +8,12 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..geometry import transform_points
-from ..robots import Command
+from ..robots import Command, JointSolution
+from .reach import singular, words
 
 REASONS = {
     "reach": "the arm does not get there",
+    "singular": "the arm is singular there",
     "in_picture": "only {:.0%} of the target is well inside the picture",
     "near_focus": "the target is as near as {:.3f} m: too near to be sharp",
     "far_focus": "the target is as far as {:.3f} m: too far to be sharp",
@@ -19,7 +21,10 @@ REASONS = {
     "tool_clearance": "the tool is {:.3f} m above the table: too low",
     "known_region": "{:.1f} times as far out as the poses that the robot's error is known from",
 }
-"""What it means that a check failed; the number is what was measured."""
+"""What it means that a check failed; the number is what was measured.
+
+Of an arm that is known its own words are said instead.
+"""
 
 
 def _number(value: object) -> Float[Array, "..."]:
@@ -75,10 +80,12 @@ class Checks(eqx.Module):
     Attributes:
         passed: by check; checks that could not be made are not in it.
         measured: the number that decided.
+        arm: how the arm gets there; None where no arm is known.
     """
 
     passed: dict[str, Bool[Array, "*views"]]
     measured: dict[str, Float[Array, "*views"]]
+    arm: JointSolution | None = None
 
     @property
     def ok(self) -> Bool[Array, "*views"]:
@@ -92,11 +99,16 @@ class Checks(eqx.Module):
         checks = [name for name in REASONS if name in failed]
         return tuple(
             # Where the arm does not get, the other numbers mean nothing.
-            REASONS["reach"]
+            self._words("reach", 0.0, k)
             if failed["reach"][k]
-            else "; ".join(REASONS[n].format(measured[n][k]) for n in checks if failed[n][k])
+            else "; ".join(self._words(n, measured[n][k], k) for n in checks if failed[n][k])
             for k in range(np.size(self.ok))
         )
+
+    def _words(self, check: str, measured: float, view: int) -> str:
+        if self.arm is not None and check in ("reach", "singular"):
+            return words(self.arm, view)
+        return REASONS[check].format(measured)
 
 
 def check_views(
@@ -104,7 +116,7 @@ def check_views(
     command: Command,
     camera_from_world: SE3,
     points: Float[Array, "points 3"] | None,
-    reached: Bool[Array, "*views"] | None,
+    arm: JointSolution | None,
     limits: Limits,
 ) -> Checks:
     """Every check that what is given allows.
@@ -114,13 +126,15 @@ def check_views(
         command: what the robot would be told, `(*views)`.
         camera_from_world: where the camera would then be.
         points: of the target, m; None leaves out what concerns them.
-        reached: whether the arm gets there; None where no arm is known.
+        arm: how the arm gets there; None where no arm is known.
         limits: what to keep.
     """
     views = camera_from_world.get_batch_axes()
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)
-    passed = {"reach": finite if reached is None else finite & reached}
-    measured = {"reach": jnp.zeros(views)}
+    passed, measured = {"reach": finite}, {"reach": jnp.zeros(views)}
+    if arm is not None:
+        passed = {"reach": arm.reached, "singular": ~singular(arm)}
+        measured["singular"] = jnp.zeros(views)
 
     def note(name: str, value: Array, fine: Array) -> None:
         passed[name], measured[name] = fine, value
@@ -146,7 +160,7 @@ def check_views(
     if error is not None:
         extent = error.field.extent(command)
         note("known_region", extent, extent <= limits.extent)
-    return Checks(passed, measured)
+    return Checks(passed, measured, arm)
 
 
 def border_distance(

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..geometry import PoseLike, as_se3, xyzoat
-from ..robots import Command, CommandLike, JointsLike, SerialArm, as_command
+from ..robots import Command, CommandLike, JointsLike, JointSolution, SerialArm, as_command
 from .checks import Checks, Limits, check_views
 from .reach import reach
 
@@ -70,7 +70,6 @@ class ViewpointCommands(eqx.Module):
         return Command(self.base_from_tool, self.joints)
 
 
-@eqx.filter_jit
 def viewpoint_commands(
     calibration: Calibration,
     camera_from_world: PoseLike,
@@ -100,16 +99,32 @@ def viewpoint_commands(
     if near is not None:
         near = jnp.asarray(near, dtype=float)
         near = jnp.broadcast_to(near, (*wanted.get_batch_axes(), near.shape[-1]))
-    command = calibration.reported_for(wanted, near=near)
-    joints, reached = command.joints, None
+    command = _reported(calibration, wanted, near)
+    solution = None
     if arm is not None and near is not None:
-        joints, reached = reach(arm, command, near)
-    command = Command(command.base_from_tool, joints)
-    predicted = predict(calibration, command)
+        # Outside jit, where an arm's numbers say whether it is solved in closed form.
+        solution = reach(arm, command, near)
+        command = Command(command.base_from_tool, solution.joints)
     target = None if points is None else jnp.asarray(points, dtype=float)
+    return _predicted(calibration, command, target, solution, limits or Limits())
+
+
+@eqx.filter_jit
+def _reported(calibration: Calibration, wanted: SE3, near: Array | None) -> Command:
+    return calibration.reported_for(wanted, near=near)
+
+
+@eqx.filter_jit
+def _predicted(
+    calibration: Calibration,
+    command: Command,
+    points: Float[Array, "points 3"] | None,
+    solution: JointSolution | None,
+    limits: Limits,
+) -> ViewpointCommands:
+    predicted = predict(calibration, command)
     checks = check_views(
-        calibration, command, predicted.camera_from_world, target, reached, limits or Limits()
+        calibration, command, predicted.camera_from_world, points, solution, limits
     )
-    return ViewpointCommands(
-        command.base_from_tool, xyzoat(command.base_from_tool), joints, predicted, checks
-    )
+    pose = command.base_from_tool
+    return ViewpointCommands(pose, xyzoat(pose), command.joints, predicted, checks)

@@ -1,21 +1,36 @@
 """Whether an arm gets somewhere, and with which joints."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool
 
-from ..robots import Command, JointsLike, SerialArm, joints_near
+from ..robots import Command, JointsLike, JointSolution, SerialArm, Status, joints_for_pose
+from ..robots.joint_solution import NO_ANSWER, beyond_limits
 
 
-def reach(
-    arm: SerialArm, command: Command, near: JointsLike
-) -> tuple[Float[Array, "*views joints"], Bool[Array, "*views"]]:
-    """Joint readings for commands, and whether the arm gets there with them.
+def reach(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
+    """Joint readings for commands, and what is to be said of them.
 
     Args:
         arm: as its controller believes it to be.
         command: poses `(*views)`; joints that it has already are kept, NaN where there are none.
         near: readings in whose neighbourhood to look.
     """
-    if command.joints is not None:
-        return command.joints, jnp.all(jnp.isfinite(command.joints), axis=-1)
-    return joints_near(arm, command.base_from_tool, near)
+    joints = command.joints
+    if joints is None:
+        return joints_for_pose(arm, command.base_from_tool, near)
+    beyond = beyond_limits(arm, joints)
+    there = jnp.all(jnp.isfinite(joints), axis=-1)
+    status = jnp.where(there, 0, int(Status.OUT_OF_REACH))
+    status = status | jnp.where(beyond.any(axis=-1), int(Status.OUT_OF_LIMITS), 0)
+    return JointSolution(joints, status, beyond)
+
+
+def singular(solution: JointSolution) -> Bool[Array, "*views"]:
+    """Where an answer holds, but at a singularity: the robot cannot move on from it as it likes."""
+    return solution.reached & ((solution.status & ~int(NO_ANSWER)) != 0)
+
+
+def words(solution: JointSolution, view: int) -> str:
+    """What is to be said of one view, counted in flat order."""
+    return solution.reason(tuple(map(int, np.unravel_index(view, solution.status.shape))))

@@ -150,9 +150,25 @@ def test_an_arms_joints_are_found_and_what_it_cannot_reach_is_said(arm_setting):
         SE3(found.base_from_tool.wxyz_xyz[0]).as_matrix(),
         atol=1e-8,
     )
-    assert found.checks.reasons() == ("", "the arm does not get there")
+    assert found.checks.reasons() == ("", "out of reach")
     with pytest.raises(ValueError, match="give near=joints"):
         viewpoint_commands(calibration, wanted, POINTS, arm)
+
+
+def test_limits_and_singularities_are_told_from_what_is_out_of_reach(arm_setting):
+    calibration, arm, joints = arm_setting
+    command = arm.base_from_tool(np.array([joints, joints]))
+    straight = arm.base_from_tool(np.asarray(joints) * [1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
+    poses = SE3(command.wxyz_xyz.at[1].set(straight.wxyz_xyz))
+    wanted = calibration.camera_from_world(poses)
+    free = viewpoint_commands(calibration, wanted, arm=arm, near=joints).checks
+    assert free.reasons() == ("", "singular wrist: joints 4 and 6 turn about one axis")
+    assert not bool(free.ok[1])
+    narrow = arm.limits.at[0].set(jnp.array([1.0, 1.1]))
+    held = dataclasses.replace(arm, limits=narrow)
+    checks = viewpoint_commands(calibration, wanted, arm=held, near=joints).checks
+    assert checks.reasons()[0] == "out of limits: joint 1"
+    assert not checks.passed["reach"].any()
 
 
 def test_an_arms_own_errors_are_made_up_for(arm_setting):
