@@ -19,8 +19,12 @@ FAR_OUT = 10.0
 """Times the median view's misfit, in rotation or in translation, that a robot's own errors do not
 reach: on nine real data sets the worst view lies at one to seven times."""
 
-FEWEST = 6
-"""Views below which a misfit cannot be laid at one view's door."""
+FEWEST = 8
+"""Views below which a misfit cannot be laid at one view's door.
+
+Of six sound views of a real data set one lay at fourteen times the others' misfit, which the
+transforms had been fitted to; without it the error on an unseen view was six times as large.
+"""
 
 AT_MOST = 0.25
 """Share of the views that are left out; more is not a matter of single views."""
