@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
@@ -53,7 +54,7 @@ def write_viewpoints(
 
     Args:
         path: ends in `.val` (or `.v2`), `.csv` or `.json`.
-        base_from_tool: `(views)`.
+        base_from_tool: `(views)`, or one.
         names: one a view; by default v1, v2, ...
         joints: `(views, joints)` rad, m for a joint that slides; VAL's `TRANS` has none.
 
@@ -113,7 +114,8 @@ def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
 def _checked(
     base_from_tool: SE3, names: Sequence[str] | None, joints: np.ndarray | None
 ) -> Viewpoints:
-    poses = np.asarray(base_from_tool.wxyz_xyz)
+    poses = np.atleast_2d(np.asarray(base_from_tool.wxyz_xyz))
+    joints = None if joints is None else np.atleast_2d(joints)
     if poses.ndim != 2:
         raise ValueError(f"viewpoints: expected one pose a view, found shape {poses.shape[:-1]}")
     known = tuple(names) if names is not None else tuple(f"v{1 + k}" for k in range(len(poses)))
@@ -132,7 +134,7 @@ def _checked(
                     "base: millimetres given as metres?"
                 )
     if joints is None:
-        return Viewpoints(base_from_tool, known)
+        return Viewpoints(SE3(jnp.asarray(poses)), known)
     readings = np.asarray(joints, dtype=float)
     if readings.ndim != 2 or len(readings) != len(known):
         raise ValueError(
@@ -142,7 +144,7 @@ def _checked(
         if not np.isfinite(row).all():
             k = int(np.flatnonzero(~np.isfinite(row))[0])
             raise ValueError(f"view {name}: joint {1 + k} is {row[k]}")
-    return Viewpoints(base_from_tool, known, readings)
+    return Viewpoints(SE3(jnp.asarray(poses)), known, readings)
 
 
 def _rows(views: Viewpoints) -> Float[np.ndarray, "views 6"]:

@@ -8,7 +8,7 @@ from jaxlie import SE3
 from smartview_jax import se3_from_xyzoat
 from smartview_jax.io import read_viewpoints, val_program, write_viewpoints
 from smartview_jax.simulation import paper_calibration
-from smartview_jax.viewpoints import five_viewpoints
+from smartview_jax.viewpoints import five_viewpoints, look_at
 
 POSES = paper_calibration().command_for(
     five_viewpoints(np.zeros(3), 0.2, roll=np.linspace(-1.0, 2.0, 5))
@@ -46,6 +46,14 @@ def test_units_and_version_stand_in_the_files(tmp_path):
     (tmp_path / "v.json").write_text(json.dumps(content))
     with pytest.raises(ValueError, match="expected 1, found 7"):
         read_viewpoints(tmp_path / "v.json")
+
+
+def test_one_viewpoint_needs_no_row_of_them(tmp_path):
+    pose = look_at((0.1, 0.2, 0.0), (0.0, 0.1, -1.0), 0.4)
+    write_viewpoints(tmp_path / "one.csv", pose)
+    found = read_viewpoints(tmp_path / "one.csv")
+    assert found.names == ("v1",)
+    assert float(jnp.abs((found.base_from_tool.inverse() @ pose).log()).max()) < 1e-9
 
 
 def test_a_val_program_moves_to_the_poses(tmp_path):
