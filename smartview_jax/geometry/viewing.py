@@ -17,8 +17,8 @@ FIVE_STEP = float(np.deg2rad(9.5))
 
 
 def look_at(
-    point: Float[Array, "*#views 3"] | np.ndarray,
-    direction: Float[Array, "*#views 3"] | np.ndarray,
+    point: Float[Array, "*#views 3"] | np.ndarray | tuple[float, float, float],
+    direction: Float[Array, "*#views 3"] | np.ndarray | tuple[float, float, float],
     distance: float | Float[Array, "*#views"] | np.ndarray,
     roll: float | Float[Array, "*#views"] | np.ndarray = 0.0,
 ) -> SE3:
