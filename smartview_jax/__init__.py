@@ -27,6 +27,7 @@ from . import viewpoints as viewpoints  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402
 from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
+from .detection import correct_circle_centres as correct_circle_centres  # noqa: E402
 from .evaluation import compare as compare  # noqa: E402
 from .evaluation import cramer_rao as cramer_rao  # noqa: E402
 from .evaluation import error_budget as error_budget  # noqa: E402

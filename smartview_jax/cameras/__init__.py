@@ -1,6 +1,8 @@
 """Cameras: four pinhole numbers and a lens, one lens model a file."""
 
 from .camera import Camera as Camera
+from .circles import circle_centre_bias as circle_centre_bias
+from .circles import circle_image_centre as circle_image_centre
 from .fisheye import Fisheye as Fisheye
 from .implicit import implicit_inverse as implicit_inverse
 from .lens import AbstractLens as AbstractLens

@@ -1,5 +1,8 @@
 """From pictures to pixels: the room where OpenCV lives."""
 
+from .circle_centres import circle_radii as circle_radii
+from .circle_centres import correct_circle_centres as correct_circle_centres
+from .circle_centres import predicted_bias as predicted_bias
 from .detect import detect as detect
 from .detect import read_picture as read_picture
 from .detection import Detection as Detection

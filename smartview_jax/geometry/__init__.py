@@ -1,5 +1,8 @@
 """Rigid transforms, angle conventions and pose formats."""
 
+from .conics import circle_dual_conic as circle_dual_conic
+from .conics import conic_centre as conic_centre
+from .conics import region_centroid as region_centroid
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
 from .oat import oat_from_rotation as oat_from_rotation

@@ -15,14 +15,14 @@ Pattern = Callable[
 """Where a board is dark, by x and y in the board's own frame, m."""
 
 ORIGIN_MARK = 1.5
-"""Radius of the larger corner circle over that of the others."""
+"""Radius of the larger corner circle over that of the others, where the target does not say."""
 
 
 def dark_places(target: AbstractTarget) -> Pattern:
     """The printed pattern of a flat target; paper around it is light without end.
 
-    Circles have a radius of a quarter of the distance to their nearest neighbour, and the ground of
-    light circles is dark everywhere.
+    Circles of unknown radius have a quarter of the distance to their nearest neighbour, and the
+    ground of light circles is dark everywhere.
 
     Raises:
         ValueError: a target whose looks are not known.
@@ -40,15 +40,16 @@ def dark_places(target: AbstractTarget) -> Pattern:
 
 def _circles(target: CircleGrid) -> Pattern:
     step = target.spacing
-    nearest = step * (np.sqrt(2.0) if target.asymmetric else 1.0)
+    radius = 0.25 * target.nearest if target.radius is None else target.radius
+    mark = ORIGIN_MARK * radius if target.mark_radius is None else target.mark_radius
 
     def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         i = np.clip(np.rint(y / step), 0, target.rows - 1)
         shift, pitch = (i % 2, 2.0) if target.asymmetric else (0.0, 1.0)
         j = np.clip(np.rint((x / step - shift) / pitch), 0, target.columns - 1)
         marked = target.origin_mark & (i == 0) & (j == 0)
-        radius = 0.25 * nearest * np.where(marked, ORIGIN_MARK, 1.0)
-        inside = np.hypot(x - (pitch * j + shift) * step, y - i * step) <= radius
+        from_centre = np.hypot(x - (pitch * j + shift) * step, y - i * step)
+        inside = from_centre <= np.where(marked, mark, radius)
         return inside != target.light_on_dark
 
     return dark

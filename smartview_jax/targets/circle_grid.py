@@ -27,6 +27,8 @@ class CircleGrid(AbstractTarget):
         asymmetric: every second row shifted.
         light_on_dark: white circles on black.
         origin_mark: one larger corner circle marks the origin (the "modified" grid).
+        radius: of the circles, where known, m.
+        mark_radius: of the circle that marks the origin, where known, m.
     """
 
     rows: int
@@ -35,6 +37,8 @@ class CircleGrid(AbstractTarget):
     asymmetric: bool = False
     light_on_dark: bool = False
     origin_mark: bool = False
+    radius: float | None = None
+    mark_radius: float | None = None
 
     def __post_init__(self):
         require_count(2, rows=self.rows, columns=self.columns)
@@ -46,6 +50,17 @@ class CircleGrid(AbstractTarget):
         )
         if self.asymmetric and self.origin_mark:
             raise ValueError("origin_mark: only a symmetric grid has a larger corner circle")
+        if self.mark_radius is not None and not self.origin_mark:
+            raise ValueError("mark_radius: this grid has no origin_mark")
+        known = {"radius": self.radius, "mark_radius": self.mark_radius}
+        require_positive(**{name: value for name, value in known.items() if value is not None})
+        if self.radius is not None and self.radius >= 0.5 * self.nearest:
+            raise ValueError(f"radius: circles {self.nearest:g} m apart would touch")
+
+    @property
+    def nearest(self) -> float:
+        """Distance between neighbouring centres, m."""
+        return self.spacing * (2.0**0.5 if self.asymmetric else 1.0)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:

@@ -58,5 +58,6 @@ def target_to_dict(target: AbstractTarget) -> dict[str, Any]:
         return {**target_to_dict(target.board), "heights": list(target.heights)}
     for kind, cls in KINDS.items():
         if type(target) is cls:
-            return {"kind": kind, **dataclasses.asdict(target)}
+            known = {k: v for k, v in dataclasses.asdict(target).items() if v is not None}
+            return {"kind": kind, **known}
     raise ValueError(f"{type(target).__name__} has no name in a file")

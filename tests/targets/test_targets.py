@@ -21,6 +21,7 @@ TARGETS = [
     Charuco(5, 7, 0.024, 0.018, legacy=True),
     TagGrid(2, 3, 0.04, 0.01, first_id=5),
     StackedTarget(CircleGrid(3, 3, 0.01), (0.0, 0.005)),
+    CircleGrid(4, 5, 0.02, origin_mark=True, radius=0.004, mark_radius=0.006),
 ]
 
 
@@ -45,7 +46,7 @@ def test_descriptions_round_trip(target):
 
 def test_only_what_a_picture_cannot_tell_is_a_symmetry():
     counts = [len(target.symmetries) for target in TARGETS]
-    assert counts == [2, 4, 1, 1, 2, 1, 1, 1, 4]
+    assert counts == [2, 4, 1, 1, 2, 1, 1, 1, 4, 1]
     # Colours tell the turns of a board with an odd number of squares one way and even the other.
     assert [len(Chessboard(*size, 0.1).symmetries) for size in ((6, 8), (5, 5), (6, 6))] == [
         2,
@@ -80,6 +81,18 @@ def test_points_lie_where_they_should():
             "square: expected a positive",
         ),
         ({"kind": "circle_grid", "rows": 1, "columns": 9, "spacing": 0.1}, "rows: .* at least 2"),
+        (
+            {"kind": "circle_grid", "rows": 2, "columns": 9, "spacing": 0.1, "radius": 0.05},
+            "radius: circles 0.1 m apart would touch",
+        ),
+        (
+            {"kind": "circle_grid", "rows": 2, "columns": 9, "spacing": 0.1, "radius": -0.01},
+            "radius: expected a positive",
+        ),
+        (
+            {"kind": "circle_grid", "rows": 2, "columns": 9, "spacing": 0.1, "mark_radius": 0.05},
+            "mark_radius: this grid has no origin_mark",
+        ),
         (
             {"kind": "charuco", "squares_x": 5, "squares_y": 7, "square": 0.1, "marker": 0.2},
             "marker: expected less than the square",
