@@ -43,6 +43,8 @@ from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by
 from .repeatability import Repeatability as Repeatability
 from .repeatability import repeatability as repeatability
+from .stylus import stylus_miss as stylus_miss
+from .stylus import touching as touching
 from .uncertainty import Estimate as Estimate
 from .uncertainty import covariance_of as covariance_of
 from .uncertainty import std_of as std_of

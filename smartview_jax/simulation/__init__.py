@@ -2,6 +2,9 @@
 
 from .arm_scenes import ArmScene as ArmScene
 from .arm_scenes import six_axis_scene as six_axis_scene
+from .photograph import paper_photographs as paper_photographs
+from .photograph import paper_target as paper_target
+from .photograph import photograph as photograph
 from .render import render as render
 from .render import write_pictures as write_pictures
 from .scenes import Scene as Scene
@@ -11,5 +14,6 @@ from .scenes import paper_points as paper_points
 from .scenes import paper_scene as paper_scene
 from .scenes import paper_viewpoints as paper_viewpoints
 from .scenes import random_scene as random_scene
+from .scenes import reported_poses as reported_poses
 from .scenes import simulate as simulate
 from .scenes import views_around as views_around

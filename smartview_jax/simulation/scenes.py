@@ -12,6 +12,9 @@ from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, direction_of, five_viewpoints
 from ..geometry import look_at as look_along
 
+PAPER_TRANSLATION_NOISE, PAPER_ROTATION_NOISE = 1e-4, float(np.deg2rad(0.01))
+"""Of a PUMA's reported poses, per axis: m and rad."""
+
 
 class Scene(eqx.Module):
     """What was simulated, and the truth behind it.
@@ -68,16 +71,23 @@ def simulate(
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= 0.0) & (pixels <= size - 1.0)).all(axis=-1)
     visible = np.asarray(valid) & inside
-    deviations = np.repeat([translation_noise, rotation_noise], 3)
-    corrections = deviations * rng.standard_normal((len(pixels), 6))
     data = Dataset.from_arrays(
         points,
         np.where(visible[..., None], pixels, np.nan),
-        true_pose @ SE3.exp(jnp.asarray(corrections)),
+        reported_poses(true_pose, rng, translation_noise, rotation_noise),
         image_size=calibration.camera.image_size,
         mount=calibration.mount,
     )
     return Scene(data, calibration, true_pose, jnp.asarray(outliers & visible))
+
+
+def reported_poses(
+    base_from_tool: SE3, rng: np.random.Generator, translation_noise: float, rotation_noise: float
+) -> SE3:
+    """What a robot says of true poses `(views)`; noise as in `simulate`."""
+    deviations = np.repeat([translation_noise, rotation_noise], 3)
+    corrections = deviations * rng.standard_normal((len(base_from_tool.wxyz_xyz), 6))
+    return base_from_tool @ SE3.exp(jnp.asarray(corrections))
 
 
 def look_at(
@@ -154,8 +164,8 @@ def paper_viewpoints(rng: np.random.Generator, roll: float = 0.6) -> SE3:
 def paper_scene(
     seed: int = 0,
     pixel_noise: float = 0.15,
-    translation_noise: float = 1e-4,
-    rotation_noise: float = np.deg2rad(0.01),
+    translation_noise: float = PAPER_TRANSLATION_NOISE,
+    rotation_noise: float = PAPER_ROTATION_NOISE,
     roll: float = 0.6,
 ) -> Scene:
     """The paper's experiment: about 1000 circles over five viewpoints, a PUMA's noise."""

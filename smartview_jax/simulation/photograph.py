@@ -1,0 +1,113 @@
+"""Scenes seen in rendered pictures: what a detector finds in them, not points with noise added."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
+
+from ..calibration import Calibration
+from ..dataset import Dataset
+from ..detection import detect
+from ..geometry import PoseLike, as_se3
+from ..targets import AbstractTarget, CircleGrid, StackedTarget
+from .render import render
+from .scenes import (
+    PAPER_ROTATION_NOISE,
+    PAPER_TRANSLATION_NOISE,
+    Scene,
+    paper_calibration,
+    paper_viewpoints,
+    reported_poses,
+)
+
+MISTAKEN = 5.0
+"""A point found so far, px, from where the truth projects it was taken for another one."""
+
+
+def photograph(
+    calibration: Calibration,
+    base_from_tool: PoseLike,
+    target: AbstractTarget,
+    reported: PoseLike | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    **options,
+) -> Scene:
+    """Take a picture of a target from every robot pose, at every height, and detect it.
+
+    Of the orders that look alike the one is taken that the truth shows, so that the fitted world
+    frame is the true one. A picture in which the target is not found leaves its points unseen.
+
+    Args:
+        calibration: the truth.
+        base_from_tool: `(views)` true robot poses.
+        target: what the pictures show.
+        reported: `(views)` what the robot says; the truth by default.
+        seed: of the sensor's noise.
+        progress: told which view is seen.
+        options: passed on to `render`, other than its height and seed.
+    """
+    poses = as_se3(base_from_tool)
+    board, heights = target, 1
+    if isinstance(target, StackedTarget):
+        board, heights = target.board, len(target.heights)
+    views = len(poses.wxyz_xyz)
+    known = np.asarray(calibration.project(poses, target.points)[0])
+    pixels = np.empty_like(known).reshape(views, heights, -1, 2)
+    for view in range(views):
+        if progress is not None:
+            progress(f"view {view + 1} of {views}")
+        pose = SE3(poses.wxyz_xyz[view])
+        for height in range(heights):
+            number = int(np.random.SeedSequence((seed, view, height)).generate_state(1)[0])
+            picture = render(calibration, pose, target, height=height, seed=number, **options)
+            truth = known[view].reshape(heights, -1, 2)[height]
+            pixels[view, height] = _as_known(detect(picture, board).pixels, truth, board)
+    data = Dataset.from_arrays(
+        target.points,
+        pixels.reshape(known.shape),
+        poses if reported is None else as_se3(reported),
+        image_size=calibration.camera.image_size,
+        mount=calibration.mount,
+        target=target,
+    )
+    return Scene(data, calibration, poses, jnp.zeros(data.visible.shape, dtype=bool))
+
+
+def _as_known(
+    found: Float[np.ndarray, "points 2"],
+    known: Float[np.ndarray, "points 2"],
+    board: AbstractTarget,
+) -> Float[np.ndarray, "points 2"]:
+    """In the order that lies nearest to the truth; NaN if none is near."""
+    gaps = [np.abs(found[order] - known) for order in board.symmetries]
+    worst = [np.nanmax(gap, initial=0.0) for gap in gaps]
+    best = int(np.argmin(worst))
+    return found[board.symmetries[best]] if worst[best] < MISTAKEN else np.full_like(found, np.nan)
+
+
+def paper_target() -> StackedTarget:
+    """The paper's circles of 2 mm radius, at five heights: 1050 of them over five views.
+
+    They stand 5 mm apart, so that the whole board stays in the picture.
+    """
+    return StackedTarget(CircleGrid(6, 7, 0.005, radius=0.002), (0.0, 0.005, 0.01, 0.015, 0.02))
+
+
+def paper_photographs(
+    seed: int = 0,
+    translation_noise: float = PAPER_TRANSLATION_NOISE,
+    rotation_noise: float = PAPER_ROTATION_NOISE,
+    roll: float = 0.6,
+    progress: Callable[[str], None] | None = None,
+) -> Scene:
+    """The paper's experiment with rendered pictures of its circles, and a PUMA's noise."""
+    truth, rng = paper_calibration(), np.random.default_rng((seed, 3))
+    target = paper_target()
+    # The viewpoints look at the middle of a board whose first circle is at another corner.
+    shift = SE3.from_translation(jnp.array([0.003, 0.0275, 0.0]))
+    poses = truth.command_for(paper_viewpoints(np.random.default_rng((seed, 1)), roll) @ shift)
+    reported = reported_poses(poses, rng, translation_noise, rotation_noise)
+    return photograph(truth, poses, target, reported, seed, progress, samples=2)
