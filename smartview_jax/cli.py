@@ -103,6 +103,7 @@ def calibrate(
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html."""
     with _errors(debug):
+        from .joint import best_uncorrected
         from .joint import calibrate as fit_both
         from .report import halves_agree, summaries, write_page
 
@@ -115,12 +116,19 @@ def calibrate(
             write_page(out / "report.html", fit, data, unseen, title, say, halves, budget)
             fit.calibration.save(out / "calibration.yaml")
             fit.staged.calibration.save(out / "calibration_staged.yaml")
+            if fit.calibration.robot_error is not None:
+                best_uncorrected(data, fit).save(out / "calibration_uncorrected.yaml")
         _print_result(summaries(fit, data, unseen), fit, data)
         for _, text in halves_agree(halves):
             typer.echo(f"even and odd views: {text}")
         if budget is not None:
             _print_budget(budget)
         typer.echo(f"\n{out / 'calibration.yaml'}  {out / 'report.html'}")
+        if fit.calibration.robot_error is not None:
+            typer.echo(
+                f"{out / 'calibration_uncorrected.yaml'}: for programs that cannot correct the "
+                "robot's error; predicts best without, but does not say where the camera sits"
+            )
         if not fit.result.converged:
             raise typer.Exit(1)
 
@@ -178,6 +186,12 @@ def export(
         from .calibration import Calibration
 
         found = Calibration.load(calibration)
+        if found.robot_error is not None and to is not ExportFormat.CAMERA_INFO:
+            typer.echo(
+                "note: this calibration corrects the robot's error, and the other program will "
+                "not; calibration_uncorrected.yaml predicts best without the correction",
+                err=True,
+            )
         if to is ExportFormat.ROS:
             text = io.ros_static_transform(found, parent, child)
         elif to is ExportFormat.CAMERA_INFO:

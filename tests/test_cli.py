@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 
 from smartview_jax import Calibration
 from smartview_jax.cli import app
-from smartview_jax.io import sample_folder
+from smartview_jax.evaluation import deviations
+from smartview_jax.io import load_dataset, sample_folder
 
 RUNNER = CliRunner()
 
@@ -47,6 +48,20 @@ def test_the_calibration_file_is_the_result(result):
     assert np.isfinite(np.asarray(calibration.camera_from_tool.wxyz_xyz)).all()
 
 
+def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result):
+    """By the pixels it was fitted to it is the better one without the correction."""
+    run, out = result
+    assert "calibration_uncorrected.yaml" in run.output
+    bare = Calibration.load(out / "calibration_uncorrected.yaml")
+    assert bare.robot_error is None
+    data = load_dataset(sample_folder(), keep_detections=False)
+    best = deviations(bare, data).rms
+    assert best == pytest.approx(1.77, abs=0.05)
+    assert best < 0.5 * deviations(Calibration.load(out / "calibration.yaml").uncorrected, data).rms
+    told = RUNNER.invoke(app, ["export", str(out / "calibration.yaml"), "--to", "ros"])
+    assert "will not; calibration_uncorrected.yaml" in told.stderr
+
+
 @pytest.mark.parametrize(
     ("to", "words"),
     [
@@ -73,6 +88,7 @@ def test_the_report_is_one_page_that_fetches_nothing(result):
     assert sorted(p.name for p in out.iterdir()) == [
         "calibration.yaml",
         "calibration_staged.yaml",
+        "calibration_uncorrected.yaml",
         "report.html",
     ]
 

@@ -2,6 +2,7 @@
 
 from .build import build_problem as build_problem
 from .calibrate import CalibrationFit as CalibrationFit
+from .calibrate import best_uncorrected as best_uncorrected
 from .calibrate import calibrate as calibrate
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_filter as batch_filter

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 
+from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, chain_residuals
 from ..staged import StagedFit, fit_staged, kalman_filter
@@ -63,9 +64,25 @@ def calibrate(
         rehearsal = background.submit(rehearse, data, lens, camera, joint_options)
         staged = fit_staged(data, lens, camera=camera, step2=STEP2[step2], progress=progress)
         rehearsal.exception()  # waits; what is wrong with the data the real run will say
-    trusted = eqx.tree_at(lambda d: d.visible, data, data.visible & staged.inliers)
+    trusted = _inliers(data, staged)
     joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)
     # The report is on everything that was seen, outliers too.
     everything = chain_residuals(joint.calibration, data.observations)
     joint = eqx.tree_at(lambda f: f.residuals, joint, everything)
     return CalibrationFit(staged, joint)
+
+
+def best_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
+    """The chain that predicts best where nothing corrects the robot's error.
+
+    For programs that know transforms alone. It takes the robot's poses as exact, and bends the
+    camera and the mount to what the robot does: its hand-eye transform is not where the camera is.
+    """
+    held = () if "camera.alpha_u" in fit.joint.parameter_names else ("camera",)
+    return fit_joint(
+        _inliers(data, fit.staged), fit.staged.calibration, noise="trusted", fixed=held
+    ).calibration
+
+
+def _inliers(data: Dataset, staged: StagedFit) -> Dataset:
+    return eqx.tree_at(lambda d: d.visible, data, data.visible & staged.inliers)
