@@ -232,7 +232,7 @@ def _assemble(
         observability=observability(columns, built.names, calibration),
         parameter_names=built.names,
         view_ids=data.view_ids,
-        result=_result(solution, calibration),
+        result=_result(solution),
     )
 
 
@@ -264,8 +264,9 @@ def _rejected(data: Dataset, apart: Rejected, outside: np.ndarray, lost: np.ndar
     return (*whole, *apart, *blind, *far)
 
 
-def _result(solution: Solution, calibration: Calibration) -> FitResult:
-    finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(calibration))
+def _result(solution: Solution) -> FitResult:
+    # Not of the whole calibration: an arm has joints without limits.
+    finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(solution.z))
     if not finite:
         return FitResult(FitCode.DIVERGED, "the fit diverged: its parameters are not finite")
     if solution.converged:
