@@ -5,14 +5,12 @@ The bounds are what two free twists and a home pose reach on the same 205 poses,
 """
 
 import time
-from pathlib import Path
 
 import smartview_jax as sv
 
-MEASURED = (
-    Path(__file__).resolve().parents[2]
-    / "shared/data/rct_positioner_kinematic/positioner_kinematic_measurements.yaml"
-)
+from .real_sets import SHARED
+
+MEASURED = SHARED / "rct_positioner_kinematic" / "positioner_kinematic_measurements.yaml"
 
 BOUNDS = {True: (0.39, 0.05), False: (0.42, 0.055)}
 """mm and degrees, RMS, with the ratios free or held."""

@@ -5,7 +5,6 @@ coefficients.
 """
 
 import dataclasses
-import time
 from collections.abc import Callable
 
 import jax
@@ -17,6 +16,8 @@ import smartview_jax as sv
 from smartview_jax.robots import LinearInPose, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, views_around
 from smartview_jax.viewpoints import predict
+
+from .peers.result import timed
 
 PER_SECOND = 1e6
 """Viewpoints predicted in a batch, at least."""
@@ -83,10 +84,5 @@ def _row(
 
 def _seconds(call: Callable[[], object], repeats: int) -> float:
     """Median of warm runs."""
-    jax.block_until_ready(call())
-    taken = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        jax.block_until_ready(call())
-        taken.append(time.perf_counter() - began)
-    return float(np.median(taken))
+    seconds = timed(lambda: jax.block_until_ready(call()), repeats, 0.0)[1]
+    return float(np.median(seconds))

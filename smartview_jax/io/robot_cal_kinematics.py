@@ -7,9 +7,10 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import yaml
 from jaxlie import SE3, SO3
 from jaxtyping import Float
+
+from ..files import read_yaml
 
 _FIELDS = ("qw", "qx", "qy", "qz", "x", "y", "z")
 
@@ -23,7 +24,7 @@ def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "view
     """
     path = Path(path)
     joints, rows = [], []
-    for name, entry in yaml.safe_load(path.read_text(encoding="utf-8")).items():
+    for name, entry in read_yaml(path).items():
         try:
             rows.append([float(entry["pose"][field]) for field in _FIELDS])
             joints.append([float(reading) for reading in entry["target_joints"]])

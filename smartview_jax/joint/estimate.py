@@ -152,18 +152,19 @@ def estimate_noise(
 
     tried = _candidates(field, basis, views.count)
     guess = _first_guess(np.asarray(z.corrections)[placed], basis, white)
-    best = _searched(views.linearised(z), guess, tried)
+    there = views.linearised(z)
+    best = _searched(there, guess, tried)
     robotless = best["trusted"].deviance
     gains = {name: float(robotless - one.deviance) for name, one in best.items()}
     name = _choice(gains, tried, len(placed)) if field is None else list(tried)[-1]
     say(f"errors of the robot: {name}")
-    z, found, settled = _settled(views, z, best[name], tried[name])
+    z, there, found, settled = _settled(views, z, there, best[name], tried[name])
     alternatives = tuple(
         Alternative(other, gains[other], _noise(one.sizes, white, tried[other]))
         for other, one in best.items()
     )
     calibration, _ = built.problem.calibration(z)
-    told, more = _doubt(views.linearised(z), found, jnp.asarray(tried[name]))
+    told, more = _doubt(there, found, jnp.asarray(tried[name]))
     shares = np.asarray(told)[np.concatenate([[True] * 3, tried[name][2:]])]
     return NoiseEstimate(
         name,
@@ -234,18 +235,23 @@ class _Statistics:
 
 
 def _settled(
-    views: _Statistics, z: Step, found: Likeliest, active: Bool[np.ndarray, "robot"]
-) -> tuple[Step, Likeliest, bool]:
+    views: _Statistics,
+    z: Step,
+    there: LinearisedViews,
+    found: Likeliest,
+    active: Bool[np.ndarray, "robot"],
+) -> tuple[Step, LinearisedViews, Likeliest, bool]:
     """Parameters and sizes that agree: those fitted with these, these likeliest there."""
     for _ in range(ROUNDS):
-        ahead = jax.tree.map(jnp.add, z, _best_step(views.linearised(z), found.sizes))
+        ahead = jax.tree.map(jnp.add, z, _best_step(there, found.sizes))
         weighed = _weighed(views.problem, found.sizes, views.groups)
         z, before = solve(weighed, start=ahead)[0].z, found.sizes.numbers
-        found = _likeliest(views.linearised(z), found.sizes, jnp.asarray(active))
+        there = views.linearised(z)
+        found = _likeliest(there, found.sizes, jnp.asarray(active))
         change = np.abs(np.log((found.sizes.numbers + NONE) / (before + NONE)))
         if (change < SETTLED).all():
-            return z, found, True
-    return z, found, False
+            return z, there, found, True
+    return z, there, found, False
 
 
 def _choice(

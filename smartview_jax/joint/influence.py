@@ -100,7 +100,7 @@ def pose_scores(
     lengths = jnp.sqrt(jnp.diagonal(parts.reduced))
     unit = jnp.diag(1.0 / jnp.where(lengths > 0.0, lengths, 1.0))
     shared = unit @ jnp.linalg.solve(unit @ parts.reduced @ unit, eye) @ unit
-    covariance = parts.own_inverse + jnp.einsum("vki,ij,vlj->vkl", parts.gain, shared, parts.gain)
+    covariance = parts.own_covariance(shared)
 
     weight = problem.prior_weight.corrections
     pull = weight * problem.off_mean(problem.step(z)).corrections

@@ -143,6 +143,11 @@ class Integral(eqx.Module):
     elimination: Elimination
     factor: Float[Array, "shared shared"]
 
+    @property
+    def shared_covariance(self) -> Float[Array, "shared shared"]:
+        """Of the shared parameters, the views' own integrated out."""
+        return cho_solve((self.factor, False), jnp.eye(len(self.factor)))
+
 
 def integrate(views: LinearisedViews, sizes: Sizes) -> Integral:
     """Integrate everything that is fitted out, for errors of given sizes."""
@@ -180,13 +185,9 @@ def slopes(views: LinearisedViews, sizes: Sizes, at: Integral) -> Sizes:
     By the precision of a parameter's prior it is its expected square less its prior's. What the
     step does can be left out: it is the best one.
     """
-    parts, prior = at.elimination, at.precision
-    identity = jnp.eye(len(at.factor))
-    shared_covariance = cho_solve((at.factor, False), identity)
-    carried = jnp.sum((parts.gain @ shared_covariance) * parts.gain, axis=2)
-    variance = Step(
-        jnp.diagonal(shared_covariance), jnp.diagonal(parts.own_inverse, axis1=1, axis2=2) + carried
-    )
+    prior, covariance = at.precision, at.shared_covariance
+    own_covariance = at.elimination.own_covariance(covariance)
+    variance = Step(jnp.diagonal(covariance), jnp.diagonal(own_covariance, axis1=1, axis2=2))
     square = jax.tree.map(lambda off, s, v: (off + s) ** 2 + v, views.off_mean, at.step, variance)
     # By the logarithm of a prior's precision; what has no prior, or does not move, does not count.
     pull = jax.tree.map(jnp.multiply, prior, square)

@@ -157,8 +157,7 @@ class JointProblem(eqx.Module):
         matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)
         gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
 
-        moves = jnp.where(self.own_free, self.scale.corrections, 0.0)
-        own = chain.by_own * moves[:, None, :]
+        own = self._by_own(chain)
         seen = slice(count if len(own) else 0)
         own_transposed = jnp.swapaxes(own, 1, 2)
         border = own_transposed @ gram_shared[seen, n:]
@@ -174,6 +173,22 @@ class JointProblem(eqx.Module):
         twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
         shared = jnp.concatenate([camera, twist], axis=1)[:, :, self._chosen]
         return shared * self.scale.shared[None, None]
+
+    def _by_own(self, chain: Chain) -> Float[Array, "corrected 6 6"]:
+        """How each view's twist follows from its own numbers; no column for what is held."""
+        moves = jnp.where(self.own_free, self.scale.corrections, 0.0)
+        return chain.by_own * moves[:, None, :]
+
+    @property
+    def _own_weight(self) -> Float[Array, "corrected 6"]:
+        """One over the deviation of each view's own numbers, in their units."""
+        weight = jnp.where(self.own_free, self.prior_weight.corrections, 0.0)
+        return weight * self.scale.corrections
+
+    @property
+    def _own_precision(self) -> Float[Array, "corrected 6"]:
+        """A number that is held has no column: a one keeps its equation solvable."""
+        return jnp.where(self.own_free, self._own_weight**2, 1.0)
 
     def observed_by_view(
         self, z: Step
@@ -191,40 +206,31 @@ class JointProblem(eqx.Module):
         priors of the shared parameters.
         """
         chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
-        views, shared, n = (
-            self._linearised(chain),
-            self._by_shared(chain),
-            self.parameters.camera_size,
-        )
+        views, shared = self._linearised(chain), self._by_shared(chain)
         told = jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
         if not len(self.own_free):
             return told
-        own = chain.by_own * jnp.where(self.own_free, 1.0, 0.0)[:, None, :]
+        own, n = self._by_own(chain), self.parameters.camera_size
         own_transposed = jnp.swapaxes(own, 1, 2)
         border = own_transposed @ (views.gram[:, n:] @ shared)
-        weight = jnp.where(self.own_free, self.prior_weight.corrections**2, 1.0)
         corner = own_transposed @ views.gram[:, n:, n:] @ own
-        corner = corner + jnp.eye(6)[None] * weight[:, None]
+        corner = corner + jnp.eye(6)[None] * self._own_precision[:, None]
         return told - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(corner, border)
 
     def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
         chosen, gradient, matrix = self._chosen, observed.gradient, observed.matrix
         residual, own_residual = self._prior_residuals(step)
         weight = self.prior_weight.shared[chosen] * self.scale.shared
-        # A correction that is held has no column: a one keeps its equation solvable.
-        own_weight = jnp.where(self.own_free, self.prior_weight.corrections, 0.0)
-        own_weight = own_weight * self.scale.corrections
-        diagonal = jnp.where(self.own_free, own_weight**2, 1.0)
         return NormalEquations(
             observed.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(own_residual**2)),
             Step(
                 gradient.shared + weight * residual[chosen],
-                gradient.corrections + own_weight * own_residual,
+                gradient.corrections + self._own_weight * own_residual,
             ),
             BlockArrow(
                 matrix.shared + jnp.diag(weight**2),
                 matrix.border,
-                matrix.own + jnp.eye(6)[None] * diagonal[:, None],
+                matrix.own + jnp.eye(6)[None] * self._own_precision[:, None],
             ),
         )
 

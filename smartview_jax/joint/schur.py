@@ -116,6 +116,13 @@ class Elimination(eqx.Module):
         each = jnp.broadcast_to(jnp.eye(6)[None], self.own_factor.shape)
         return cho_solve((self.own_factor, False), each)
 
+    def own_covariance(
+        self, shared_covariance: Float[Array, "shared shared"]
+    ) -> Float[Array, "views 6 6"]:
+        """Of each view's own numbers: by themselves, and through the shared parameters."""
+        carried = self.gain @ shared_covariance
+        return self.own_inverse + jnp.einsum("vki,vli->vkl", carried, self.gain)
+
 
 def eliminate(operator: BlockArrow) -> Elimination:
     """Eliminate every view's own numbers; a block that is not positive definite gives NaN."""

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int
 
 from .likelihood import (
@@ -79,10 +78,9 @@ def fisher_information(
         groups: of the field.
     """
     parts, prior = at.elimination, at.precision
-    covariance = cho_solve((at.factor, False), jnp.eye(len(at.factor)))
-    carried = parts.gain @ covariance
-    across = jnp.einsum("vki,vli->vkl", carried, parts.gain)
-    own_covariance = parts.own_inverse + across
+    covariance = at.shared_covariance
+    carried, own_covariance = parts.gain @ covariance, parts.own_covariance(covariance)
+    across = own_covariance - parts.own_inverse
 
     # Rows by kind: translation, rotation; groups of the field, and what has a known prior.
     kinds = jnp.repeat(jnp.eye(2), 3, axis=1)[None] * prior.corrections[:, None]

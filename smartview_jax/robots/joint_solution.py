@@ -90,9 +90,3 @@ def nearest_turn(
     return jnp.where(
         jnp.broadcast_to(np.array(arm.prismatic), shape), joints, joints + turn * turns
     )
-
-
-def beyond_limits(arm: SerialArm, joints: Float[Array, "*views n"]) -> Bool[Array, "*views n"]:
-    """Readings that pass a limit by more than rounding; False for NaN."""
-    lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in arm.limits.T)
-    return (joints < lower - SLACK) | (joints > upper + SLACK)

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import PoseLike, as_se3
 from .command import JointsLike
-from .joint_solution import JointSolution, Status, beyond_limits, nearest_turn
+from .joint_solution import SLACK, JointSolution, Status, nearest_turn
 from .serial_arm import SerialArm
 
 BRANCHES = tuple(
@@ -77,7 +77,7 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
         solve = jax.vmap(solve, in_axes=(0, None))
     angles, reached, singular = solve(poses, signs)
     joints = nearest_turn(arm, angles - jnp.broadcast_to(arm.theta, angles.shape))
-    beyond = beyond_limits(arm, joints) & reached[..., None]
+    beyond = arm.out_of_limits(joints, SLACK) & reached[..., None]
     return JointSolution(
         jnp.where(reached[..., None], joints, jnp.nan), _status(reached, singular, beyond), beyond
     )

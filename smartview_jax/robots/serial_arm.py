@@ -109,11 +109,11 @@ class SerialArm(eqx.Module):
         """The joints' readings, and where the controller believes the tool to be."""
         return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
 
-    def out_of_limits(self, joints: JointsLike) -> Bool[Array, "*views joints"]:
-        """Which readings are beyond what their joints can do."""
+    def out_of_limits(self, joints: JointsLike, slack: float = 0.0) -> Bool[Array, "*views joints"]:
+        """Which readings are beyond what their joints can do, by more than a slack; NaN is not."""
         joints = jnp.asarray(joints, dtype=float)
         lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in self.limits.T)
-        return (joints < lower) | (joints > upper)
+        return (joints < lower - slack) | (joints > upper + slack)
 
     def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
         """Twist at the tool per unit of each joint, translation first."""

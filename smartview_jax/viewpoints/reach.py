@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from ..robots import Command, JointsLike, JointSolution, SerialArm, Status, joints_for_pose
-from ..robots.joint_solution import NO_ANSWER, beyond_limits
+from ..robots.joint_solution import NO_ANSWER, SLACK
 
 
 def reach(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
@@ -19,7 +19,7 @@ def reach(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
     joints = command.joints
     if joints is None:
         return joints_for_pose(arm, command.base_from_tool, near)
-    beyond = beyond_limits(arm, joints)
+    beyond = arm.out_of_limits(joints, SLACK)
     there = jnp.all(jnp.isfinite(joints), axis=-1)
     status = jnp.where(there, 0, int(Status.OUT_OF_REACH))
     status = status | jnp.where(beyond.any(axis=-1), int(Status.OUT_OF_LIMITS), 0)
