@@ -14,8 +14,12 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from .calibration import Calibration
     from .dataset import Dataset
     from .evaluation import ErrorBudget, Repeatability, Unseen
+    from .robots import SerialArm
 
 app = typer.Typer(
     help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
@@ -221,6 +225,14 @@ def viewpoint(
     below: Annotated[
         bool, typer.Option("--below", help="The world's z points away from the camera.")
     ] = False,
+    arm: Annotated[
+        str | None,
+        typer.Option(help="Joint readings too: an arm's name (puma_560, ...) or a .urdf file."),
+    ] = None,
+    near: Annotated[
+        str | None,
+        typer.Option(help="Readings to set out from, degrees (m where a joint slides): 0,-10,40."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
     ] = None,
@@ -250,15 +262,57 @@ def viewpoint(
             wanted = five_viewpoints(place, distance, float(turn), step, not below)
         else:
             wanted = look_at(place, directions, distance, float(turn))
-        commands = viewpoint_commands(known, wanted, place[None])
+        serial = _arm(arm, known)
+        start = None if serial is None else _readings(near, serial)
+        commands = viewpoint_commands(known, wanted, place[None], serial, start)
         table = Table("view", "x mm", "y mm", "z mm", "O deg", "A deg", "T deg", "", box=box.SIMPLE)
         rows = np.asarray(commands.xyzoat) * np.repeat([1e3, 180.0 / np.pi], 3)
         for k, (row, reason) in enumerate(zip(rows, commands.checks.reasons(), strict=True)):
             table.add_row(f"v{1 + k}", *(f"{value:.3f}" for value in row), reason)
         Console().print(table)
+        if serial is not None and commands.joints is not None:
+            Console().print(_joint_table(np.asarray(commands.joints), serial))
         if out is not None:
-            write_viewpoints(out, commands.base_from_tool)
+            joints = None if commands.joints is None else np.asarray(commands.joints)
+            write_viewpoints(out, commands.base_from_tool, joints=joints)
             typer.echo(out)
+
+
+def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
+    """The arm that is named, or whose own errors the calibration corrects."""
+    from .io import load_urdf
+    from .robots import AbstractArmErrors, arm_by_name
+
+    if words is not None:
+        return load_urdf(words) if words.endswith(".urdf") else arm_by_name(words)
+    field = None if known.robot_error is None else known.robot_error.field
+    return field.arm if isinstance(field, AbstractArmErrors) else None
+
+
+def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:
+    import numpy as np
+
+    units = ["mm" if slides else "deg" for slides in arm.prismatic]
+    names = (f"q{1 + k} {unit}" for k, unit in enumerate(units))
+    table = Table("view", *names, box=box.SIMPLE)
+    for k, row in enumerate(joints * np.where(arm.prismatic, 1e3, 180.0 / np.pi)):
+        table.add_row(f"v{1 + k}", *(f"{value:.3f}" for value in row))
+    return table
+
+
+def _readings(words: str | None, arm: "SerialArm") -> "np.ndarray":
+    """Readings, rad and m, of degrees and metres between commas."""
+    import numpy as np
+
+    if words is None:
+        raise ValueError("an arm reaches a pose in several ways: say --near which readings")
+    try:
+        given = np.array([float(word) for word in words.split(",")])
+    except ValueError:
+        given = np.array([])
+    if len(given) != arm.size or not np.isfinite(given).all():
+        raise ValueError(f"--near: expected {arm.size} numbers between commas, found {words!r}")
+    return np.where(arm.prismatic, given, np.deg2rad(given))
 
 
 def _load(

@@ -13,6 +13,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from .calibration import Calibration, mount_frames
+from .compilation import compiled
 from .geometry import PoseLike, as_se3, check_rigid
 from .robots import Command, SerialArm
 
@@ -50,7 +51,7 @@ class Observations(eqx.Module):
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
 
 
-@eqx.filter_jit
+@compiled
 def chain_residuals(
     calibration: Calibration, observations: Observations
 ) -> Float[Array, "views points 2"]:

@@ -5,6 +5,9 @@ import os
 os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "0"
 # Most of their time is XLA's, which compiles for speed what is run once on little data.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+os.environ["XLA_FLAGS"] = (
+    f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false".strip()
+)
 
 import equinox as eqx
 import jax

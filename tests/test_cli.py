@@ -1,8 +1,10 @@
+import dataclasses
 import re
 import shutil
 import sys
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -196,3 +198,40 @@ def test_a_viewpoint_is_printed_and_written(tmp_path):
     run = RUNNER.invoke(app, [*given, "--distance", "-1"])
     assert run.exit_code == 2
     assert "--distance" in run.stderr
+
+
+def test_a_viewpoint_in_an_arms_joints(tmp_path):
+    """An arm by its name, and one whose zeros were fitted: its readings make up for them."""
+    from smartview_jax.io import read_viewpoints
+    from smartview_jax.robots import JointOffsets, RobotError, joints_for_pose, puma_560
+    from smartview_jax.simulation import paper_calibration
+    from smartview_jax.viewpoints import look_at
+
+    arm, path, out = puma_560(), tmp_path / "calibration.yaml", tmp_path / "v.json"
+    wanted = look_at(np.zeros(3), np.array([[0.0, 0.0, -1.0]]), 0.2)
+    bare = paper_calibration()
+    near = joints_for_pose(arm, bare.command_for(wanted), np.deg2rad([[0, 90, -90, 0, 60, 0]]))
+    words = ",".join(f"{reading:.0f}" for reading in np.rad2deg(near.joints[0]))
+    given = ["viewpoint", str(path), f"--near={words}", "--out", str(out)]
+    offsets = jnp.array([0.0, 0.01, -0.02, 0.0, 0.01, 0.0])
+    fitted = dataclasses.replace(
+        bare, robot_error=RobotError(JointOffsets(arm), jnp.asarray(offsets))
+    )
+    for known, named in ((bare, ["--arm", "puma_560"]), (fitted, [])):
+        known.save(path)
+        run = RUNNER.invoke(app, [*given, *named])
+        assert run.exit_code == 0, run.output
+        joints = read_viewpoints(out).joints
+        assert f"{np.rad2deg(joints[0, 1]):.3f}" in run.stdout
+        there = known.camera_from_world(arm.command(joints))
+        np.testing.assert_allclose((there @ wanted.inverse()).log(), 0.0, atol=1e-7)
+
+    bare.save(path)
+    for words, message in (
+        (["viewpoint", str(path), "--arm", "puma_560"], "--near"),
+        ([*given, "--arm", "puma_560", "--near=1,2"], "expected 6 numbers"),
+        ([*given, "--arm", "scara"], "puma_560"),
+    ):
+        run = RUNNER.invoke(app, words)
+        assert run.exit_code == 2
+        assert message in run.stderr

@@ -11,14 +11,15 @@ import smartview_jax
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
-# From the ground floor up; `files` holds only the reading and writing of text.
+# From the ground floor up; `files` holds only the reading and writing of text, `compilation` how
+# programs are compiled.
 FLOORS = """
-    files geometry cameras robots targets calibration dataset detection io simulation staged
-    joint evaluation viewpoints modeling localization grasping report editor cli
+    files compilation geometry cameras robots targets calibration dataset detection io simulation
+    staged joint evaluation viewpoints modeling localization grasping report editor cli
 """.split()
 
 NO_OPENCV = """
-    geometry cameras robots targets calibration dataset staged joint viewpoints
+    compilation geometry cameras robots targets calibration dataset staged joint viewpoints
 """.split()
 
 

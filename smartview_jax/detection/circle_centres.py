@@ -13,7 +13,6 @@ tenths of a pixel, and what a fit is wrong by changes a small share of it.
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import circle_centre_bias
+from ..compilation import optimised
 from ..dataset import Dataset, Observations
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
 
@@ -62,7 +62,7 @@ def correct_circle_centres(
     return dataclasses.replace(data, pixels=pixels)
 
 
-@eqx.filter_jit
+@optimised
 def predicted_bias(
     calibration: Calibration, observations: Observations, radii: Float[Array, "points"]
 ) -> tuple[Float[Array, "views points 2"], Bool[Array, "views points"]]:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
+from ..compilation import compiled
 from ..dataset import Dataset
 from ..joint import Noise, Observability, Prior, build_problem
 from ..joint.covariance import UnitColumns, covariance
@@ -81,7 +82,7 @@ def cramer_rao(
     )
 
 
-@eqx.filter_jit
+@compiled
 def _information(problem: JointProblem) -> tuple:
     """With the views' own numbers eliminated, and the length of each column before."""
     matrix = problem.normal_equations(problem.start()).matrix

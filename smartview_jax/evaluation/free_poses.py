@@ -4,7 +4,6 @@ No chain through a robot can predict better than this with the same camera, so t
 two is what the robot's poses, the target's size and the two fixed transforms cost.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
@@ -13,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import Camera
+from ..compilation import compiled
 from ..dataset import Dataset
 from ..geometry import transform_points
 from .measures import Deviations, measured
@@ -46,7 +46,7 @@ def free_pose_predictions(
     return *calibration.camera.project(in_camera), in_camera[..., 2]
 
 
-@eqx.filter_jit
+@compiled
 def _fit_poses(
     camera: Camera,
     start: SE3,

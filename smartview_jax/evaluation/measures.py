@@ -2,12 +2,12 @@
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
+from ..compilation import compiled
 from ..dataset import Dataset
 from ..robots import CommandLike
 
@@ -112,7 +112,7 @@ def at_target(
     return Deviations(px, px * distance / focal)
 
 
-@eqx.filter_jit
+@compiled
 def predict(
     predictor: Predictor, command: CommandLike, points: Array
 ) -> tuple[Array, Bool[Array, "views points"], Array]:

@@ -15,6 +15,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
+from ..compilation import compiled
 from ..dataset import Dataset
 from ..joint import JointFit
 from ..robots import Command
@@ -142,7 +143,7 @@ class _Pixels(eqx.Module):
         return jnp.where(valid[..., None], pixels, 0.0)
 
 
-@eqx.filter_jit
+@compiled
 def _by_poses(
     calibration: Calibration,
     sizes: Float[Array, "6"],

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
+from ..compilation import compiled
 from ..joint import Observability
 from ..joint.parameters import Parameters, Step, parameter_names
 
@@ -71,7 +71,7 @@ def _independent_steps(estimate: Estimate) -> Float[Array, "directions parameter
     return jnp.asarray(steps)
 
 
-@eqx.filter_jit
+@compiled
 def _variance(
     calibration: Calibration,
     function: Callable[[Calibration], Array],
@@ -80,7 +80,7 @@ def _variance(
     return sum_of_squares(_by_step(calibration, function), steps)
 
 
-@eqx.filter_jit
+@compiled
 def _moves(
     calibration: Calibration,
     function: Callable[[Calibration], Array],

@@ -15,6 +15,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import AbstractLens, Camera
+from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
 from ..staged import FitCode, FitResult
 from ..staged.kalman import pixel_residuals, robust_sigma
@@ -173,4 +174,4 @@ def batch_filter(
     return dataclasses.replace(fit, residuals=jnp.asarray(residuals), result=result)
 
 
-_everywhere = eqx.filter_jit(pixel_residuals)
+_everywhere = compiled(pixel_residuals)

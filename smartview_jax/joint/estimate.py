@@ -12,6 +12,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
+from ..compilation import compiled
 from ..dataset import Dataset
 from ..robots import AbstractField, DHErrors, LinearInPose, RobotError, field_name
 from .build import Built, build_problem
@@ -21,7 +22,7 @@ from .parameters import CORRECTIONS, ROBOT_ERROR, Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .scoring import Likeliest, doubt, likeliest
-from .solver import compiled, solve
+from .solver import solve
 
 ROUNDS = 6
 """Of linearising anew with the sizes found, at most."""
@@ -337,7 +338,7 @@ def _groups(built: Built) -> Int[np.ndarray, "free"]:
     )
 
 
-@eqx.filter_jit
+@compiled
 def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem:
     """The problem with priors of these sizes."""
     chosen, shared = jnp.array(problem.free), problem.prior_weight.shared
@@ -347,8 +348,8 @@ def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem
     return eqx.tree_at(lambda p: (p.pixel_sigma, p.prior_weight), problem, (sizes.pixel, weight))
 
 
-_likeliest, _best_step = eqx.filter_jit(likeliest), eqx.filter_jit(best_step)
-_doubt = eqx.filter_jit(doubt)
+_likeliest, _best_step = compiled(likeliest), compiled(best_step)
+_doubt = compiled(doubt)
 
 
 def _noise(sizes: Sizes, white: float, active: Bool[np.ndarray, "robot"]) -> Noise:

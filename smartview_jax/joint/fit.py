@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
+from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
 from ..robots import AbstractField
 from ..staged import FitCode, FitResult
@@ -236,7 +237,7 @@ def _assemble(
     )
 
 
-@eqx.filter_jit
+@compiled
 def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     calibration, corrections = problem.calibration(z)
     parts = eliminate(matrix)

@@ -11,12 +11,12 @@ Reference: Cook, Detection of influential observation in linear regression, 1977
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
 
+from ..compilation import compiled
 from .parameters import Step, select
 from .problem import JointProblem
 from .schur import BlockArrow, eliminate
@@ -50,7 +50,7 @@ class Influence(NamedTuple):
         return np.abs(self.moves[:, chosen] / self.std[chosen]).max(axis=1)
 
 
-@eqx.filter_jit
+@compiled
 def moves_without(problem: JointProblem, z: Step) -> Float[Array, "views free"]:
     """How far the free shared parameters move if a view is left out, to first order.
 
@@ -83,7 +83,7 @@ class PoseScores(NamedTuple):
     p_value: Float[Array, "views"]
 
 
-@eqx.filter_jit
+@compiled
 def pose_scores(
     problem: JointProblem, z: Step, matrix: BlockArrow, sizes_known: bool
 ) -> PoseScores:

@@ -18,6 +18,7 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Float, Int
 
+from ..compilation import compiled
 from ..geometry import PoseLike, as_se3
 from ..robots import JointsLike, SerialArm, arm_from_axes
 from .axes_start import Axes, axes_of_arm, axes_of_motions
@@ -146,7 +147,7 @@ def _numbers(slides: tuple[bool, ...], free_ratios: bool) -> tuple[list[str], In
     return [*names, *["target"] * 6], np.array([*free, *range(last, last + 6)])
 
 
-@eqx.filter_jit
+@compiled
 def _solve(
     axes: Axes,
     joints: Float[Array, "views joints"],

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
+from ..compilation import optimised
 from ..dataset import Dataset, Observations
 from ..robots import AbstractField
 from .build import build_problem, with_field, with_lens
@@ -28,7 +29,7 @@ from .priors import Prior
 from .problem import JointProblem, valid_at_start
 from .schur import eliminate
 from .sharding import last_repeated
-from .solver import MAXIMUM_STEPS, StructuredLM, compiled, next_to_nothing, run
+from .solver import MAXIMUM_STEPS, StructuredLM, next_to_nothing, run
 
 FITS = "fits"
 """Name of the mesh axis along which fits are dealt out to devices."""
@@ -130,7 +131,7 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *parts)
 
 
-@compiled
+@optimised
 def _solve_all(problems: JointProblem, sigma_known: bool, mesh: Mesh | None) -> tuple:
     """Every fit's answer; the fits are spread over a mesh's devices, evened out by copies."""
     parts = _own_parts(problems)

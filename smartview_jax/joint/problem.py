@@ -13,6 +13,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
+from ..compilation import compiled
 from ..dataset import Observations
 from .blocks import FAR_OFF, ViewBlocks, linearise_views
 from .chain import Chain, linearise_chain
@@ -245,7 +246,7 @@ class JointProblem(eqx.Module):
         return off.shared * weight.shared, off.corrections * weight.corrections
 
 
-@eqx.filter_jit
+@compiled
 def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
     """Which points the start can project at all."""
     start = problem.parameters.start

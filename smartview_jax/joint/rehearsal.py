@@ -10,6 +10,7 @@ from jaxlie import SE3
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera, Pinhole, start_lens
+from ..compilation import compiled
 from ..dataset import Dataset
 from ..staged import solve_hand_eye
 from .fit import fit_joint
@@ -31,7 +32,7 @@ def rehearse(data: Dataset, lens: str | AbstractLens, camera: Camera | None, opt
     ahead = SE3.from_translation(jnp.array([0.0, 0.0, 1.0]))
     calibration = Calibration(camera, SE3.identity(), ahead, data.mount)
     poses = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, data.base_from_tool.wxyz_xyz.shape))
-    pixels, valid = eqx.filter_jit(calibration.project)(poses, data.points)
+    pixels, valid = compiled(calibration.project)(poses, data.points)
     made_up = eqx.tree_at(
         lambda d: (d.pixels, d.visible, d.base_from_tool), data, (pixels, valid, poses)
     )

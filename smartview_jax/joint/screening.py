@@ -18,6 +18,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration, mount_from_holder
+from ..compilation import compiled
 from ..dataset import Dataset, Observations
 from ..staged import agreeing_views, locate_views
 from .build import build_problem, without_robot
@@ -180,12 +181,12 @@ def _concerns_camera(path: str) -> bool:
     return path.split(".")[0] == "camera"
 
 
-@eqx.filter_jit
+@compiled
 def _squares(problem: JointProblem, z: Step) -> Float[Array, "views points"]:
     return problem.squares(z)
 
 
-@eqx.filter_jit
+@compiled
 def _from_chain(start: Calibration, observations: Observations) -> Float[Array, "views points"]:
     """How far every point lies from where the chain puts it, px; infinite where nowhere."""
 

@@ -18,6 +18,7 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int, Scalar, ScalarLike
 
+from ..compilation import compiled
 from .parameters import Step
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, SchurCholesky
@@ -48,15 +49,6 @@ class _State(eqx.Module):
     costs: Float[Array, "record"]
     terminate: Bool[Array, ""]
     result: optx.RESULTS
-
-
-def compiled(function: Callable) -> Callable:
-    """`eqx.filter_jit` for whole fits, at the second of LLVM's levels of optimisation.
-
-    At the third, XLA's own choice, the linearisation of many points takes twice as long.
-    """
-    options = {"xla_backend_optimization_level": 2}
-    return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
 
 class StructuredLM(optx.AbstractLeastSquaresSolver):
@@ -232,15 +224,15 @@ def solve(
         solver = StructuredLM()
     elif not isinstance(solver, StructuredLM):
         problem = _scaled(problem)
-    start = problem.start() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
-    z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps, start)
+    first = problem.start() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
+    z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps, first)
     cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
     share, converged = gain / max(cost, 1e-300), bool(next_to_nothing(gain, cost))
     costs = (*record[np.isfinite(record)].tolist(), cost)
     return Solution(z, costs, int(steps), share, converged), equations
 
 
-@eqx.filter_jit
+@compiled
 def _scaled(problem: JointProblem) -> JointProblem:
     """The same problem in other units, for solvers that treat all parameters alike."""
     matrix = jax.lax.stop_gradient(problem).normal_equations(problem.start()).matrix
@@ -285,7 +277,7 @@ def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
     return problem.residuals(z)
 
 
-@eqx.filter_jit
+@compiled
 def optimum(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,

@@ -1,5 +1,6 @@
 """Arms: forward kinematics, and how what a robot reports differs from where its tool is."""
 
+from .arm_errors import AbstractArmErrors as AbstractArmErrors
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios

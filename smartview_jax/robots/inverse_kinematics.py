@@ -1,12 +1,12 @@
 """Joint angles that put a tool somewhere, found by iteration from angles near by."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..compilation import optimised
 from .command import JointsLike
 from .serial_arm import SerialArm
 
@@ -20,7 +20,7 @@ EDGE = 0.999
 """Share of a joint's range, from its middle, that a search may begin at."""
 
 
-@eqx.filter_jit
+@optimised
 def joints_near(
     arm: SerialArm, base_from_tool: SE3, near: JointsLike
 ) -> tuple[Float[Array, "*views joints"], Bool[Array, "*views"]]:

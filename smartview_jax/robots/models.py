@@ -17,12 +17,14 @@ def kuka_lwr4() -> SerialArm:
 
     Lengths of its data sheet (0.31, 0.40, 0.39, 0.078 m between shoulder, elbow, wrist and flange).
     They give the poses that the controller of one such arm reported to 0.15 mm and 0.01 degrees.
+    Limits: those of `lwr_description` in CentroEPiaggio/kuka-lwr, the arm's ROS package.
     """
     return SerialArm(
         theta=np.zeros(7),
         d=[0.31, 0.0, 0.40, 0.0, 0.39, 0.0, 0.078],
         a=np.zeros(7),
         alpha=[_RIGHT, -_RIGHT, -_RIGHT, _RIGHT, _RIGHT, -_RIGHT, 0.0],
+        limits=np.deg2rad([[-170, 170], [-120, 120]] * 3 + [[-170, 170]]),
     )
 
 

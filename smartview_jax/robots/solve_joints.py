@@ -1,11 +1,11 @@
 """Joints for a pose of the tool, of any arm, and in words why there are none."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..compilation import optimised
 from ..geometry import PoseLike, as_se3
 from .command import JointsLike
 from .inverse_kinematics import joints_near
@@ -35,24 +35,34 @@ def joints_for_pose(arm: SerialArm, base_from_tool: PoseLike, near: JointsLike) 
     return (_in_closed_form if is_puma_like(arm) else _by_iteration)(arm, poses, near)
 
 
-_in_closed_form = eqx.filter_jit(nearest_puma_joints)
+_in_closed_form = optimised(nearest_puma_joints)
 
 
-@eqx.filter_jit
+@optimised
 def _by_iteration(arm: SerialArm, poses: SE3, near: JointsLike) -> JointSolution:
     joints, reached = joints_near(arm, poses, near)
     lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in arm.limits.T)
     span = jnp.where(jnp.isfinite(upper - lower), upper - lower, 1.0)
     at_limit = jnp.minimum(joints - lower, upper - joints) < AT_LIMIT * span
     beyond = at_limit & ~reached[..., None]
-    held = int(Status.OUT_OF_LIMITS)
-    missed = jnp.where(beyond.any(axis=-1), held, int(Status.OUT_OF_REACH))
+    place = poses.translation()
+    shoulder = jnp.broadcast_to(arm.base_from_first.translation(), place.shape)
+    far = jnp.linalg.norm(place - shoulder, axis=-1) > _length(arm)
+    held = beyond.any(axis=-1) & ~far
+    missed = jnp.where(held, int(Status.OUT_OF_LIMITS), int(Status.OUT_OF_REACH))
     singular = jnp.where(_sharpness(arm, joints) < DULL, int(Status.SINGULAR), 0)
     return JointSolution(
         jnp.where(reached[..., None], joints, jnp.nan),
         jnp.where(reached, 0, missed) | singular,
-        beyond,
+        beyond & held[..., None],
     )
+
+
+def _length(arm: SerialArm) -> Float[Array, ""]:
+    """How far the tool can be from the first joint, stretched out: no pose beyond is reached."""
+    slide = jnp.where(jnp.array(arm.prismatic), jnp.max(jnp.abs(arm.limits), axis=1), 0.0)
+    links = jnp.sum(jnp.hypot(arm.a, jnp.abs(arm.d) + slide))
+    return links + jnp.linalg.norm(arm.flange_from_tool.translation())
 
 
 def _sharpness(arm: SerialArm, joints: Float[Array, "*views joints"]) -> Float[Array, "*views"]:

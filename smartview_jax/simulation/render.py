@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
@@ -16,6 +15,7 @@ from jaxtyping import Array, Float, UInt8
 
 from ..calibration import Calibration
 from ..cameras import Camera
+from ..compilation import optimised
 from ..files import write_atomically
 from ..geometry import PoseLike, as_se3
 from ..io.dataset_folder import write_folder
@@ -88,7 +88,7 @@ def _looked_at(
     return place, ahead & ((centre > z) == front_is_up)
 
 
-@eqx.filter_jit
+@optimised
 def _meet_plane(
     camera: Camera,
     camera_from_world: SE3,

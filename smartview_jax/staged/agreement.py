@@ -6,12 +6,12 @@ without the view that fits worst, and if it then stands far out from the rest it
 on.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..compilation import compiled
 from ..geometry import mean_pose
 from .closed_form import park_martin
 
@@ -72,7 +72,7 @@ def agreeing_views(
     return kept, words
 
 
-@eqx.filter_jit
+@compiled
 def _misfit(T: SE3, C: SE3, used: Bool[Array, "views"]) -> Float[Array, "views 2"]:
     """Translation (m) and rotation (rad) at the mount that the transforms leave over."""
     weights = used.astype(float)

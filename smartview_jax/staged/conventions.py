@@ -16,6 +16,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..calibration import mount_frames, mount_from_holder
+from ..compilation import compiled
 from ..geometry import rotation_angle
 from .closed_form import motion_pairs, park_martin
 
@@ -150,7 +151,7 @@ def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
     )
 
 
-@jax.jit
+@compiled
 def _compare(
     given: SE3, inverted: SE3, camera_from_world: SE3, weights: Array
 ) -> tuple[Float[Array, "views views"], Float[Array, "3"], Float[Array, "3"]]:

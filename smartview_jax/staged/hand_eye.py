@@ -18,6 +18,7 @@ import optimistix as optx
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..compilation import compiled
 from ..geometry import mean_pose
 from .closed_form import CLOSED_FORMS
 
@@ -115,7 +116,7 @@ def solve_hand_eye(
     )
 
 
-@eqx.filter_jit
+@compiled
 def _averaged(T: SE3, C: SE3, world: SE3, eye: SE3, weights: Array) -> tuple[Array, Array]:
     """`camera_from_mount` from the world transform, averaged, and its distance to the other."""
     averaged = mean_pose(C @ (T @ SE3(world.wxyz_xyz[None])).inverse(), weights)
@@ -138,7 +139,7 @@ def frobenius_cost(
     return jnp.einsum("i,j,ijab->", weights, weights, gap**2)
 
 
-@eqx.filter_jit
+@compiled
 def _closed_forms(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Array
 ) -> dict[str, tuple[SE3, SE3]]:
@@ -175,7 +176,7 @@ def _search(
     return SE3(found.wxyz_xyz[best]), tried, tried[best]
 
 
-@eqx.filter_jit
+@compiled
 def _bfgs(
     T: SE3, C: SE3, weights: Array, starts: SE3, length_scale: Array
 ) -> tuple[SE3, Array, Array, Array]:

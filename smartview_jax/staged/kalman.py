@@ -25,6 +25,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
+from ..compilation import compiled, optimised
 from ..dataset import Observations
 from ..geometry import transform_points
 
@@ -145,7 +146,7 @@ class _Pass(NamedTuple):
     cost_before: Array  # mean robust cost at the linearisation point, px
 
 
-@eqx.filter_jit
+@compiled
 def _rms(observations: Observations, point: tuple[Camera, SE3], inliers: Array) -> Array:
     residuals = jnp.where(inliers[..., None], pixel_residuals(observations, *point), 0.0)
     return jnp.sqrt(jnp.sum(residuals**2) / jnp.maximum(jnp.sum(inliers.astype(float)), 1.0))
@@ -158,7 +159,7 @@ def pixel_residuals(observations: Observations, camera: Camera, camera_from_worl
     return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)
 
 
-@eqx.filter_jit
+@compiled
 def robust_sigma(
     observations: Observations,
     point: tuple[Camera, SE3],
@@ -194,7 +195,7 @@ def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, A
     return jnp.concatenate([pinhole, lens]), jnp.concatenate([half * distance, half], axis=1)
 
 
-@eqx.filter_jit
+@optimised
 def _one_pass(
     observations: Observations,
     point: tuple[Camera, SE3],

@@ -17,6 +17,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
+from ..compilation import compiled
 from ..dataset import Observations
 from .weng_alternation import Found, alternate
 from .weng_start import Intrinsics, Start, coplanar, extents, linear_start, planar_start
@@ -136,12 +137,12 @@ def locate_views(
         observations.base_from_tool,
     )
     flat = coplanar(extents(straight.points, straight.visible))
-    every = np.ones(len(flat), dtype=bool)
+    every = jnp.ones(len(flat), dtype=bool)
     alpha, zero = camera.alpha_u, jnp.zeros(())
     known = Intrinsics(alpha, alpha, zero, zero, zero)
     size = jnp.asarray(float(max(camera.image_size)))
     start = _starts(straight, jnp.zeros(2), size, flat)
-    held = _hold_alpha(start, known, every, np.zeros(2))
+    held = _hold_alpha(start, known, every, jnp.zeros(2))
     nothing = jnp.zeros((len(flat), 5), dtype=bool)
     found = _calibrate_all(straight, held, nothing, flat)
     return found.camera_from_world, found.rms, found.used
@@ -166,7 +167,7 @@ def _only(observations: Observations, views: np.ndarray) -> Observations:
     return eqx.tree_at(lambda o: o.visible, observations, visible)
 
 
-@jax.jit
+@compiled
 def _where(views: Array, one: Found, other: Found) -> Found:
     def pick(a, b):
         return jnp.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
@@ -184,7 +185,7 @@ def _median(found: Found, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics
     return jax.tree.map(lambda x: jnp.asarray(np.median(np.asarray(x)[trusted])), found.intrinsics)
 
 
-@jax.jit
+@compiled
 def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) -> Start:
     """The start with the median intrinsics in frontal views, at the depth that fits them."""
     ratio = median.alpha_u / start.intrinsics.alpha_u
@@ -198,7 +199,7 @@ def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) 
     return Start(intrinsics, SE3(start.poses.wxyz_xyz.at[..., 6].set(depth)))
 
 
-@jax.jit
+@compiled
 def _starts(observations: Observations, centre: Array, size: Array, flat: Array) -> Start:
     def one(points, pixels, visible, planar):
         plane = planar_start(points, pixels, visible, centre, size)
@@ -209,7 +210,7 @@ def _starts(observations: Observations, centre: Array, size: Array, flat: Array)
     return jax.vmap(one)(observations.points, pixels, observations.visible, flat)
 
 
-@jax.jit
+@compiled
 def _calibrate_all(
     observations: Observations,
     start: Start,

@@ -8,6 +8,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera, Radial
+from ..compilation import compiled
 from ..geometry import nearest_rotation
 
 _COPLANAR = 1e-3
@@ -36,7 +37,7 @@ class Start(NamedTuple):
     poses: SE3
 
 
-@jax.jit
+@compiled
 def extents(
     points: Float[Array, "views points 3"], visible: Bool[Array, "views points"]
 ) -> Float[Array, "views 3"]:

@@ -11,6 +11,7 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..compilation import optimised
 from .goals import Goal
 from .selection import curve, exchanged, greedy
 from .survey import Survey
@@ -143,7 +144,7 @@ def refined(
     return views.poses(views.within_limits(begin + keep[:, None] * (found - begin)))
 
 
-@eqx.filter_jit
+@optimised
 def _descended(
     begin: Float[Array, "count 6"],
     survey: Survey,

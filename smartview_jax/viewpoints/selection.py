@@ -3,11 +3,11 @@
 Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..compilation import optimised
 from .goals import Goal
 
 FLOOR = 1e-9
@@ -20,7 +20,7 @@ SWEEPS = 10
 """Of exchanges over all chosen views, at most."""
 
 
-@eqx.filter_jit
+@optimised
 def greedy(
     information: Float[Array, "candidates free free"],
     known: Float[Array, "free free"],
@@ -39,7 +39,7 @@ def greedy(
     return jax.lax.scan(add, (start, allowed), length=count)[1]
 
 
-@eqx.filter_jit
+@optimised
 def exchanged(
     information: Float[Array, "candidates free free"],
     known: Float[Array, "free free"],
@@ -69,7 +69,7 @@ def exchanged(
     return jax.lax.while_loop(going_on, sweep, (chosen, jnp.array(True), jnp.array(0)))[0]
 
 
-@eqx.filter_jit
+@optimised
 def curve(
     information: Float[Array, "views free free"], known: Float[Array, "free free"], goal: Goal
 ) -> Float[Array, "views"]:

@@ -13,14 +13,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
+from ..compilation import optimised
 from ..dataset import Dataset, Observations
 from ..geometry import look_at, transform_points
 from ..joint import JointProblem, Noise, Prior, build_problem
 from ..joint.parameters import Step
-from ..robots import AbstractField
+from ..robots import AbstractArmErrors, AbstractField, Command, JointsLike, SerialArm
 from .checks import border_distance
 
 
@@ -31,12 +32,15 @@ class Survey(eqx.Module):
         problem: its shared parameters, priors and sizes; its observations are not used.
         points: of the target, m.
         prior: information that is there without any view.
+        near: joint readings in whose neighbourhood an arm takes its views; None for robots that are
+            told poses. A view that the arm does not reach from there shows nothing.
         names: of the free parameters, in the order of all matrices here.
     """
 
     problem: JointProblem
     points: Float[Array, "points 3"]
     prior: Float[Array, "free free"]
+    near: Float[Array, "joints"] | None
     names: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
@@ -50,6 +54,7 @@ class Survey(eqx.Module):
         free: Sequence[str] = (),
         priors: Mapping[str, Prior] | None = None,
         past: Dataset | None = None,
+        near: JointsLike | None = None,
     ) -> "Survey":
         """Made from the same words as a fit, or a bound; errors as there.
 
@@ -62,17 +67,27 @@ class Survey(eqx.Module):
             free: see there.
             priors: see there; all that is known where no view has been taken.
             past: views that have been taken.
+            near: joint readings, `(joints)`, from which an arm sets out for a view; where its own
+                errors were fitted or are the field.
+
+        Raises:
+            ValueError: an arm's own errors, and no `near`, or as `fit_joint` does.
         """
         target = jnp.asarray(points, dtype=float)
-        # Three views stand in for any: what is taken of the problem does not depend on them.
-        size, middle = jnp.max(jnp.ptp(target, axis=0)), jnp.mean(target, axis=0)
-        facing = look_at(middle, jnp.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)
+        fitted = None if calibration.robot_error is None else calibration.robot_error.field
+        arm = _arm_of(field or fitted)
+        if arm is not None and near is None:
+            raise ValueError(
+                "an arm reaches a view in several ways: give near=joints to begin from"
+            )
         data = Dataset.from_arrays(
             target,
             np.zeros((3, len(target), 2)),
-            calibration.command_for(facing),
+            _stand_ins(calibration, target) if arm is None else None,
             calibration.camera.image_size,
             mount=calibration.mount,
+            joints=None if arm is None else np.tile(np.asarray(near, dtype=float), (3, 1)),
+            arm=arm,
         )
         robot = noise if isinstance(noise, Noise) else "trusted"
         built = build_problem(
@@ -83,7 +98,8 @@ class Survey(eqx.Module):
             sigma = jnp.asarray(float(noise))
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
         weight = problem.prior_weight.shared[np.array(problem.free, dtype=int)]
-        survey = cls(problem, target, jnp.diag(weight**2), built.names)
+        at = None if arm is None else jnp.asarray(near, dtype=float)
+        survey = cls(problem, target, jnp.diag(weight**2), at, built.names)
         if past is None:
             return survey
         told = jnp.sum(survey.information_of(past), axis=0)
@@ -93,20 +109,20 @@ class Survey(eqx.Module):
     def calibration(self) -> Calibration:
         return self.problem.parameters.start
 
-    @eqx.filter_jit
+    @optimised
     def information(self, camera_from_world: SE3) -> Float[Array, "views free free"]:
         """Of every view `(views)`, taken from where the robot is told to go for it."""
         return self._with(self.observed(camera_from_world)).information_by_view(
             self._start(len(camera_from_world.wxyz_xyz))
         )
 
-    @eqx.filter_jit
+    @optimised
     def information_of(self, data: Dataset) -> Float[Array, "views free free"]:
         """Of every view of a data set."""
         problem = self._with(data.observations)
         return problem.information_by_view(self._start(len(data.visible)))
 
-    @eqx.filter_jit
+    @optimised
     def moved_pixels(self, camera_from_world: SE3) -> Float[Array, "free free"]:
         """Mean squared pixels, u and v together, that parameters move in views `(views)`.
 
@@ -119,20 +135,38 @@ class Survey(eqx.Module):
 
     def observed(self, camera_from_world: SE3) -> Observations:
         """What would be seen: the points in the picture; their pixels do not matter."""
-        command = self.calibration.reported_for(camera_from_world)
+        command, reached = self._command(camera_from_world)
         views, count = len(camera_from_world.wxyz_xyz), len(self.points)
         return Observations(
             jnp.broadcast_to(self.points[None], (views, count, 3)),
             jnp.zeros((views, count, 2)),
-            self.border_distance(camera_from_world) >= 0.0,
+            reached[:, None] & (self._border_distance(camera_from_world) >= 0.0),
             command.base_from_tool,
             command.joints,
         )
 
     def border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
-        """Of every point from the picture's border, px; see there."""
+        """Of every point from the picture's border, px; minus infinity where no arm reaches."""
+        _, reached = self._command(camera_from_world)
+        return jnp.where(reached[:, None], self._border_distance(camera_from_world), -jnp.inf)
+
+    def _border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
         points = self.calibration.target_scale * self.points
         return border_distance(self.calibration, transform_points(camera_from_world, points))
+
+    def _command(self, camera_from_world: SE3) -> tuple[Command, Bool[Array, "views"]]:
+        """What the robot is told, and whether it gets there; if not, what keeps numbers finite."""
+        views = len(camera_from_world.wxyz_xyz)
+        if self.near is None:
+            command = self.calibration.reported_for(camera_from_world)
+            return command, jnp.ones(views, dtype=bool)
+        near = jnp.broadcast_to(self.near[None], (views, len(self.near)))
+        joints = self.calibration.joints_for(camera_from_world, near)
+        reached = jnp.all(jnp.isfinite(joints), axis=-1)
+        error = self.calibration.robot_error
+        arm = None if error is None else _arm_of(error.field)
+        assert arm is not None
+        return arm.command(jnp.where(reached[:, None], joints, near)), reached
 
     def _with(self, observations: Observations) -> JointProblem:
         """The problem with other views; each with a correction of its own, where any has one."""
@@ -163,3 +197,15 @@ class Survey(eqx.Module):
     def _start(self, views: int) -> Step:
         corrected = views if len(self.problem.own_free) else 0
         return Step(jnp.zeros(len(self.names)), jnp.zeros((corrected, 6)))
+
+
+def _arm_of(field: AbstractField | None) -> SerialArm | None:
+    """The arm whose own errors a field is about."""
+    return field.arm if isinstance(field, AbstractArmErrors) else None
+
+
+def _stand_ins(calibration: Calibration, target: Float[Array, "points 3"]) -> SE3:
+    """Three views that stand for any: what is taken of the problem does not depend on them."""
+    size, middle = jnp.max(jnp.ptp(target, axis=0)), jnp.mean(target, axis=0)
+    facing = look_at(middle, jnp.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)
+    return calibration.command_for(facing)

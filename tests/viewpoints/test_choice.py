@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 
 import jax
@@ -6,8 +7,10 @@ import numpy as np
 import pytest
 from jaxlie import SE3
 
-from smartview_jax import Noise, Prior, cramer_rao, std_of
+from smartview_jax import Dataset, Noise, Prior, cramer_rao, look_at, std_of
+from smartview_jax.robots import JointOffsets, RobotError, six_axes
 from smartview_jax.simulation import paper_calibration, paper_points, simulate, views_around
+from smartview_jax.simulation.arm_scenes import NEAR
 from smartview_jax.viewpoints import (
     Survey,
     ViewRange,
@@ -200,3 +203,52 @@ def test_what_is_held_cannot_be_the_goal():
     survey = Survey.of(TRUTH, POINTS, NOISE, fixed=("camera_from_tool",))
     with pytest.raises(ValueError, match="camera_from_tool is held"):
         hand_eye(survey, 0.2)
+
+
+@pytest.fixture(scope="module")
+def arm_survey():
+    """Of an arm whose joints' zeros are off, and that sets out from over the table."""
+    field = JointOffsets(six_axes())
+    error = RobotError(field, jnp.asarray([0.0, 1e-3, -1e-3, 5e-4, 1e-3, 0.0]))
+    truth = dataclasses.replace(TRUTH, robot_error=error)
+    noise = dataclasses.replace(NOISE, field=(1e-3,))
+    return Survey.of(truth, POINTS, noise, field=field, near=NEAR), noise
+
+
+def test_an_arms_views_tell_what_the_bound_says_of_their_joints(arm_survey):
+    survey, noise = arm_survey
+    truth, field = survey.calibration, survey.calibration.robot_error.field
+    poses = views(5, 6)
+    joints = truth.joints_for(poses, np.tile(NEAR, (6, 1)))
+    assert np.isfinite(joints).all()
+    pixels, _ = truth.project(field.arm.command(joints), POINTS)
+    data = Dataset.from_arrays(
+        POINTS, pixels, None, truth.camera.image_size, joints=joints, arm=field.arm
+    )
+    bound = cramer_rao(truth, data, noise, field=field)
+    assert survey.names == bound.parameter_names
+    told = survey.prior + jnp.sum(survey.information(poses), axis=0)
+    np.testing.assert_allclose(
+        np.sqrt(np.diagonal(np.linalg.inv(told))), list(bound.std.values()), rtol=1e-5
+    )
+
+
+def test_a_view_that_the_arm_does_not_reach_shows_nothing_and_is_not_chosen(arm_survey):
+    survey, _ = arm_survey
+    near = views(6, 5)
+    away = look_at(CENTRE, (0.0, 0.0, -1.0), 5.0)
+    all_of_them = SE3(jnp.concatenate([away.wxyz_xyz[None], near.wxyz_xyz]))
+    information = survey.information(all_of_them)
+    assert not np.asarray(information[0]).any()
+    assert np.asarray(information[1:]).any(axis=(1, 2)).all()
+    found = choose_views(survey, everything(), 5, all_of_them, share=0.5)
+    heights = found.camera_from_world.inverse().translation()[:, 2]
+    assert float(jnp.max(heights)) < 1.0
+    with pytest.raises(ValueError, match=r"6 views asked for; of 6 candidates 5 may be taken"):
+        choose_views(survey, everything(), 6, all_of_them, share=0.5)
+
+
+def test_an_arms_own_errors_need_joints_to_begin_from():
+    field = JointOffsets(six_axes())
+    with pytest.raises(ValueError, match="near=joints"):
+        Survey.of(TRUTH, POINTS, dataclasses.replace(NOISE, field=(1e-3,)), field=field)

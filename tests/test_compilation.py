@@ -1,0 +1,63 @@
+"""Programs are compiled by how much they are given, and are the same functions either way."""
+
+import ast
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import smartview_jax
+from smartview_jax import compilation
+from smartview_jax.compilation import compiled, optimised
+
+PACKAGE = Path(smartview_jax.__file__).parent
+
+AS_XLA_DOES = {"compilation.py", "commands.py"}
+"""The second predicts a million viewpoints a second, where the fusion emitters pay."""
+
+
+def root_mean_square(x):
+    return jnp.sqrt(jnp.mean(x**2))
+
+
+@pytest.mark.parametrize("decorator", [compiled, optimised])
+@pytest.mark.parametrize("count", [3, compilation.MUCH])
+def test_the_same_function_for_little_and_for_much(decorator, count):
+    x = np.random.default_rng(0).normal(size=count)
+    np.testing.assert_allclose(decorator(root_mean_square)(x), np.sqrt(np.mean(x**2)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("decorator", [compiled, optimised])
+def test_inside_other_programs_and_under_derivatives(decorator):
+    """JAX refuses options for a program inside another one."""
+    function, x = decorator(root_mean_square), jnp.arange(1.0, 7.0).reshape(2, 3)
+    expected = jax.vmap(root_mean_square)(x)
+    np.testing.assert_allclose(jax.vmap(function)(x), expected, rtol=1e-14)
+    np.testing.assert_allclose(jax.jit(jax.vmap(function))(x), expected, rtol=1e-14)
+    np.testing.assert_allclose(
+        jax.grad(function)(x), x / (x.size * root_mean_square(x)), rtol=1e-14
+    )
+
+
+def test_what_is_given_decides(monkeypatch):
+    levels = []
+
+    def recorded(function, level):
+        return lambda *args: levels.append(level) or function(*args)
+
+    monkeypatch.setattr(compilation, "_compiled", recorded)
+    function = compiled(root_mean_square)
+    function(jnp.zeros(compilation.MUCH - 1))
+    function(jnp.zeros(compilation.MUCH))
+    assert levels == [0, 2]
+
+
+@pytest.mark.parametrize(
+    "file", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE))
+)
+def test_no_program_is_compiled_otherwise(file):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    found = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & {"jit", "filter_jit"}
+    assert not found or file.name in AS_XLA_DOES
