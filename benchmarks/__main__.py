@@ -13,6 +13,7 @@ BENCHMARKS = {
     "table1": "the paper's Table 1 on its simulated set-up, with the joint fit beside it",
     "paper": "the paper's Table 1 and stylus test (Fig. 2) from rendered and detected pictures",
     "real_sets": "the joint fit on the real data sets, against their reference figures",
+    "arm": "a real arm's joint zeros found together with its camera, against SciPy and in folds",
     "kinematics": "axes and gear ratios of a real positioner from measured poses",
     "held_out": "error on unseen views of the real data sets, beside OpenCV and vision-calibration",
     "consistency": "whether stated uncertainty is true: NEES and coverage over simulated runs",
