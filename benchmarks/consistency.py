@@ -59,7 +59,8 @@ def _row(name: str, views: int, runs: list[dict], smoke: bool) -> bool:
     errors, covariances = errors[sound], covariances[sound]
     square = mean_nees(nees(errors, covariances), 6)
     std = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    held = coverage(covered(errors, std).ravel())
+    freedom = np.array([r["freedom"] for r in runs])[sound]
+    held = coverage(covered(errors, std, freedom).ravel())
     sizes = np.array([r["sizes"] for r in runs])
     truth = np.array([TRUE.pixel, TRUE.translation, TRUE.rotation, *TRUE.field])
     ratio = np.sqrt(np.mean(sizes**2, axis=0)) / truth
@@ -103,7 +104,7 @@ def _given(views: int, seeds: range) -> list[dict]:
         data, field = _scene(views, seed)
         fits = sv.fit_many([data], paper_calibration(), noise=TRUE, field=field)
         sizes = (TRUE.pixel, TRUE.translation, TRUE.rotation, *TRUE.field)
-        found.append(_entry(fits[0], fits.covariance[0], fits.parameter_names, sizes))
+        found.append(_entry(fits[0], fits.covariance[0], fits.parameter_names, sizes, {}))
     return found
 
 
@@ -114,11 +115,15 @@ def _estimated(views: int, seeds: range) -> list[dict]:
         fit = sv.fit_joint(data, paper_calibration(), noise="estimated", field=field)
         assert fit.noise is not None
         sizes = (fit.noise.pixel, fit.noise.translation, fit.noise.rotation, *fit.noise.field)
-        found.append(_entry(fit.calibration, fit.covariance, fit.parameter_names, sizes))
+        found.append(
+            _entry(fit.calibration, fit.covariance, fit.parameter_names, sizes, fit.freedom)
+        )
     return found
 
 
-def _entry(calibration: sv.Calibration, covariance, names, sizes) -> dict:
+def _entry(
+    calibration: sv.Calibration, covariance, names, sizes, freedom: dict[str, float]
+) -> dict:
     hand = [k for k, name in enumerate(names) if name.startswith("camera_from_tool.")]
     found, truth = calibration.camera_from_tool, paper_calibration().camera_from_tool
     turn = (found.rotation() @ truth.rotation().inverse()).log()
@@ -126,5 +131,6 @@ def _entry(calibration: sv.Calibration, covariance, names, sizes) -> dict:
     return {
         "error": error.tolist(),
         "covariance": np.asarray(covariance)[np.ix_(hand, hand)].tolist(),
+        "freedom": [freedom.get(names[k], np.inf) for k in hand],
         "sizes": list(map(float, sizes)),
     }

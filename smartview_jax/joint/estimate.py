@@ -90,6 +90,7 @@ class NoiseEstimate(NamedTuple):
             sizes; of one that is next to nothing the data do not tell, and it is large.
         parameter_names: of the fit's shared parameters.
         doubt: what the sizes' own uncertainty adds to the covariance of these.
+        freedom: degrees of freedom that the deviations of these rest on.
     """
 
     name: str
@@ -101,11 +102,14 @@ class NoiseEstimate(NamedTuple):
     relative_std: tuple[float, ...]
     parameter_names: tuple[str, ...]
     doubt: Float[np.ndarray, "shared shared"]
+    freedom: Float[np.ndarray, "shared"]
 
-    def doubt_of(self, names: Sequence[str]) -> Float[np.ndarray, "names names"]:
-        """`doubt` of some of the parameters."""
+    def of(
+        self, names: Sequence[str]
+    ) -> tuple[Float[np.ndarray, "names names"], Float[np.ndarray, "names"]]:
+        """`doubt` and `freedom` of some of the parameters."""
         chosen = [self.parameter_names.index(name) for name in names]
-        return self.doubt[np.ix_(chosen, chosen)]
+        return self.doubt[np.ix_(chosen, chosen)], self.freedom[chosen]
 
 
 def estimate_noise(
@@ -165,8 +169,8 @@ def estimate_noise(
         for other, one in best.items()
     )
     calibration, _ = built.problem.calibration(z)
-    told, more = _doubt(there, found, jnp.asarray(tried[name]))
-    shares = np.asarray(told)[np.concatenate([[True] * 3, tried[name][2:]])]
+    carried = _doubt(there, found, jnp.asarray(tried[name]))
+    shares = np.asarray(carried.relative_std)[np.concatenate([[True] * 3, tried[name][2:]])]
     return NoiseEstimate(
         name,
         _noise(found.sizes, white, tried[name]),
@@ -175,7 +179,8 @@ def estimate_noise(
         settled,
         tuple(map(float, shares)),
         built.names,
-        np.asarray(more),
+        np.asarray(carried.covariance),
+        np.asarray(carried.freedom),
     )
 
 

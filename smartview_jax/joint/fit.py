@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
+from scipy.special import ndtri, stdtrit
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
@@ -53,6 +54,8 @@ class JointFit(eqx.Module):
             `parameter_names`, own units.
         std: standard deviation by name, of pose corrections too; infinite where the data do not
             tell.
+        freedom: degrees of freedom that the deviations of the shared parameters rest on, by name;
+            infinite where the sizes of errors were not estimated.
         noise: as assumed or estimated; None where the robot was trusted.
         estimate: how the noise was estimated, and what the alternatives would have given; None
             where it was not.
@@ -80,6 +83,7 @@ class JointFit(eqx.Module):
     problem: JointProblem
     solution: Solution
     std: dict[str, float]
+    freedom: dict[str, float]
     noise: Noise | None = eqx.field(static=True)
     estimate: NoiseEstimate | None
     rejected: tuple[tuple[str, int | None, str], ...] = eqx.field(static=True)
@@ -87,6 +91,16 @@ class JointFit(eqx.Module):
     parameter_names: tuple[str, ...] = eqx.field(static=True)
     view_ids: tuple[str, ...] = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
+
+    def margin(self, name: str, level: float = 0.95) -> float:
+        """How far either way of what was found a shared parameter's true value is, at most.
+
+        Args:
+            name: as in `parameter_names`.
+            level: chance of that, by Student's t with the parameter's `freedom`.
+        """
+        freedom, p = self.freedom[name], 0.5 + 0.5 * level
+        return self.std[name] * float(stdtrit(freedom, p) if np.isfinite(freedom) else ndtri(p))
 
 
 def fit_joint(
@@ -206,8 +220,9 @@ def _assemble(
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     columns = UnitColumns(np.asarray(parts.reduced), lengths)
     full, std = covariance(columns, factor)
+    freedom = np.full(len(std), np.inf)
     if estimate is not None:
-        more = estimate.doubt_of(built.names)
+        more, freedom = estimate.of(built.names)
         full, std = full + more, np.sqrt(std**2 + np.diagonal(more))
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
@@ -227,6 +242,7 @@ def _assemble(
         problem=problem,
         solution=solution,
         std=dict(zip(names, map(float, (*std, *own)), strict=True)),
+        freedom=dict(zip(built.names, map(float, freedom), strict=True)),
         noise=built.noise,
         estimate=estimate,
         rejected=_rejected(data, apart, visible & ~inliers, built.lost),

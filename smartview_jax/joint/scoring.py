@@ -147,25 +147,45 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
     return Likeliest(best.sizes, best.deviance, best.information, search.steps)
 
 
-def doubt(
-    views: LinearisedViews, found: Likeliest, active: Bool[Array, "robot"]
-) -> tuple[Float[Array, "kinds"], Float[Array, "shared shared"]]:
-    """Deviations of the sizes' logarithms, and what they add to the parameters' covariance.
+class Doubt(NamedTuple):
+    """What it means for the parameters that the sizes of errors were found, not given.
 
-    They move with the sizes, to first order; a size that is next to nothing moves nothing.
-
-    Reference: Kackar and Harville, Approximations for standard errors of estimators of fixed and
-    random effects in mixed linear models, 1984.
+    Attributes:
+        relative_std: deviations of the sizes' logarithms.
+        covariance: what they add to the parameters'.
+        freedom: degrees of freedom that each parameter's deviation rests on; infinite where no size
+            matters to it.
     """
 
-    def fitted(logarithms: Float[Array, "kinds"]) -> Float[Array, "shared"]:
-        return best_step(views, Sizes.of(jnp.exp(logarithms))).shared
+    relative_std: Float[Array, "kinds"]
+    covariance: Float[Array, "shared shared"]
+    freedom: Float[Array, "shared"]
 
-    moves = jax.jacfwd(fitted)(jnp.log(found.sizes.numbers))
+
+def doubt(views: LinearisedViews, found: Likeliest, active: Bool[Array, "robot"]) -> Doubt:
+    """How the sizes' own uncertainty carries over, to first order in their logarithms.
+
+    A size that is next to nothing moves nothing.
+
+    References:
+        Kackar and Harville, Approximations for standard errors of estimators of fixed and random
+        effects in mixed linear models, 1984 (covariance).
+        Satterthwaite, An approximate distribution of estimates of variance components, 1946.
+    """
+
+    def fitted(logarithms: Float[Array, "kinds"]) -> tuple[Array, Array]:
+        sizes = Sizes.of(jnp.exp(logarithms))
+        variance = jnp.diagonal(integrate(views, sizes).shared_covariance)
+        return best_step(views, sizes).shared, jnp.log(variance)
+
+    moves, grows = jax.jacfwd(fitted)(jnp.log(found.sizes.numbers))
     counted = jnp.concatenate([jnp.ones(1), active.astype(float)])
     told = found.information * jnp.outer(counted, counted) + jnp.eye(len(counted)) / UNTOLD**2
     spread = jnp.linalg.inv(told) * jnp.outer(counted, counted)
-    return jnp.sqrt(jnp.diagonal(spread)), moves @ spread @ moves.T
+    # A variance that rests on n degrees of freedom has a logarithm of variance 2 / n.
+    known = jnp.sum((grows @ spread) * grows, axis=1)
+    freedom = jnp.where(known > 0.0, 2.0 / jnp.where(known > 0.0, known, 1.0), jnp.inf)
+    return Doubt(jnp.sqrt(jnp.diagonal(spread)), moves @ spread @ moves.T, freedom)
 
 
 class _Expansion(NamedTuple):

@@ -15,6 +15,7 @@ from jax.core import Tracer
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
+from ..compilation import compiled
 from ..geometry import PoseLike, as_se3
 from .command import Command, JointsLike
 
@@ -99,11 +100,7 @@ class SerialArm(eqx.Module):
             raise ValueError(
                 f"joints: expected (..., {self.size}), a reading a joint, found {joints.shape}"
             )
-        pose = SE3(jnp.broadcast_to(self.base_from_first.wxyz_xyz, (*joints.shape[:-1], 7)))
-        for k in range(self.size):
-            pose = pose @ self._link(k, joints[..., k])
-        tool = jnp.broadcast_to(self.flange_from_tool.wxyz_xyz, pose.wxyz_xyz.shape)
-        return pose @ SE3(tool)
+        return _forward(self, joints)
 
     def command(self, joints: JointsLike) -> Command:
         """The joints' readings, and where the controller believes the tool to be."""
@@ -119,15 +116,6 @@ class SerialArm(eqx.Module):
         """Twist at the tool per unit of each joint, translation first."""
         here = self.base_from_tool(joints).inverse()
         return jax.jacfwd(lambda q: (here @ self.base_from_tool(q)).log())(jnp.asarray(joints))
-
-    def _link(self, k: int, reading: Float[Array, "*views"]) -> SE3:
-        slides = self.prismatic[k]
-        nothing = jnp.zeros_like(reading)
-        about = self.theta[k] + (nothing if slides else reading)
-        along = self.d[k] + (reading if slides else nothing)
-        joint = _screw(SO3.from_z_radians(about), along, 2)
-        link = _screw(SO3.from_x_radians(self.alpha[k] + nothing), self.a[k] + nothing, 0)
-        return joint @ link if self.convention == "standard" else link @ joint
 
 
 def _checked_limits(
@@ -154,3 +142,34 @@ def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
     parts = [jnp.zeros_like(distance)] * 3
     parts[axis] = distance
     return SE3.from_rotation_and_translation(rotation, jnp.stack(parts, axis=-1))
+
+
+@compiled
+def _forward(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
+    views = joints.shape[:-1]
+    numbers = (arm.theta, arm.d, arm.a, arm.alpha, jnp.array(arm.prismatic))
+
+    def onward(pose: Array, joint: tuple[Array, ...]) -> tuple[Array, None]:
+        return (SE3(pose) @ _link(arm.convention, *joint)).wxyz_xyz, None
+
+    # A loop, since a chain that is written out takes XLA a second a joint.
+    first = jnp.broadcast_to(arm.base_from_first.wxyz_xyz, (*views, 7))
+    last, _ = jax.lax.scan(onward, first, (*numbers, jnp.moveaxis(joints, -1, 0)))
+    return SE3(last) @ SE3(jnp.broadcast_to(arm.flange_from_tool.wxyz_xyz, (*views, 7)))
+
+
+def _link(
+    convention: str,
+    theta: Float[Array, ""],
+    d: Float[Array, ""],
+    a: Float[Array, ""],
+    alpha: Float[Array, ""],
+    slides: Bool[Array, ""],
+    reading: Float[Array, "*views"],
+) -> SE3:
+    nothing = jnp.zeros_like(reading)
+    about = theta + jnp.where(slides, nothing, reading)
+    along = d + jnp.where(slides, reading, nothing)
+    joint = _screw(SO3.from_z_radians(about), along, 2)
+    link = _screw(SO3.from_x_radians(alpha + nothing), a + nothing, 0)
+    return joint @ link if convention == "standard" else link @ joint

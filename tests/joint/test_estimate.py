@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 from shared_data import shared_pairs
 from starts import nudged
 
@@ -35,6 +36,17 @@ def test_white_noise_is_found_at_its_size(white):
     found = [[f.noise.translation, f.noise.rotation, f.noise.white_pixel] for f in white]
     sizes = np.sqrt(np.mean(np.square(found), axis=0))
     np.testing.assert_allclose(sizes, [TRANSLATION, ROTATION, PIXEL], rtol=0.15)
+
+
+def test_margins_are_wider_for_sizes_that_were_found(white):
+    """Student's t on the degrees of freedom that twenty views of six numbers leave, or fewer."""
+    one, name = white[0], "camera_from_tool.translation.x"
+    freedom = one.freedom[name]
+    assert 5.0 < freedom < 6 * VIEWS
+    times = one.margin(name, 0.9) / one.std[name]
+    assert times == pytest.approx(scipy.stats.t(freedom).ppf(0.95), rel=1e-9)
+    given = fit_joint(white_scene(0).data, one.calibration, noise=one.noise)
+    assert given.margin(name) == pytest.approx(1.959964 * given.std[name], rel=1e-6)
 
 
 def test_pixels_that_err_alone_are_weighed_as_they_scatter(white):
