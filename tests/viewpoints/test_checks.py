@@ -1,0 +1,64 @@
+"""Every check on the side where it passes and on the side where it does not, by hand.
+
+The camera hangs 1 m above the origin and looks down; camera, tool and base agree.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Calibration
+from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.robots import Command
+from smartview_jax.viewpoints import Limits, Table, look_at
+from smartview_jax.viewpoints.checks import check_views
+
+CAMERA = Camera(1000.0, 1000.0, 320.0, 240.0, Pinhole(), (640, 480))
+CALIBRATION = Calibration.eye_in_hand(CAMERA, SE3.identity(), SE3.identity())
+VIEW = look_at(np.zeros(3), np.array([[0.0, 0.0, -1.0]]), 1.0)
+LOW_AND_HIGH = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.2]])
+"""Depths of 1.0 and 0.8 m."""
+
+
+def checked(points=None, **limits):
+    command = Command(VIEW.inverse())
+    points = None if points is None else jnp.asarray(points)
+    return check_views(CALIBRATION, command, VIEW, points, None, Limits(**limits))
+
+
+@pytest.mark.parametrize(("axis", "last"), [(0, 639.0 - 620.0), (1, 479.0 - 470.0)])
+def test_the_margin_to_the_border_is_kept(axis, last):
+    """300 px beside the centre of 320 columns, 230 of 240 rows."""
+    place = np.zeros((1, 3))
+    place[0, axis] = (0.30, 0.23)[axis]
+    aside = [np.asarray(CALIBRATION.project(VIEW.inverse(), sign * place)[0]) for sign in (1, -1)]
+    nearest = min(min(p.min(), (np.array([639.0, 479.0]) - p).min()) for p in aside)
+    assert nearest == pytest.approx(last)
+    both = np.concatenate([place, -place])
+    assert checked(both, margin=last - 0.1).reasons() == ("",)
+    found = checked(both, margin=last + 0.1)
+    assert found.reasons() == ("only 50% of the target is well inside the picture",)
+    assert checked(both, margin=last + 0.1, share=0.5).ok.all()
+
+
+@pytest.mark.parametrize(
+    ("focus", "reason"),
+    [
+        ((0.79, 1.01), ""),
+        ((0.81, 1.01), "the target is as near as 0.800 m: too near to be sharp"),
+        ((0.79, 0.99), "the target is as far as 1.000 m: too far to be sharp"),
+    ],
+)
+def test_all_of_the_target_is_in_focus(focus, reason):
+    assert checked(LOW_AND_HIGH, focus=focus).reasons() == (reason,)
+
+
+@pytest.mark.parametrize("part", ["camera", "tool"])
+def test_camera_and_tool_keep_clear_of_the_table(part):
+    """A slope of 3 in 4 through a point 0.5 m up: 1 m above the origin is 0.4 m from it."""
+    other = {"camera": "tool", "tool": "camera"}[part]
+    plane = {"point": [0.0, 0.0, 0.5], "normal": [6.0, 0.0, 8.0], other: 0.0}
+    assert checked(table=Table(**plane, **{part: 0.39})).reasons() == ("",)
+    found = checked(table=Table(**plane, **{part: 0.41}))
+    assert found.reasons() == (f"the {part} is 0.400 m above the table: too low",)
