@@ -146,6 +146,19 @@ def test_chosen_views_keep_their_limits_and_are_better_than_those_they_came_from
     assert (np.arccos(ways[:, 2] / away) < 0.7 + 1e-9).all()
 
 
+def test_the_gradient_does_not_take_a_view_to_where_it_may_not_be(survey, goal):
+    """It would go to the limit of the range, beyond what is allowed."""
+
+    def upright(some):
+        ways = some.inverse().translation() - jnp.broadcast_to(CENTRE, some.translation().shape)
+        return ways[:, 2] / jnp.linalg.norm(ways, axis=1) > np.cos(0.4)
+
+    rough = choose_views(survey, goal, 4, RANGE, margin=5.0, allowed=upright, refine=False)
+    fine = choose_views(survey, goal, 4, RANGE, margin=5.0, allowed=upright)
+    assert bool(upright(fine.camera_from_world).all())
+    assert float(fine.value) <= float(rough.value)
+
+
 def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(survey, goal, candidates):
     poses, _ = candidates
 
