@@ -92,6 +92,17 @@ def test_ratios_can_be_held():
     assert "joint_ratio.1" not in held.std
 
 
+def test_a_model_that_is_wrong_gives_up_what_counts_less():
+    arm, joints = positioner(), grid()
+    poses = measured(arm, joints * np.array([1.01, 0.98]))
+    turns, shifts = (
+        fit_kinematics(joints, poses, free_ratios=False, metres_per_radian=weight)
+        for weight in (100.0, 0.01)
+    )
+    assert turns.rms_degrees < shifts.rms_degrees - 1e-4
+    assert shifts.rms_mm < turns.rms_mm - 1e-3
+
+
 def test_what_the_poses_do_not_tell_is_named():
     """A joint that rests may be anywhere."""
     arm, joints = puma_560(), random_joints(puma_560(), 30)
