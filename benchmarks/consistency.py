@@ -40,7 +40,7 @@ SIZES_WITHIN = 0.15
 
 MANY = 15
 ENOUGH = 8
-"""Views from which NEES and normal coverage are gated; below, coverage by t."""
+"""Views from which NEES is gated."""
 
 
 def run(smoke: bool = False) -> bool:
@@ -74,9 +74,8 @@ def _row(name: str, views: int, runs: list[dict], smoke: bool) -> bool:
     if smoke:
         return square.within
     close = views < MANY or bool((np.abs(ratio - 1.0) <= SIZES_WITHIN).all())
-    if views < ENOUGH:
-        return COVERED[0] <= held.value <= COVERED[1]
-    return square.within and COVERED[0] <= normal.value <= COVERED[1] and close
+    within = COVERED[0] <= normal.value <= COVERED[1]
+    return within and (views < ENOUGH or (square.within and close))
 
 
 def _runs(path: Path | None, kind: str, views: int, wanted: int) -> list[dict]:

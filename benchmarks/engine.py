@@ -52,7 +52,7 @@ ASKED = {
 
 def run(smoke: bool = False) -> bool:
     """Print the table; True where all peers reach the same cost and the baseline is kept."""
-    sizes = {"a": (5, 200, False), "d": (8, 100, True), "f": (5, 100, False)} if smoke else SIZES
+    sizes = {"a": (5, 1000, False), "d": (8, 100, True), "f": (5, 100, False)} if smoke else SIZES
     with tempfile.TemporaryDirectory() as folder:
         peers = _peers(Path(folder))
         print(
