@@ -68,8 +68,9 @@ def test_the_errors_found_are_in_the_units_people_use():
     field = LinearInPosition.over(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
+    sizes = (0.1, 0.2, 3.0)
     estimate = NoiseEstimate(
-        "position", noise, field, bent, tried, False, (0.1, 0.2, 3.0), (), np.zeros((0, 0))
+        "position", noise, field, bent, tried, False, sizes, (), np.zeros((0, 0)), np.zeros(0)
     )
     trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
     assert errors_found(trusting, scene.data) == []
