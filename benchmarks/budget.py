@@ -12,9 +12,8 @@ import smartview_jax as sv
 from smartview_jax.evaluation import ErrorBudget, region_error
 from smartview_jax.evaluation.budget import NOISE, SCALE, SYSTEMATIC, VIEWS
 
-from .real_sets import load, present
+from .real_sets import LENS, load, present
 
-LENS = "opencv4"
 CULPRITS = {
     ("rct_circle10x10", ""): (SCALE,),
     ("tampere_kuka_2", ""): (SYSTEMATIC,),

@@ -27,7 +27,7 @@ from smartview_jax.viewpoints import (
 )
 from smartview_jax.viewpoints.selection import exchanged, greedy
 
-from .real_sets import load, present
+from .real_sets import LENS, load, present
 
 NOISE = sv.Noise(0.15, 1e-4, float(np.deg2rad(0.01)))
 
@@ -94,7 +94,7 @@ def _real(smoke: bool) -> bool:
     rng = np.random.default_rng(0)
     # A plan needs a calibration to begin with: a rough one, from few views.
     first = data.select(rng.choice(usable, 5, replace=False))
-    rough = _fit(first, sv.fit_staged(first, "opencv4").calibration)
+    rough = _fit(first, sv.fit_staged(first, LENS).calibration)
     noise = sv.Noise(0.3, 1e-3, float(np.deg2rad(0.1)))
     survey = Survey.of(rough, np.asarray(data.points[0]), noise)
     told = np.array(survey.information_of(data.select(usable)))
@@ -128,7 +128,7 @@ def _index(survey: Survey, goal: Goal, told: np.ndarray, count: int) -> np.ndarr
 
 
 def _fit(part: sv.Dataset, start: sv.Calibration) -> sv.Calibration:
-    return sv.fit_joint(part, start, lens="opencv4", noise="trusted").calibration
+    return sv.fit_joint(part, start, lens=LENS, noise="trusted").calibration
 
 
 def _unseen(

@@ -15,9 +15,8 @@ import smartview_jax as sv
 from smartview_jax.evaluation import repeatability
 
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_park, vision_calibration
-from .real_sets import load, present
+from .real_sets import LENS, load, present
 
-LENS = "opencv4"
 BOUNDS = {
     ("rct_circle10x10", ""): 1.25,
     ("tampere_kuka_2", ""): 0.95,

@@ -22,6 +22,9 @@ from smartview_jax.cameras import Camera, lens_by_name
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
+LENS = "opencv4"
+"""That of the reference figures, and of what is compared on these sets."""
+
 SETS = (
     ("rct_circle10x10", ""),
     ("tampere_kuka_2", ""),
@@ -73,7 +76,7 @@ def _row(folder: str, prefix: str) -> bool:
     data, reference = load(folder, prefix)
     began = time.perf_counter()
     staged = sv.fit_staged(data)
-    joint = sv.fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")
+    joint = sv.fit_joint(data, staged.calibration, lens=LENS, noise="trusted")
     seconds = time.perf_counter() - began
     held = sv.fit_joint(
         data,
@@ -107,7 +110,7 @@ def _rms(data: sv.Dataset, fit) -> float:
 
 def _intrinsics_alone(data: sv.Dataset, reference: dict) -> Camera:
     """OpenCV's, from the same corners, unless the set came with a camera."""
-    lens, size = type(lens_by_name("opencv4")), tuple(reference["image_size"])
+    lens, size = type(lens_by_name(LENS)), tuple(reference["image_size"])
     if str(reference["intr_rms_px"]).startswith("given"):
         fx, fy, cx, cy, *distortion = reference["K"]
         return Camera(fx, fy, cx, cy, lens(*distortion), size)

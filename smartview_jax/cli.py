@@ -281,12 +281,11 @@ def viewpoint(
 def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
     """The arm that is named, or whose own errors the calibration corrects."""
     from .io import load_urdf
-    from .robots import AbstractArmErrors, arm_by_name
+    from .robots import arm_by_name, arm_of
 
     if words is not None:
         return load_urdf(words) if words.endswith(".urdf") else arm_by_name(words)
-    field = None if known.robot_error is None else known.robot_error.field
-    return field.arm if isinstance(field, AbstractArmErrors) else None
+    return None if known.robot_error is None else arm_of(known.robot_error.field)
 
 
 def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:

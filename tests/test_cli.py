@@ -214,9 +214,7 @@ def test_a_viewpoint_in_an_arms_joints(tmp_path):
     words = ",".join(f"{reading:.0f}" for reading in np.rad2deg(near.joints[0]))
     given = ["viewpoint", str(path), f"--near={words}", "--out", str(out)]
     offsets = jnp.array([0.0, 0.01, -0.02, 0.0, 0.01, 0.0])
-    fitted = dataclasses.replace(
-        bare, robot_error=RobotError(JointOffsets(arm), jnp.asarray(offsets))
-    )
+    fitted = dataclasses.replace(bare, robot_error=RobotError(JointOffsets(arm), offsets))
     for known, named in ((bare, ["--arm", "puma_560"]), (fitted, [])):
         known.save(path)
         run = RUNNER.invoke(app, [*given, *named])

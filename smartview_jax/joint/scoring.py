@@ -19,7 +19,6 @@ from .likelihood import (
     Integral,
     LinearisedViews,
     Sizes,
-    best_step,
     draws,
     integrate,
     members,
@@ -174,9 +173,8 @@ def doubt(views: LinearisedViews, found: Likeliest, active: Bool[Array, "robot"]
     """
 
     def fitted(logarithms: Float[Array, "kinds"]) -> tuple[Array, Array]:
-        sizes = Sizes.of(jnp.exp(logarithms))
-        variance = jnp.diagonal(integrate(views, sizes).shared_covariance)
-        return best_step(views, sizes).shared, jnp.log(variance)
+        at = integrate(views, Sizes.of(jnp.exp(logarithms)))
+        return at.step.shared, jnp.log(jnp.diagonal(at.shared_covariance))
 
     moves, grows = jax.jacfwd(fitted)(jnp.log(found.sizes.numbers))
     counted = jnp.concatenate([jnp.ones(1), active.astype(float)])

@@ -1,9 +1,9 @@
 """Arms: forward kinematics, and how what a robot reports differs from where its tool is."""
 
-from .arm_errors import AbstractArmErrors as AbstractArmErrors
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios
+from .arm_errors import arm_of as arm_of
 from .axes import arm_from_axes as arm_from_axes
 from .command import Command as Command
 from .command import CommandLike as CommandLike

@@ -79,6 +79,11 @@ class AbstractArmErrors(AbstractField):
         return self.arm.command(jnp.where(reached[..., None], joints, jnp.nan))
 
 
+def arm_of(field: AbstractField | None) -> SerialArm | None:
+    """The arm whose own errors a field is about; None for other fields, and for none."""
+    return field.arm if isinstance(field, AbstractArmErrors) else None
+
+
 class JointOffsets(AbstractArmErrors):
     """The zero of every joint: added to its reading, rad (m where it slides)."""
 

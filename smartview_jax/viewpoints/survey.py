@@ -21,7 +21,7 @@ from ..dataset import Dataset, Observations
 from ..geometry import look_at, transform_points
 from ..joint import JointProblem, Noise, Prior, build_problem
 from ..joint.parameters import Step
-from ..robots import AbstractArmErrors, AbstractField, Command, JointsLike, SerialArm
+from ..robots import AbstractField, Command, JointsLike, arm_of
 from .checks import border_distance
 
 
@@ -75,7 +75,7 @@ class Survey(eqx.Module):
         """
         target = jnp.asarray(points, dtype=float)
         fitted = None if calibration.robot_error is None else calibration.robot_error.field
-        arm = _arm_of(field or fitted)
+        arm = arm_of(field or fitted)
         if arm is not None and near is None:
             raise ValueError(
                 "an arm reaches a view in several ways: give near=joints to begin from"
@@ -147,8 +147,11 @@ class Survey(eqx.Module):
 
     def border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
         """Of every point from the picture's border, px; minus infinity where no arm reaches."""
+        distance = self._border_distance(camera_from_world)
+        if self.near is None:
+            return distance
         _, reached = self._command(camera_from_world)
-        return jnp.where(reached[:, None], self._border_distance(camera_from_world), -jnp.inf)
+        return jnp.where(reached[:, None], distance, -jnp.inf)
 
     def _border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
         points = self.calibration.target_scale * self.points
@@ -164,7 +167,7 @@ class Survey(eqx.Module):
         joints = self.calibration.joints_for(camera_from_world, near)
         reached = jnp.all(jnp.isfinite(joints), axis=-1)
         error = self.calibration.robot_error
-        arm = None if error is None else _arm_of(error.field)
+        arm = None if error is None else arm_of(error.field)
         assert arm is not None
         return arm.command(jnp.where(reached[:, None], joints, near)), reached
 
@@ -197,11 +200,6 @@ class Survey(eqx.Module):
     def _start(self, views: int) -> Step:
         corrected = views if len(self.problem.own_free) else 0
         return Step(jnp.zeros(len(self.names)), jnp.zeros((corrected, 6)))
-
-
-def _arm_of(field: AbstractField | None) -> SerialArm | None:
-    """The arm whose own errors a field is about."""
-    return field.arm if isinstance(field, AbstractArmErrors) else None
 
 
 def _stand_ins(calibration: Calibration, target: Float[Array, "points 3"]) -> SE3:
