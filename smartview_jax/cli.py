@@ -263,6 +263,8 @@ def viewpoint(
         else:
             wanted = look_at(place, directions, distance, float(turn))
         serial = _arm(arm, known)
+        if serial is None and near is not None:
+            raise ValueError("--near: no arm to read; name one by --arm")
         start = None if serial is None else _readings(near, serial)
         commands = viewpoint_commands(known, wanted, place[None], serial, start)
         table = Table("view", "x mm", "y mm", "z mm", "O deg", "A deg", "T deg", "", box=box.SIMPLE)

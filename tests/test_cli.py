@@ -227,6 +227,7 @@ def test_a_viewpoint_in_an_arms_joints(tmp_path):
     bare.save(path)
     for words, message in (
         (["viewpoint", str(path), "--arm", "puma_560"], "--near"),
+        (given, "--arm"),
         ([*given, "--arm", "puma_560", "--near=1,2"], "expected 6 numbers"),
         ([*given, "--arm", "scara"], "puma_560"),
     ):
