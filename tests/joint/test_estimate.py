@@ -115,9 +115,23 @@ def test_a_field_that_is_asked_for_is_taken(crooked):
     assert none.calibration.robot_error is None
 
 
-def test_with_few_views_the_robot_is_trusted():
+def test_with_few_views_white_noise_is_believed_where_pixels_agree():
     scene = random_scene(3, 6, POINTS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
-    assert fit(scene).estimate.name == "trusted"
+    found = fit(scene)
+    assert found.estimate.name == "white"
+    assert found.noise.pixel < 2.0 * found.noise.white_pixel
+
+
+def test_with_few_views_errors_of_the_pixels_are_not_the_robots():
+    """White noise is far likelier than none, but leaves pixels that disagree from view to view."""
+    data, _ = shared_pairs("koide_charuco", "20231006_")
+    start = fit_staged(data, "opencv4").calibration
+    found = fit_joint(data, start, noise="estimated").estimate
+    white = found.alternatives[1]
+    assert white.name == "white"
+    assert white.gain > 10.0
+    assert white.sizes.pixel > 3.0 * white.sizes.white_pixel
+    assert found.name == "trusted"
 
 
 def test_data_without_any_noise_are_fitted_exactly():
