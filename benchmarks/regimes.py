@@ -29,7 +29,7 @@ from .regime_map import (
     table,
     write_table,
 )
-from .regime_trials import DEFAULT, PARK, STAGED, TRUSTED, Regime, methods, one_run
+from .regime_trials import DEFAULT, KNOWN_ARM, PARK, STAGED, TRUSTED, Regime, methods, one_run
 
 ARM_NOISE = {"grid": (9, 12), "pixel": 0.05, "translation": 0.02, "rotation": 0.003, "tilt": 30.0}
 
@@ -154,9 +154,10 @@ def _claims(regime: Regime, errors: dict[str, Errors]) -> Iterable[tuple[str, fl
         better = max(default.over(other, "px").value for other in (staged, trusted))
         yield "default over the better of staged and trusted", better, BEST
     elif regime == JUDGED_ARM and len(default.bound) >= JUDGED_ARM.seeds:
-        for measure, most in OF_STAGED.items():
-            value = default.over(staged, measure).value
-            yield f"default over staged, {measure},", value, most
+        for name in filter(errors.__contains__, (DEFAULT, KNOWN_ARM)):
+            for measure, most in OF_STAGED.items():
+                value = errors[name].over(staged, measure).value
+                yield f"{name} over staged, {measure},", value, most
 
 
 def main() -> int:
