@@ -12,7 +12,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
-from ..compilation import compiled
+from ..compilation import compiled, optimised
 from ..dataset import Dataset
 from ..robots import AbstractField, DHErrors, LinearInPose, RobotError, field_name
 from .build import Built, build_problem
@@ -27,8 +27,8 @@ from .solver import solve
 ROUNDS = 6
 """Of linearising anew with the sizes found, at most."""
 
-SETTLED = 0.02
-"""Change of every deviation, as a share of it, after which they count as found."""
+SETTLED = 0.01
+"""Deviance below which sizes found anew are not better: a tenth of how well they are known."""
 
 FEW = 8
 """Views below which white noise of poses is hard to tell from errors of the camera.
@@ -57,9 +57,6 @@ FINEST = 1e-4
 
 TOO_LARGE = 5.0
 """Times the first guess."""
-
-NONE = 1e-7
-"""Deviation, m or rad, next to which a change does not count."""
 
 PENALTY = 2.0
 """Deviance that each further size of the field has to gain: Akaike's.
@@ -201,19 +198,19 @@ def _searched(
 ) -> dict[str, Likeliest]:
     """The likeliest sizes of each model.
 
-    Each contains the one before. It is searched from the guess, and from where that one ended with
-    what is new far too large: a size near zero has next to no slope. It is never the worse of two.
+    Each contains the one before, and is searched from where that one ended with what is new far too
+    large: a size near zero has next to no slope. So it never ends the worse of two.
     """
     best: dict[str, Likeliest] = {}
-    previous, before = None, np.zeros_like(next(iter(tried.values())))
+    previous, begin = None, guess
     for name, active in tried.items():
-        found = [_likeliest(views, guess, jnp.asarray(active))]
-        if previous is not None and before.any():
-            known = jnp.concatenate([jnp.ones(1, bool), jnp.asarray(before)])
-            numbers = jnp.where(known, previous.sizes.numbers, TOO_LARGE * guess.numbers)
-            found += [previous, _likeliest(views, Sizes.of(numbers), jnp.asarray(active))]
-        previous = best[name] = min(found, key=lambda one: float(one.deviance))
-        before = active
+        found = _likeliest(views, begin, jnp.asarray(active))
+        if previous is not None and previous.deviance < found.deviance:
+            found = previous
+        previous = best[name] = found
+        if active.any():
+            known = np.concatenate([[True], active])
+            begin = Sizes.of(jnp.where(known, found.sizes.numbers, TOO_LARGE * guess.numbers))
     return best
 
 
@@ -263,11 +260,10 @@ def _settled(
     for _ in range(ROUNDS):
         ahead = jax.tree.map(jnp.add, z, _best_step(there, found.sizes))
         weighed = _weighed(views.problem, found.sizes, views.groups)
-        z, before = solve(weighed, start=ahead)[0].z, found.sizes.numbers
+        z = solve(weighed, start=ahead)[0].z
         there = views.linearised(z)
         found = _likeliest(there, found.sizes, jnp.asarray(active))
-        change = np.abs(np.log((found.sizes.numbers + NONE) / (before + NONE)))
-        if (change < SETTLED).all():
+        if float(found.gained) < SETTLED:
             return z, there, found, True
     return z, there, found, False
 
@@ -372,7 +368,7 @@ def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem
     return eqx.tree_at(lambda p: (p.pixel_sigma, p.prior_weight), problem, (sizes.pixel, weight))
 
 
-_likeliest, _best_step = compiled(likeliest), compiled(best_step)
+_likeliest, _best_step = optimised(likeliest), compiled(best_step)
 _doubt = compiled(doubt)
 
 

@@ -24,8 +24,11 @@ from jaxtyping import Array, Bool, Float, Int
 from .parameters import Step
 from .schur import BlockArrow, Elimination, SchurCholesky
 
-LEAST = 1e-9
-"""Deviation, m or rad, at which an error of a robot counts as none."""
+LEAST = 1e-8
+"""Deviation, m or rad, at which an error of a robot counts as none.
+
+Its inverse square times poses that are centimetres off must leave the deviance its digits.
+"""
 
 RIDGE = 1e-13
 """Share of its own information added to every shared parameter: what no view tells stays finite."""

@@ -99,7 +99,7 @@ class Parameters(eqx.Module):
 
     @property
     def camera_size(self) -> int:
-        return len(ravel_pytree(self.start.camera)[0])
+        return sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
 
     @property
     def shared_size(self) -> int:

@@ -31,6 +31,9 @@ WIDEST = 15.0
 LONGEST = 3.0
 """Step of a logarithm, at most: a factor of twenty."""
 
+EDGE = 0.01
+"""Of the least that a size can be, in squares above it, where a search begins that starts there."""
+
 ENOUGH = 1e-4
 """Half the deviance that a further step promises, below which the search ends."""
 
@@ -49,12 +52,14 @@ class Likeliest(NamedTuple):
     Attributes:
         sizes: of all errors.
         deviance: there.
+        gained: by how much it was higher where the search began.
         information: Fisher's, of the logarithms of the sizes.
         steps: that were tried.
     """
 
     sizes: Sizes
     deviance: Float[Array, ""]
+    gained: Float[Array, ""]
     information: Float[Array, "kinds kinds"]
     steps: Int[Array, ""]
 
@@ -117,12 +122,13 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
         active: which errors of the robot may have a size: of translation, of rotation, of each
             group of the field; the others have none.
     """
-    begin = jnp.log(start.numbers)
+    least = jnp.full(len(start.numbers), LEAST).at[0].set(views.white_sigma)
+    searched = jnp.concatenate([jnp.ones(1, bool), active])
+    begin = 0.5 * jnp.log(jnp.maximum(start.numbers**2 - least**2, (EDGE * least) ** 2))
 
     def numbers(x: Float[Array, "kinds"]) -> Float[Array, "kinds"]:
-        free = jnp.exp(begin + WIDEST * jnp.tanh(x / WIDEST))
-        pixel = jnp.hypot(views.white_sigma, free[:1])
-        return jnp.concatenate([pixel, jnp.where(active, jnp.hypot(LEAST, free[1:]), LEAST)])
+        beyond = jnp.exp(begin + WIDEST * jnp.tanh(x / WIDEST))
+        return jnp.where(searched, jnp.hypot(least, beyond), least)
 
     def expanded(x: Float[Array, "kinds"]) -> _Expansion:
         logarithms, along = jax.jvp(lambda x: jnp.log(numbers(x)), (x,), (jnp.ones_like(x),))
@@ -136,14 +142,14 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
 
     # A size that rests on n draws has a logarithm known to about 1 / sqrt(2 n).
     unit = 1.0 / jnp.sqrt(2.0 * jnp.maximum(draws(views, len(start.field)), 1.0))
-    search = _Search(
-        expanded(jnp.zeros_like(begin)), jnp.array(FIRST_DAMPING), jnp.array(0), jnp.array(False)
-    )
+    first = expanded(jnp.zeros_like(begin))
+    search = _Search(first, jnp.array(FIRST_DAMPING), jnp.array(0), jnp.array(False))
     search = jax.lax.while_loop(
         lambda s: (s.steps < STEPS) & ~s.done, lambda s: _stepped(s, expanded, unit), search
     )
     best = search.best
-    return Likeliest(best.sizes, best.deviance, best.information, search.steps)
+    gained = first.deviance - best.deviance
+    return Likeliest(best.sizes, best.deviance, gained, best.information, search.steps)
 
 
 class Doubt(NamedTuple):
@@ -215,7 +221,9 @@ def _stepped(
     move = -jnp.linalg.solve(curvature + damping * jnp.eye(len(unit)), slope)
     move = move * jnp.minimum(1.0, LONGEST / jnp.max(jnp.abs(unit * move)))
     promise = -move @ (slope + 0.5 * curvature @ move)
-    tried = expanded(best.x + unit * move)
+    # A step of variances, in which the expectation is linear: one alone is found in one step.
+    variances = jnp.maximum(1.0 + 2.0 * unit * move, jnp.exp(-2.0 * LONGEST))
+    tried = expanded(best.x + 0.5 * jnp.log(variances))
     gain = 0.5 * (best.deviance - tried.deviance)
     better = gain > 0.0
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, best)
