@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,7 @@ from linear_world import (
     with_held,
 )
 
-from smartview_jax.joint.likelihood import Sizes, deviance, integrate
+from smartview_jax.joint.likelihood import LEAST, Sizes, deviance, integrate
 from smartview_jax.joint.scoring import doubt, fisher_information, likeliest
 
 
@@ -100,10 +101,23 @@ def test_the_search_ends_at_an_optimum(world, search):
             assert float(deviance(views, Sizes.of(other))) > values[0]
 
 
+def test_begun_where_it_ended_it_has_nothing_to_gain(world, search):
+    """Also where sizes are as small as they can be: the last group's here, and the pixels'."""
+    views = linearised(world, drawn(world, 6))
+    views = eqx.tree_at(lambda v: v.white_sigma, views, 2.0 * TRUTH.pixel)
+    active = jnp.array([True, True, True, False])
+    found = search(views, TRUTH, active)
+    assert float(found.gained) > 1.0
+    np.testing.assert_allclose(found.sizes.pixel, views.white_sigma, rtol=1e-3)
+    again = search(views, found.sizes, active)
+    assert abs(float(again.gained)) < 1e-2
+    assert int(again.steps) <= 2
+
+
 def test_a_group_that_is_switched_off_stays_at_zero(world, search):
     views = linearised(world, drawn(world, 7))
     found, value = search(views, TRUTH, jnp.array([True, True, True, False]))[:2]
-    assert float(found.field[1]) < 1e-8
+    assert float(found.field[1]) == pytest.approx(LEAST)
     assert float(value) > float(search(views, TRUTH, jnp.ones(4, dtype=bool)).deviance)
 
 
