@@ -154,10 +154,10 @@ def _claims(regime: Regime, errors: dict[str, Errors]) -> Iterable[tuple[str, fl
         better = max(default.over(other, "px").value for other in (staged, trusted))
         yield "default over the better of staged and trusted", better, BEST
     elif regime == JUDGED_ARM and len(default.bound) >= JUDGED_ARM.seeds:
-        for name in filter(errors.__contains__, (DEFAULT, KNOWN_ARM)):
-            for measure, most in OF_STAGED.items():
+        for name, measure in itertools.product((DEFAULT, KNOWN_ARM), OF_STAGED):
+            if name in errors:
                 value = errors[name].over(staged, measure).value
-                yield f"{name} over staged, {measure},", value, most
+                yield f"{name} over staged, {measure},", value, OF_STAGED[measure]
 
 
 def main() -> int:

@@ -11,7 +11,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,17 +62,12 @@ def _estimating(views: int, rows: int, columns: int) -> None:
         "estimated": {"noise": "estimated", "bad_views": "keep"},
         "estimated, screened": {"noise": "estimated"},
     }
-    seconds: dict[str, list[float]] = {name: [] for name in options}
-    for repeat in range(10):
-        for name, chosen in options.items():
-            began = time.perf_counter()
-            sv.fit_joint(scene.data, scene.calibration, **chosen)
-            if repeat:
-                seconds[name].append(time.perf_counter() - began)
-    middle = {name: float(np.median(values)) for name, values in seconds.items()}
-    for name, value in middle.items():
-        times = value / middle["trusted"]
-        print(f"{views:5} {views * rows * columns:7}  joint, {name:25}{value:10.4f}{times:8.2f}")
+
+    def joint(chosen: dict[str, Any]) -> None:
+        sv.fit_joint(scene.data, scene.calibration, **chosen)
+
+    fits = {f"joint, {name}": partial(joint, chosen) for name, chosen in options.items()}
+    _print_rows(views, rows * columns, *_interleaved(fits, 9))
 
 
 def _size(views: int, rows: int, columns: int, smoke: bool) -> bool:
@@ -94,18 +90,38 @@ def _size(views: int, rows: int, columns: int, smoke: bool) -> bool:
         "Step 1, every view": step_one,
         "Step 3, BFGS from every start": step_three,
     }
-    seconds: dict[str, list[float]] = {name: [] for name in everything}
-    found: dict[str, float | None] = {}
-    for repeat in range(2 if smoke else 4):
-        for name, function in everything.items():  # interleaved: all see the same machine
-            began = time.perf_counter()
-            found[name] = function()
-            if repeat:
-                seconds[name].append(time.perf_counter() - began)
+    seconds, found = _interleaved(everything, 1 if smoke else 3)
     other = _mrcal(data, camera, poses, (rows, columns), spacing, 2 if smoke else 10)
     if other is not None:
         name = "Step 2, mrcal (8 numbers)"
         seconds[name], found[name] = other["seconds"], other["cost"]
+    _print_rows(views, points, seconds, found)
+    errors = [rms for rms in found.values() if rms is not None]
+    return max(errors) < 1.01 * min(errors)
+
+
+def _interleaved(
+    functions: Mapping[str, Callable[[], float | None]], repeats: int
+) -> tuple[dict[str, list[float]], dict[str, float | None]]:
+    """Seconds of warm runs, and what the last gave, px; all in turn: they see the same machine."""
+    seconds: dict[str, list[float]] = {name: [] for name in functions}
+    found: dict[str, float | None] = {}
+    for repeat in range(1 + repeats):
+        for name, function in functions.items():
+            began = time.perf_counter()
+            found[name] = function()
+            if repeat:
+                seconds[name].append(time.perf_counter() - began)
+    return seconds, found
+
+
+def _print_rows(
+    views: int,
+    points: int,
+    seconds: Mapping[str, list[float]],
+    found: Mapping[str, float | None],
+) -> None:
+    """Medians, and how many times the first's they are."""
     base = float(np.median(next(iter(seconds.values()))))
     for name, values in seconds.items():
         middle, rms = float(np.median(values)), found[name]
@@ -113,8 +129,6 @@ def _size(views: int, rows: int, columns: int, smoke: bool) -> bool:
             f"{views:5} {views * points:7}  {name:32}{middle:10.4f}{middle / base:8.2f}"
             + ("" if rms is None else f"{rms:9.5f}")
         )
-    errors = [rms for rms in found.values() if rms is not None]
-    return max(errors) < 1.01 * min(errors)
 
 
 def _opencv(data: sv.Dataset, camera: sv.Camera) -> float:

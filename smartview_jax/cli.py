@@ -263,10 +263,7 @@ def viewpoint(
         else:
             wanted = look_at(place, directions, distance, float(turn))
         serial = _arm(arm, known)
-        if serial is None and near is not None:
-            raise ValueError("--near: no arm to read; name one by --arm")
-        start = None if serial is None else _readings(near, serial)
-        commands = viewpoint_commands(known, wanted, place[None], serial, start)
+        commands = viewpoint_commands(known, wanted, place[None], serial, _readings(near, serial))
         table = Table("view", "x mm", "y mm", "z mm", "O deg", "A deg", "T deg", "", box=box.SIMPLE)
         rows = np.asarray(commands.xyzoat) * np.repeat([1e3, 180.0 / np.pi], 3)
         for k, (row, reason) in enumerate(zip(rows, commands.checks.reasons(), strict=True)):
@@ -301,10 +298,14 @@ def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:
     return table
 
 
-def _readings(words: str | None, arm: "SerialArm") -> "np.ndarray":
-    """Readings, rad and m, of degrees and metres between commas."""
+def _readings(words: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
+    """Readings, rad and m, of degrees and metres between commas; None without an arm."""
     import numpy as np
 
+    if arm is None:
+        if words is not None:
+            raise ValueError("--near: no arm to read; name one by --arm")
+        return None
     if words is None:
         raise ValueError("an arm reaches a pose in several ways: say --near which readings")
     try:

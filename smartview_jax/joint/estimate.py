@@ -199,7 +199,7 @@ def _searched(
     """The likeliest sizes of each model.
 
     Each contains the one before, and is searched from where that one ended with what is new far too
-    large: a size near zero has next to no slope. So it never ends the worse of two.
+    large: a size near zero has next to no slope. Where that ends worse, the one before is kept.
     """
     best: dict[str, Likeliest] = {}
     previous, begin = None, guess
