@@ -169,10 +169,10 @@ def heat_map(found: Mapping[Regime, dict[str, Errors]]) -> Figure:
         1, 2, sharey=True, gridspec_kw={"width_ratios": [len(names), len(pairs)]}
     )
     _cells(left, over_bound, [name.strip() for name in names], colors.LogNorm(1.0, 4.0), "magma_r")
-    left.set_title("error on unseen views / Cramér-Rao bound")
+    left.set_title("error on unseen views\n/ Cramér-Rao bound")
     labels = [f"{name}, {'hand-eye ' if part == 'mm' else ''}{part}" for name, part in pairs]
     _cells(right, over_staged, labels, colors.LogNorm(1.0 / 3.0, 3.0), "RdYlGn_r")
-    right.set_title("error / staged error: the joint fit pays where green")
+    right.set_title("error / staged error:\nthe joint fit pays where green")
     left.set_yticks(range(len(found)), [f"{regime.axis}: {regime.name}" for regime in found])
     figure.tight_layout()
     return figure
