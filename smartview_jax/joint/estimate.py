@@ -16,12 +16,13 @@ from ..compilation import compiled, optimised
 from ..dataset import Dataset
 from ..robots import AbstractField, DHErrors, LinearInPose, RobotError, field_name
 from .build import Built, build_problem
+from .doubt import Doubt, doubt
 from .likelihood import LEAST, LinearisedViews, Sizes, best_step
 from .noise import Noise
 from .parameters import CORRECTIONS, ROBOT_ERROR, Step
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
-from .scoring import Likeliest, doubt, likeliest
+from .scoring import Likeliest, likeliest
 from .solver import solve
 
 ROUNDS = 6
@@ -96,8 +97,7 @@ class NoiseEstimate(NamedTuple):
         relative_std: of pixels, translations, rotations and groups of the field, as shares of their
             sizes; of one that is next to nothing the data do not tell, and it is large.
         parameter_names: of the fit's shared parameters.
-        doubt: what the sizes' own uncertainty adds to the covariance of these.
-        freedom: degrees of freedom that the deviations of these rest on.
+        doubt: what the sizes' own uncertainty means for these.
     """
 
     name: str
@@ -108,15 +108,11 @@ class NoiseEstimate(NamedTuple):
     settled: bool
     relative_std: tuple[float, ...]
     parameter_names: tuple[str, ...]
-    doubt: Float[np.ndarray, "shared shared"]
-    freedom: Float[np.ndarray, "shared"]
+    doubt: Doubt
 
-    def of(
-        self, names: Sequence[str]
-    ) -> tuple[Float[np.ndarray, "names names"], Float[np.ndarray, "names"]]:
-        """`doubt` and `freedom` of some of the parameters."""
-        chosen = [self.parameter_names.index(name) for name in names]
-        return self.doubt[np.ix_(chosen, chosen)], self.freedom[chosen]
+    def doubt_of(self, names: Sequence[str]) -> Doubt:
+        """That of some of the parameters."""
+        return self.doubt.of(np.array([self.parameter_names.index(name) for name in names]))
 
 
 def estimate_noise(
@@ -178,8 +174,8 @@ def estimate_noise(
         for other, one in best.items()
     )
     calibration, _ = built.problem.calibration(z)
-    carried = _doubt(there, found, jnp.asarray(tried[name]))
-    shares = np.asarray(carried.relative_std)[np.concatenate([[True] * 3, tried[name][2:]])]
+    carried = jax.tree.map(np.asarray, _doubt(there, found))
+    shares = carried.relative_std[np.concatenate([[True] * 3, tried[name][2:]])]
     return NoiseEstimate(
         name,
         _noise(found.sizes, white, tried[name]),
@@ -188,8 +184,7 @@ def estimate_noise(
         settled,
         tuple(map(float, shares)),
         built.names,
-        np.asarray(carried.covariance),
-        np.asarray(carried.freedom),
+        carried,
     )
 
 

@@ -20,12 +20,13 @@ from ..staged import FitCode, FitResult
 from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
 from .covariance import UnitColumns, covariance, own_std, variance_factor
+from .doubt import p_value
 from .estimate import NoiseEstimate, estimate_noise
 from .influence import Influence, moves_without, pose_scores
 from .losses import AbstractLoss
 from .noise import Noise
 from .observability import Observability, observability
-from .parameters import Step
+from .parameters import Parameters, Step, parameter_names, select
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
@@ -101,6 +102,38 @@ class JointFit(eqx.Module):
         """
         freedom, p = self.freedom[name], 0.5 + 0.5 * level
         return self.std[name] * float(stdtrit(freedom, p) if np.isfinite(freedom) else ndtri(p))
+
+    def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
+        """Chance of a fit as far off as this one, or farther, were `truth` true.
+
+        Small, say below 0.05, where the pictures contradict it: a mount off the drawing board, or
+        one that was measured before a collision.
+
+        Args:
+            truth: with the same lens, mount and field; only what the paths name is looked at.
+            paths: of fitted parameters, all at once; by default the hand-eye transform.
+
+        Raises:
+            ValueError: calibrations of different parameters, an unknown path or one that was not
+                fitted, or parameters that the data leave open.
+        """
+        paths = self.calibration.transform_names[:1] if paths is None else paths
+        chosen = np.flatnonzero(select(self.parameter_names, paths))
+        names = [self.parameter_names[k] for k in chosen]
+        unseen = [name for name in names if not np.isfinite(self.std[name])]
+        if unseen:
+            raise ValueError(f"the data leave {', '.join(unseen)} open: see `observability`")
+        known, there = (parameter_names(c) for c in (self.calibration, truth))
+        if known != there:
+            raise ValueError(
+                f"truth: its parameters are {', '.join(there)}; those of the fit {', '.join(known)}"
+            )
+        offset = np.asarray(Parameters(truth).step_to(self.calibration))
+        return p_value(
+            offset[[known.index(name) for name in names]],
+            self.covariance[np.ix_(chosen, chosen)],
+            None if self.estimate is None else self.estimate.doubt_of(names),
+        )
 
 
 def fit_joint(
@@ -222,8 +255,9 @@ def _assemble(
     full, std = covariance(columns, factor)
     freedom = np.full(len(std), np.inf)
     if estimate is not None:
-        more, freedom = estimate.of(built.names)
-        full, std = full + more, np.sqrt(std**2 + np.diagonal(more))
+        doubt = estimate.doubt_of(built.names)
+        full, freedom = full + doubt.covariance, doubt.freedom
+        std = np.sqrt(std**2 + np.diagonal(doubt.covariance))
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
 

@@ -140,6 +140,18 @@ class Parameters(eqx.Module):
         )
         return calibration, step.corrections
 
+    def step_to(self, other: Calibration) -> Float[Array, "shared"]:
+        """The step that moves the start to another calibration of the same parameters."""
+        start, n = self.start, self.camera_size
+        step = Parameters(other).values() - self.values()
+        step = step.at[n + 3 : n + 6].set(_turn(start.camera_from_mount, other.camera_from_mount))
+        turn = _turn(start.holder_from_world, other.holder_from_world)
+        return step.at[n + 9 : n + 12].set(turn)
+
+
+def _turn(start: SE3, end: SE3) -> Float[Array, "3"]:
+    return (end.rotation() @ start.rotation().inverse()).log()
+
 
 def _moved_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
     rotation = SO3.exp(step[3:]) @ start.rotation()

@@ -1,7 +1,7 @@
 """The sizes of errors that make what is observed likeliest, by Fisher scoring.
 
 Newton's steps, with the curvature that is to be expected in the place of the one there is: it is
-never negative, and costs no derivative beyond the first. It also says how well the sizes are known.
+never negative, and costs no derivative beyond the first.
 
 Reference: Patterson and Thompson, Recovery of inter-block information when block sizes are unequal,
 1971; Searle, Casella and McCulloch, Variance components, 1992, section 8.3.
@@ -36,9 +36,6 @@ EDGE = 0.01
 
 ENOUGH = 1e-4
 """Half the deviance that a further step promises, below which the search ends."""
-
-UNTOLD = 3.0
-"""Deviation of a size's logarithm where the views say nothing of it."""
 
 STEPS = 100
 """Of the search, at most."""
@@ -150,46 +147,6 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
     best = search.best
     gained = first.deviance - best.deviance
     return Likeliest(best.sizes, best.deviance, gained, best.information, search.steps)
-
-
-class Doubt(NamedTuple):
-    """What it means for the parameters that the sizes of errors were found, not given.
-
-    Attributes:
-        relative_std: deviations of the sizes' logarithms.
-        covariance: what they add to the parameters'.
-        freedom: degrees of freedom that each parameter's deviation rests on; infinite where no size
-            matters to it.
-    """
-
-    relative_std: Float[Array, "kinds"]
-    covariance: Float[Array, "shared shared"]
-    freedom: Float[Array, "shared"]
-
-
-def doubt(views: LinearisedViews, found: Likeliest, active: Bool[Array, "robot"]) -> Doubt:
-    """How the sizes' own uncertainty carries over, to first order in their logarithms.
-
-    A size that is next to nothing moves nothing.
-
-    References:
-        Kackar and Harville, Approximations for standard errors of estimators of fixed and random
-        effects in mixed linear models, 1984 (covariance).
-        Satterthwaite, An approximate distribution of estimates of variance components, 1946.
-    """
-
-    def fitted(logarithms: Float[Array, "kinds"]) -> tuple[Array, Array]:
-        at = integrate(views, Sizes.of(jnp.exp(logarithms)))
-        return at.step.shared, jnp.log(jnp.diagonal(at.shared_covariance))
-
-    moves, grows = jax.jacfwd(fitted)(jnp.log(found.sizes.numbers))
-    counted = jnp.concatenate([jnp.ones(1), active.astype(float)])
-    told = found.information * jnp.outer(counted, counted) + jnp.eye(len(counted)) / UNTOLD**2
-    spread = jnp.linalg.inv(told) * jnp.outer(counted, counted)
-    # A variance that rests on n degrees of freedom has a logarithm of variance 2 / n.
-    known = jnp.sum((grows @ spread) * grows, axis=1)
-    freedom = jnp.where(known > 0.0, 2.0 / jnp.where(known > 0.0, known, 1.0), jnp.inf)
-    return Doubt(jnp.sqrt(jnp.diagonal(spread)), moves @ spread @ moves.T, freedom)
 
 
 class _Expansion(NamedTuple):

@@ -5,10 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+from jaxlie import SE3, SO3
 from shared_data import shared_pairs
 from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint, fit_staged
+from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import deviations
 from smartview_jax.robots import LinearInPose, LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
@@ -47,6 +49,35 @@ def test_margins_are_wider_for_sizes_that_were_found(white):
     assert times == pytest.approx(scipy.stats.t(freedom).ppf(0.95), rel=1e-9)
     given = fit_joint(white_scene(0).data, one.calibration, noise=one.noise)
     assert given.margin(name) == pytest.approx(1.959964 * given.std[name], rel=1e-6)
+
+
+def test_how_far_a_mount_is_from_what_the_pictures_say(white):
+    """The true one as often as stated; one moved by its margin just at the level; a far one not."""
+    truth = white_scene(0).calibration
+    chances = [one.p_value(truth) for one in white]
+    assert scipy.stats.kstest(chances, "uniform").pvalue > 0.01
+    one, path = white[0], "camera_from_tool.translation.x"
+    mount = one.calibration.camera_from_tool
+    aside = mount.translation().at[0].add(one.margin(path))
+    moved = SE3.from_rotation_and_translation(mount.rotation(), aside)
+    other = dataclasses.replace(one.calibration, camera_from_mount=moved)
+    assert one.p_value(other, [path]) == pytest.approx(0.05, rel=1e-3)
+    turned = SE3.from_rotation_and_translation(
+        SO3.exp(jnp.array([0.01, 0.0, 0.0])) @ mount.rotation(), mount.translation()
+    )
+    assert one.p_value(dataclasses.replace(one.calibration, camera_from_mount=turned)) < 1e-9
+    assert one.p_value(one.calibration, ["camera", "base_from_world"]) == 1.0
+
+
+def test_what_cannot_be_compared_is_named(white):
+    one, truth = white[0], white_scene(0).calibration
+    with pytest.raises(ValueError, match="no parameter is called 'camera_from_hand'"):
+        one.p_value(truth, ["camera_from_hand"])
+    pinhole = dataclasses.replace(
+        truth, camera=Camera(2e3, 2e3, 320.0, 240.0, Pinhole(), (640, 480))
+    )
+    with pytest.raises(ValueError, match=r"truth: its parameters are .*; those of the fit .*lens"):
+        one.p_value(pinhole)
 
 
 def test_pixels_that_err_alone_are_weighed_as_they_scatter(white):

@@ -285,6 +285,8 @@ def test_one_rotation_axis_is_named(noisy):
     (direction,) = fit.observability.null
     assert direction.words == "camera offset along the tool's z axis: all rotations share that axis"
     assert np.isinf(fit.std["camera_from_tool.translation.z"])
+    with pytest.raises(ValueError, match=r"the data leave .*translation\.z open"):
+        fit.p_value(scene.calibration)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from linear_world import (
-    CAMERA,
     GROUP,
     GROUP_FIXED,
     OTHERS,
@@ -17,7 +16,7 @@ from linear_world import (
 )
 
 from smartview_jax.joint.likelihood import LEAST, Sizes, deviance, integrate
-from smartview_jax.joint.scoring import doubt, fisher_information, likeliest
+from smartview_jax.joint.scoring import fisher_information, likeliest
 
 
 @pytest.fixture(scope="module")
@@ -119,20 +118,3 @@ def test_a_group_that_is_switched_off_stays_at_zero(world, search):
     found, value = search(views, TRUTH, jnp.array([True, True, True, False]))[:2]
     assert float(found.field[1]) == pytest.approx(LEAST)
     assert float(value) > float(search(views, TRUTH, jnp.ones(4, dtype=bool)).deviance)
-
-
-def test_a_deviation_rests_on_what_its_size_was_found_from(world, search):
-    """Errors of pixels alone: all statistics less what is fitted; where robots err, the views."""
-    alone = jnp.zeros(4, dtype=bool)
-    views = linearised(world, drawn(world, 8))
-    found = doubt(views, search(views, TRUTH, alone), alone)
-    fitted = GROUP < 0
-    expected = float(views.count) - fitted.sum()
-    np.testing.assert_allclose(found.freedom[fitted], expected, rtol=1e-3)
-    assert float(found.relative_std[0]) == pytest.approx(np.sqrt(0.5 / expected), rel=1e-3)
-
-    every = jnp.ones(4, dtype=bool)
-    found = doubt(views, search(views, TRUTH, every), every)
-    mount = np.flatnonzero(fitted)[CAMERA:]
-    assert (np.asarray(found.freedom)[mount] < 0.8 * expected).all()
-    assert (np.linalg.eigvalsh(found.covariance) > -1e-12).all()

@@ -6,6 +6,7 @@ import numpy as np
 from smartview_jax import Noise, fit_joint
 from smartview_jax.evaluation import Deviations, Foretold, HeldOut, Rejection, Row, Unseen
 from smartview_jax.joint import Alternative, NoiseEstimate
+from smartview_jax.joint.doubt import Doubt
 from smartview_jax.report import COMPARED, Summary, compared, remarks, table_rows
 from smartview_jax.report.tables import errors_found
 from smartview_jax.robots import LinearInPosition, RobotError
@@ -68,10 +69,8 @@ def test_the_errors_found_are_in_the_units_people_use():
     field = LinearInPosition.over(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
-    sizes = (0.1, 0.2, 3.0)
-    estimate = NoiseEstimate(
-        "position", noise, field, bent, tried, False, sizes, (), np.zeros((0, 0)), np.zeros(0)
-    )
+    sizes, none = (0.1, 0.2, 3.0), Doubt(*(np.zeros(0) for _ in Doubt._fields))
+    estimate = NoiseEstimate("position", noise, field, bent, tried, False, sizes, (), none)
     trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
     assert errors_found(trusting, scene.data) == []
     joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
