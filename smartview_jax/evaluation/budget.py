@@ -7,7 +7,7 @@ import numpy as np
 
 from ..dataset import Dataset
 from ..joint import JointFit
-from ..joint.estimate import FEW
+from ..joint.alternatives import FEW
 from .explanations import Explanation, explanations, moved
 from .held_out import has_correction
 from .lens_misfit import lens_misfit

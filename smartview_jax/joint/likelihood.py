@@ -18,6 +18,7 @@ Reference: Patterson and Thompson, Recovery of inter-block information when bloc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int
 
@@ -58,6 +59,43 @@ class LinearisedViews(eqx.Module):
     own_free: Bool[Array, "views 6"]
     count: Float[Array, ""]
     white_sigma: Float[Array, ""]
+
+    def with_field(
+        self, twists: Float[Array, "views 6 coefficients"], group: np.ndarray, known: int
+    ) -> "LinearisedViews":
+        """The same views where the robot errs by another field, which has no coefficient yet.
+
+        No pixel is looked at again: what a field does to a view, the view's own six can do.
+
+        Args:
+            twists: of the field, as its `by_coefficients` has them.
+            group: of every coefficient.
+            known: how many of the shared parameters are not of a field; they come first.
+        """
+        moves, count = -twists, len(group)
+        matrix, border = self.matrix, self.matrix.border[:, :, :known]
+        moved = matrix.own @ moves
+        across = jnp.einsum("vki,vkj->ij", border, moves)
+        among = jnp.einsum("vki,vkj->ij", moves, moved)
+        slope = jnp.einsum("vki,vk->i", moves, self.gradient.corrections)
+        off = self.off_mean
+        return LinearisedViews(
+            matrix=BlockArrow(
+                jnp.block([[matrix.shared[:known, :known], across], [across.T, among]]),
+                jnp.concatenate([border, moved], axis=2),
+                matrix.own,
+            ),
+            gradient=Step(
+                jnp.concatenate([self.gradient.shared[:known], slope]), self.gradient.corrections
+            ),
+            between=self.between,
+            off_mean=Step(jnp.pad(off.shared[:known], (0, count)), off.corrections),
+            known_weight=jnp.pad(self.known_weight[:known], (0, count)),
+            group=jnp.concatenate([self.group[:known], jnp.asarray(group)]),
+            own_free=self.own_free,
+            count=self.count,
+            white_sigma=self.white_sigma,
+        )
 
 
 class Sizes(eqx.Module):

@@ -11,6 +11,7 @@ from .command import JointsLike as JointsLike
 from .command import as_command as as_command
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField
+from .implied_arm import ImpliedArm as ImpliedArm
 from .inverse_kinematics import joints_near as joints_near
 from .joint_solution import JointSolution as JointSolution
 from .joint_solution import Status as Status

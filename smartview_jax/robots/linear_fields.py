@@ -26,14 +26,14 @@ class LinearInPosition(AbstractLinearField):
     def over(cls, base_from_tool: SE3) -> "LinearInPosition":
         """Centred on the poses `(views)` and scaled by their spread."""
         positions = base_from_tool.translation()
-        return cls(jnp.mean(positions, axis=0), _reach(positions))
+        return cls(jnp.mean(positions, axis=0), reach_of(positions))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (("translation_by_position", 9), ("rotation_by_position", 9))
 
     def extent(self, reported: Command) -> Float[Array, "*views"]:
-        return _extent(self.centre, self.reach, reported)
+        return share_of_reach(self.centre, self.reach, reported)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 18"]:
         offset = _beyond(self.centre, base_from_tool.translation()) / self.reach
@@ -58,7 +58,7 @@ class LinearInPose(AbstractLinearField):
         """Centred on the poses `(views)` and scaled by their spread."""
         positions = base_from_tool.translation()
         mean = jnp.mean(_axes(base_from_tool), axis=0)
-        return cls(jnp.mean(positions, axis=0), _reach(positions), mean)
+        return cls(jnp.mean(positions, axis=0), reach_of(positions), mean)
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -70,7 +70,7 @@ class LinearInPose(AbstractLinearField):
         )
 
     def extent(self, reported: Command) -> Float[Array, "*views"]:
-        return _extent(self.centre, self.reach, reported)
+        return share_of_reach(self.centre, self.reach, reported)
 
     @property
     def nested(self) -> tuple[AbstractField, ...]:
@@ -83,16 +83,17 @@ class LinearInPose(AbstractLinearField):
         return jnp.concatenate(parts, axis=-1)
 
 
-def _reach(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
+def reach_of(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
+    """Distance from their middle that counts as one unit, m."""
     variance = jnp.sum(jnp.var(positions, axis=0)) / 3.0
     # A robot that only turned has no spread to scale by; a field in position is then zero anyway.
     return SPREAD * jnp.sqrt(jnp.where(variance > 0.0, variance, 1.0))
 
 
-def _extent(
+def share_of_reach(
     centre: Float[Array, "3"], reach: Float[Array, ""], reported: Command
 ) -> Float[Array, "*views"]:
-    """Evenly spread positions end at a reach of 1.7 standard deviations."""
+    """How far out poses are: evenly spread positions end at one, 1.7 standard deviations."""
     offset = _beyond(centre, reported.base_from_tool.translation())
     return jnp.max(jnp.abs(offset), axis=-1) / reach
 

@@ -2,11 +2,13 @@
 
 from .arm_errors import DHErrors, JointOffsets, JointRatios
 from .field import AbstractField
+from .implied_arm import ImpliedArm
 from .linear_fields import LinearInPose, LinearInPosition
 
 FIELDS: dict[str, type[AbstractField]] = {
     "position": LinearInPosition,
     "pose": LinearInPose,
+    "implied_arm": ImpliedArm,
     "joint_offsets": JointOffsets,
     "joint_ratios": JointRatios,
     "dh": DHErrors,

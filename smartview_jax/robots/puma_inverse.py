@@ -83,6 +83,26 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
     )
 
 
+def branch_joints(
+    arm: SerialArm, base_from_tool: SE3, signs: Float[Array, "3"]
+) -> Float[Array, "*views 6"]:
+    """One answer of `puma_joints`, whole turns and limits left aside; for any pose.
+
+    Beyond its reach the arm is stretched out, or folded, towards the pose, and turns the hand as
+    it should be.
+
+    Args:
+        arm: of the shape above; not checked.
+        base_from_tool: wanted, `(*views)`.
+        signs: one of `BRANCHES`.
+    """
+    solve = lambda pose: _branch(arm, SE3(pose), signs)[0] - arm.theta  # noqa: E731
+    poses = base_from_tool.wxyz_xyz
+    for _ in poses.shape[:-1]:
+        solve = jax.vmap(solve)
+    return solve(poses)
+
+
 def nearest_puma_joints(
     arm: SerialArm, base_from_tool: PoseLike, near: JointsLike
 ) -> JointSolution:

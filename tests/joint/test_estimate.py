@@ -195,7 +195,9 @@ def test_a_real_robot_has_a_field():
     data, _ = shared_pairs("rct_circle10x10")
     staged = fit_staged(data)
     found = fit_joint(data, staged.calibration, lens="opencv4", noise="estimated")
-    assert found.estimate.name == "pose"
+    gains = {other.name: other.gain for other in found.estimate.alternatives}
+    assert found.estimate.name == "implied_arm"
+    assert gains["implied_arm"] > gains["pose"] > gains["white"] + 50.0
     trusting = fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")
     assert found.noise.white_pixel < 0.2 < found.noise.pixel
     errors = [deviations(f.calibration, data).rms for f in (found, trusting)]

@@ -1,0 +1,211 @@
+"""Which models of the robot's error are tried on a set of views, and which of them is believed."""
+
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+
+from ..compilation import compiled, optimised
+from ..dataset import Dataset
+from ..robots import (
+    AbstractField,
+    Command,
+    DHErrors,
+    ImpliedArm,
+    LinearInPose,
+    field_name,
+)
+from .likelihood import LinearisedViews, Sizes
+from .scoring import Likeliest, likeliest
+
+FEW = 8
+"""Views below which white noise of poses is hard to tell from errors of the camera.
+
+There a model of the robot's error has to be believable besides, or far likelier than white noise.
+Real sets left out view by view: six views of koide_charuco 20230920 err by 2.1 px where they erred
+by 3.2 as long as the robot was trusted; seven of 20231006, where white noise is not believable, by
+1.34 and not 1.8. Five simulated ones with white noise: 1.53 and 2.03.
+"""
+
+BELIEVABLE = 3.0
+"""Times the sigma of pixels within views that the effective one may be.
+
+A model that is true leaves none of what views disagree in to their pixels. Simulated, it is 1 to 2
+times; where the camera's errors pass for the robot's, on real sets, 4 to 10.
+"""
+
+DECISIVE = 10.0
+"""Deviance, more than white noise gains, for which a field needs not be believable."""
+
+ENOUGH_FOR_ARM = 10
+"""Views from which an arm that nobody described is tried.
+
+It has one size fewer than a field linear in the pose, and fits few views too well: eight of
+visp_franka_eih, an arm of seven joints, are likelier by it and err by a fifth more.
+"""
+
+PENALTY = 2.0
+"""Deviance that each further size of the field has to gain: Akaike's.
+
+Where there is nothing to find a size gains but half a chi-square's, since half of the time the best
+size is zero. But a field that is not there costs more than a small one that is missed: at a price
+of one it was taken in one of twenty simulations with white noise alone, at 8 to 25 views, and
+their error on unseen views grew by two thirds (`python -m benchmarks regimes`).
+"""
+
+TOO_LARGE = 5.0
+"""Times the first guess."""
+
+PLAIN = ("trusted", "white")
+"""Alternatives without a field."""
+
+
+class Tried(NamedTuple):
+    """A model of the robot's error, and the sizes of errors that make it likeliest.
+
+    Attributes:
+        basis: the field that it was tried with; it may use its first groups alone.
+        active: which of translation, rotation, and groups of the basis have a size.
+        price: deviance below the trusted robot's that it has to gain.
+        found: the likeliest sizes.
+    """
+
+    basis: AbstractField | None
+    active: Bool[np.ndarray, "robot"]
+    price: float
+    found: Likeliest
+
+
+def largest_field(data: Dataset) -> AbstractField:
+    """That of the arm itself where its joints are known, otherwise linear in the pose."""
+    if data.arm is not None:
+        return DHErrors(data.arm)
+    return LinearInPose.over(read_poses(data))
+
+
+def read_poses(data: Dataset) -> SE3:
+    """Without what stands in for a pose that could not be read: it is nowhere near the others."""
+    masked = {view for view, _ in data.masked_views}
+    read = np.array([view not in masked for view in data.view_ids])
+    return SE3(data.base_from_tool.wxyz_xyz[read])
+
+
+def tried_on(
+    views: LinearisedViews,
+    asked: AbstractField | Literal[False] | None,
+    basis: AbstractField | None,
+    scatter: Float[np.ndarray, "placed 6"],
+) -> dict[str, Tried]:
+    """The likeliest sizes of every model by name, each containing the one before.
+
+    A field that is not asked for is tried only where the views outnumber its coefficients and the
+    chain's twelve numbers.
+
+    Args:
+        views: linearised with the basis.
+        asked: as `estimate_noise` has it.
+        basis: of the field; None where there is none.
+        scatter: of the placed views' own best poses about the start's chain.
+    """
+    place = np.arange(2 + (0 if basis is None else len(basis.groups)))
+    masks = {"trusted": place < 0, "white": place < 2}
+    if asked is None and basis is not None:
+        for part in basis.nested:
+            if float(views.count) >= part.size + 12:
+                masks[field_name(part)] = place < 2 + len(part.groups)
+    elif basis is not None:
+        masks[field_name(basis)] = place >= 0
+    return _searched(views, basis, masks, first_guess(scatter, basis, views))
+
+
+def arm_tried_on(
+    views: LinearisedViews,
+    known: int,
+    command: Command,
+    read: SE3,
+    white: Tried,
+    scatter: Float[np.ndarray, "placed 6"],
+) -> dict[str, Tried]:
+    """The same for an arm that nobody described, on its own.
+
+    Args:
+        views: linearised, with any field.
+        known: number of the shared parameters that are not of a field.
+        command: as reported, of all views.
+        read: poses to make the arm for.
+        white: what white noise alone was found to be.
+        scatter: as in `tried_on`.
+    """
+    arm = ImpliedArm.over(read)
+    group = np.repeat(np.arange(len(arm.groups)), [count for _, count in arm.groups])
+    there = views.with_field(_twists(arm, command), group, known)
+    guess = first_guess(scatter, arm, views)
+    begin = eqx.tree_at(lambda sizes: sizes.field, white.found.sizes, TOO_LARGE * guess.field)
+    active = np.ones(2 + len(arm.groups), dtype=bool)
+    found = search(there, begin, jnp.asarray(active))
+    return {field_name(arm): Tried(arm, active, PENALTY * active.sum(), found)}
+
+
+def choice(tried: dict[str, Tried], gains: dict[str, float], white_sigma: float, views: int) -> str:
+    """Trusted, white, or a field; of nested ones the largest: its groups switch themselves off."""
+
+    def believable(name: str) -> bool:
+        return views >= FEW or float(tried[name].found.sizes.pixel) <= BELIEVABLE * white_sigma
+
+    def worth(name: str) -> float:
+        return gains[name] - tried[name].price
+
+    # By basis, the last is the largest; without a field there is one all the same.
+    largest = {id(one.basis): name for name, one in tried.items()}
+    field = max(largest.values(), key=worth)
+    likelier = field not in PLAIN and worth(field) >= worth("white")
+    if likelier and (believable(field) or gains[field] - gains["white"] >= DECISIVE):
+        return field
+    return "white" if worth("white") >= 0.0 and believable("white") else "trusted"
+
+
+def first_guess(
+    scatter: Float[np.ndarray, "placed 6"], basis: AbstractField | None, views: LinearisedViews
+) -> Sizes:
+    """From how the placed views' own best poses scatter about the start's chain."""
+    size = np.median(np.abs(scatter).reshape(-1, 2, 3), axis=(0, 2))
+    translation, rotation = np.maximum(size, 1e-6)
+    groups = [] if basis is None else [name for name, _ in basis.groups]
+    field = [translation if name.startswith("translation") else rotation for name in groups]
+    return Sizes.of(jnp.array([3.0 * float(views.white_sigma), translation, rotation, *field]))
+
+
+def _searched(
+    views: LinearisedViews,
+    basis: AbstractField | None,
+    masks: dict[str, Bool[np.ndarray, "robot"]],
+    guess: Sizes,
+) -> dict[str, Tried]:
+    """Each from where the one before ended, with what is new far too large.
+
+    A size near zero has next to no slope. Where that ends worse, the one before is kept.
+    """
+    tried: dict[str, Tried] = {}
+    previous, begin = None, guess
+    for name, active in masks.items():
+        found = search(views, begin, jnp.asarray(active))
+        if previous is not None and previous.deviance < found.deviance:
+            found = previous
+        previous = found
+        tried[name] = Tried(basis, active, PENALTY * active.sum(), found)
+        if active.any():
+            known = np.concatenate([[True], active])
+            begin = Sizes.of(jnp.where(known, found.sizes.numbers, TOO_LARGE * guess.numbers))
+    return tried
+
+
+@compiled
+def _twists(field: AbstractField, command: Command) -> Float[jax.Array, "views 6 coefficients"]:
+    return field.by_coefficients(command, jnp.zeros(field.size))
+
+
+search = optimised(likeliest)
