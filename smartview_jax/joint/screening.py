@@ -28,7 +28,7 @@ from .noise import Noise
 from .parameters import Step
 from .priors import Prior
 from .problem import JointProblem
-from .solver import solve
+from .solver import StructuredLM, solve
 
 GROSS = 144.0
 """Squared whitened deviation from a view's own best pose beyond which a point is left out.
@@ -49,6 +49,9 @@ its pose is looked for from nothing."""
 
 MOST = 0.5
 """Share of a view's points outside the gate above which the whole view is left out."""
+
+ROUGHLY = StructuredLM(rtol=1e-3)
+"""Poses that a thousandth of the cost would move say as well which points lie far off."""
 
 Rejected = tuple[tuple[str, int | None, str], ...]
 
@@ -168,7 +171,7 @@ def _robust_poses(
     for _ in range(ROUNDS):
         sigma = max(float(np.sqrt(variance)), FINEST)
         weighed = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
-        z = solve(weighed, start=z)[0].z
+        z = solve(weighed, ROUGHLY, start=z)[0].z
         squares = np.asarray(_squares(problem, z))
         variance = robust_variance(squares[visible])
         if variance > (SETTLED * sigma) ** 2:

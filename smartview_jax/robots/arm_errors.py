@@ -10,6 +10,7 @@ nothing.
 import abc
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
@@ -17,7 +18,7 @@ from jaxtyping import Array, Float
 from .command import Command, JointsLike
 from .field import AbstractField
 from .inverse_kinematics import joints_near
-from .serial_arm import SerialArm
+from .serial_arm import SerialArm, by_numbers
 
 
 class AbstractArmErrors(AbstractField):
@@ -52,6 +53,28 @@ class AbstractArmErrors(AbstractField):
         joints = jnp.asarray(reported.joints, dtype=float)
         gone = joints * jnp.broadcast_to(self.ratios(coefficients), joints.shape)
         return self.corrected(coefficients).base_from_tool(gone)
+
+    def by_coefficients(
+        self, reported: Command, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
+        """As of any field, through the arm's numbers, whose twists are known."""
+        readings = jnp.asarray(reported.joints, dtype=float)
+        at = jax.lax.stop_gradient(coefficients)
+        gone = readings * jnp.broadcast_to(self.ratios(at), readings.shape)
+        twists = by_numbers(self.corrected(at), gone)
+        slides = jnp.array(self.arm.prismatic)
+
+        def numbers(
+            moved: Float[Array, "coefficients"], reading: Float[Array, "joints"]
+        ) -> Float[Array, "rows joints"]:
+            arm, way = self.corrected(moved), reading * self.ratios(moved)
+            nothing = jnp.zeros_like(way)
+            theta = arm.theta + jnp.where(slides, nothing, way)
+            d = arm.d + jnp.where(slides, way, nothing)
+            return jnp.stack([theta, d, arm.a, arm.alpha])
+
+        rows = jax.vmap(jax.jacfwd(numbers), in_axes=(None, 0))(coefficients, readings)
+        return jnp.einsum("vkrj,vrjc->vkc", twists, rows)
 
     def command(
         self,

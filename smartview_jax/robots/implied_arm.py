@@ -99,10 +99,18 @@ class ImpliedArm(AbstractField):
 
     def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         """`base_from_tool` as it is; beyond the arm's reach by the joints that come nearest."""
-        pose = reported.base_from_tool
-        joints = branch_joints(self.arm, pose, self.branch)
-        corrected = self._errors.corrected(coefficients).base_from_tool(joints)
-        return pose @ self.arm.base_from_tool(joints).inverse() @ corrected
+        pose, implied = reported.base_from_tool, self._implied(reported)
+        corrected = self._errors.true_pose(implied, coefficients)
+        return pose @ implied.base_from_tool.inverse() @ corrected
+
+    def by_coefficients(
+        self, reported: Command, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
+        return self._errors.by_coefficients(self._implied(reported), coefficients)
+
+    def _implied(self, reported: Command) -> Command:
+        """What the arm would report; its pose is the reported one where it reaches."""
+        return self.arm.command(branch_joints(self.arm, reported.base_from_tool, self.branch))
 
 
 def _usual(reach: Float[Array, ""], flange_from_tool: SO3) -> SerialArm:

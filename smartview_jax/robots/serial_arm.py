@@ -144,18 +144,46 @@ def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
     return SE3.from_rotation_and_translation(rotation, jnp.stack(parts, axis=-1))
 
 
+def by_numbers(
+    arm: SerialArm, joints: Float[Array, "*views joints"]
+) -> Float[Array, "*views 6 rows joints"]:
+    """Twist at the tool, translation first, per unit of each joint's `theta`, `d`, `a`, `alpha`.
+
+    Each is a screw about the z or the x axis of a frame on the way: no derivative is taken.
+    """
+    tool, frames = _chain(arm, joints)
+    tool_from_frame = SE3(tool.wxyz_xyz[..., None, None, :]).inverse() @ frames
+    turned, place = tool_from_frame.rotation().as_matrix(), tool_from_frame.translation()
+    z_first = arm.convention == "standard"
+    columns: list[Array] = []
+    for axis, screw in ((2, 0 if z_first else 1), (0, 1 if z_first else 0)):
+        along, at = turned[..., screw, :, axis], place[..., screw, :]
+        turning = jnp.concatenate([jnp.cross(at, along), along], axis=-1)
+        shifting = jnp.concatenate([along, jnp.zeros_like(along)], axis=-1)
+        columns += [turning, shifting] if axis == 2 else [shifting, turning]
+    return jnp.swapaxes(jnp.stack(columns, axis=-2), -3, -1)
+
+
 @compiled
 def _forward(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
+    return _chain(arm, joints)[0]
+
+
+def _chain(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:
+    """The tool, and the frames `(*views, joints, 2)` of each joint's two screws, in the base."""
     views = joints.shape[:-1]
     numbers = (arm.theta, arm.d, arm.a, arm.alpha, jnp.array(arm.prismatic))
 
-    def onward(pose: Array, joint: tuple[Array, ...]) -> tuple[Array, None]:
-        return (SE3(pose) @ _link(arm.convention, *joint)).wxyz_xyz, None
+    def onward(pose: Array, joint: tuple[Array, ...]) -> tuple[Array, Array]:
+        first, second = _link(arm.convention, *joint)
+        middle = SE3(pose) @ first
+        return (middle @ second).wxyz_xyz, jnp.stack([pose, middle.wxyz_xyz], axis=-2)
 
     # A loop, since a chain that is written out takes XLA a second a joint.
     first = jnp.broadcast_to(arm.base_from_first.wxyz_xyz, (*views, 7))
-    last, _ = jax.lax.scan(onward, first, (*numbers, jnp.moveaxis(joints, -1, 0)))
-    return SE3(last) @ SE3(jnp.broadcast_to(arm.flange_from_tool.wxyz_xyz, (*views, 7)))
+    last, frames = jax.lax.scan(onward, first, (*numbers, jnp.moveaxis(joints, -1, 0)))
+    tool = SE3(last) @ SE3(jnp.broadcast_to(arm.flange_from_tool.wxyz_xyz, (*views, 7)))
+    return tool, SE3(jnp.moveaxis(frames, 0, -3))
 
 
 def _link(
@@ -166,10 +194,11 @@ def _link(
     alpha: Float[Array, ""],
     slides: Bool[Array, ""],
     reading: Float[Array, "*views"],
-) -> SE3:
+) -> tuple[SE3, SE3]:
+    """The screws of the joint and of the link beyond it, in the order of the convention."""
     nothing = jnp.zeros_like(reading)
     about = theta + jnp.where(slides, nothing, reading)
     along = d + jnp.where(slides, reading, nothing)
     joint = _screw(SO3.from_z_radians(about), along, 2)
     link = _screw(SO3.from_x_radians(alpha + nothing), a + nothing, 0)
-    return joint @ link if convention == "standard" else link @ joint
+    return (joint, link) if convention == "standard" else (link, joint)
