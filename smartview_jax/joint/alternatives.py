@@ -49,12 +49,15 @@ visp_franka_eih, an arm of seven joints, are likelier by it and err by a fifth m
 """
 
 PENALTY = 2.0
-"""Deviance that each further size of the field has to gain: Akaike's.
+"""Deviance that each further size of the field has to gain where views are many: Akaike's.
 
 Where there is nothing to find a size gains but half a chi-square's, since half of the time the best
 size is zero. But a field that is not there costs more than a small one that is missed: at a price
 of one it was taken in one of twenty simulations with white noise alone, at 8 to 25 views, and
 their error on unseen views grew by two thirds (`python -m benchmarks regimes`).
+
+With few views it is dearer, `1 + (FEW / views)^2` times: at eight, Akaike's is paid by chance in
+one of ten. Below, a model has to be believable instead.
 """
 
 TOO_LARGE = 5.0
@@ -70,13 +73,11 @@ class Tried(NamedTuple):
     Attributes:
         basis: the field that it was tried with; it may use its first groups alone.
         active: which of translation, rotation, and groups of the basis have a size.
-        price: deviance below the trusted robot's that it has to gain.
         found: the likeliest sizes.
     """
 
     basis: AbstractField | None
     active: Bool[np.ndarray, "robot"]
-    price: float
     found: Likeliest
 
 
@@ -147,17 +148,18 @@ def arm_tried_on(
     begin = eqx.tree_at(lambda sizes: sizes.field, white.found.sizes, TOO_LARGE * guess.field)
     active = np.ones(2 + len(arm.groups), dtype=bool)
     found = search(there, begin, jnp.asarray(active))
-    return {field_name(arm): Tried(arm, active, PENALTY * active.sum(), found)}
+    return {field_name(arm): Tried(arm, active, found)}
 
 
 def choice(tried: dict[str, Tried], gains: dict[str, float], white_sigma: float, views: int) -> str:
     """Trusted, white, or a field; of nested ones the largest: its groups switch themselves off."""
+    price = PENALTY * (1.0 + (FEW / views) ** 2 if views >= FEW else 1.0)
 
     def believable(name: str) -> bool:
         return views >= FEW or float(tried[name].found.sizes.pixel) <= BELIEVABLE * white_sigma
 
     def worth(name: str) -> float:
-        return gains[name] - tried[name].price
+        return gains[name] - price * tried[name].active.sum()
 
     # By basis, the last is the largest; without a field there is one all the same.
     largest = {id(one.basis): name for name, one in tried.items()}
@@ -196,7 +198,7 @@ def _searched(
         if previous is not None and previous.deviance < found.deviance:
             found = previous
         previous = found
-        tried[name] = Tried(basis, active, PENALTY * active.sum(), found)
+        tried[name] = Tried(basis, active, found)
         if active.any():
             known = np.concatenate([[True], active])
             begin = Sizes.of(jnp.where(known, found.sizes.numbers, TOO_LARGE * guess.numbers))
