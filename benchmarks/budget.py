@@ -9,7 +9,7 @@ its poses alone both show as errors of the robot.
 import jax
 
 import smartview_jax as sv
-from smartview_jax.evaluation import ErrorBudget, region_error
+from smartview_jax.evaluation import ErrorBudget
 from smartview_jax.evaluation.budget import NOISE, SCALE, SYSTEMATIC, VIEWS
 
 from .real_sets import LENS, load, present
@@ -41,15 +41,15 @@ def _named(folder: str, prefix: str, regions: bool) -> bool:
     jax.clear_caches()
     data, _ = load(folder, prefix)
     fit = sv.fit_joint(data, sv.fit_staged(data, LENS).calibration, noise="estimated")
-    budget = sv.error_budget(data, fit)
+    budget = sv.error_budget(data, fit, regions=regions)
     print(f"\n{folder} {prefix.rstrip('_')}: {budget.words}")
     for part in budget.parts:
         print(f"  {part.name:32}{part.px:10.3g} px")
     for rival in budget.explanations:
         text = f"  {rival.name:32}{rival.size:10.4f} +- {rival.std:.4f}, gains {rival.gain:.1f} "
         text += f"where a field gains {rival.field_gain:.1f}; beside it {rival.beside_field:.1f}"
-        if regions:
-            text += f"; {region_error(data, fit, rival.name):.3g} px on hidden regions"
+        if rival.region_px is not None:
+            text += f"; {rival.region_px:.3g} px on hidden regions"
         print(text)
     good = budget.culprit in CULPRITS.get((folder, prefix), (budget.culprit,))
     if (folder, prefix) == ("rct_circle10x10", ""):

@@ -363,20 +363,26 @@ def _diagnosis(
     except ValueError as error:
         say(f"halves of the views are not compared: {error}")
     try:
-        budget = error_budget(data, fit.joint, say)
+        budget = error_budget(data, fit.joint, say, regions=True)
     except ValueError as error:
         say(f"there is no error budget: {error}")
     return halves, budget
 
 
 def _print_budget(budget: "ErrorBudget") -> None:
-    from .report import budget_rows
+    from .report import budget_rows, explanation_rows
 
     table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
     for name, px, _ in budget_rows(budget):
         table.add_row(name, px)
     console = Console()
     console.print(table)
+    if budget.explanations:
+        names = ("or one number", "its size", "gains", "beside the field", "unseen regions")
+        table = Table(*names, box=box.SIMPLE_HEAD)
+        for row in explanation_rows(budget):
+            table.add_row(*row)
+        console.print(table)
     console.print(budget.words, highlight=False)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from ..dataset import Dataset
 from ..joint import JointFit
 from ..joint.alternatives import FEW
-from .explanations import Explanation, explanations, moved
+from ..robots import AbstractField, ImpliedArm
+from .explanations import Explanation, explanations, fit_candidate, moved, region_error
 from .held_out import has_correction
 from .lens_misfit import lens_misfit
 from .measures import deviations
@@ -65,18 +66,24 @@ class ErrorBudget(NamedTuple):
 
 
 def error_budget(
-    data: Dataset, fit: JointFit, progress: Callable[[str], None] | None = None
+    data: Dataset,
+    fit: JointFit,
+    progress: Callable[[str], None] | None = None,
+    regions: bool = False,
 ) -> ErrorBudget:
     """Divide the error of the bare chain among its causes.
 
     Pixels, poses and parameters have the sizes that the fit states, pushed through the projection;
     the systematic error is what the correction moves, the lens what smooth pattern is left in the
-    picture where every view has its own pose.
+    picture where every view has its own pose. Where an arm that nobody described was found, the
+    chain is that of a field linear in the pose.
 
     Args:
         data: what the fit was fitted to.
         fit: with `noise="estimated"`; what `calibrate` returns has it as `.joint`.
         progress: told what is being done.
+        regions: also find how well each explanation predicts regions of the workspace that it never
+            saw: five further fits for each.
 
     Raises:
         ValueError: the fit's noise was not estimated, or its data leave something open.
@@ -85,10 +92,17 @@ def error_budget(
         raise ValueError('an error budget needs a fit with noise="estimated"')
     views = len(data.usable_views())
     rivals = explanations(data, fit, progress) if views >= FEW else ()
+    if regions:
+        rivals = tuple(
+            rival._replace(region_px=region_error(data, fit, rival.name)) for rival in rivals
+        )
     scale = _one_number(rivals)
     if scale is not None and not has_correction(fit):
         # A likely rival of a fit that found no field: the budget is of the likelier.
         fit = scale.fit
+    elif isinstance(_field(fit), ImpliedArm):
+        # Lengths of an arm take from the mount what they give: its bare chain is nobody's.
+        fit = fit_candidate(data, fit, None, field_groups=4)
     seen = np.asarray(data.visible)
     squares = expected_squares(fit, data)
     parameters, pixels, poses = (float(np.mean(square[seen])) for square in squares)
@@ -111,6 +125,11 @@ def error_budget(
     culprit = VIEWS if views < FEW else order[0]
     total = deviations(fit.calibration.uncorrected, data).rms
     return ErrorBudget(total, parts, rivals, culprit, _words(total, parts, culprit))
+
+
+def _field(fit: JointFit) -> AbstractField | None:
+    error = fit.calibration.robot_error
+    return None if error is None else error.field
 
 
 def _one_number(rivals: tuple[Explanation, ...]) -> Explanation | None:

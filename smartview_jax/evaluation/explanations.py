@@ -40,6 +40,8 @@ class Explanation(NamedTuple):
         beside_field: deviance below that field, by what it adds to it.
         px: RMS by which it moves the points that were seen.
         fit: in which it is the only systematic error.
+        region_px: held-out RMS by region of the workspace where it is the only one; None where
+            nobody asked.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Explanation(NamedTuple):
     beside_field: float
     px: float
     fit: JointFit
+    region_px: float | None = None
 
 
 def explanations(

@@ -5,6 +5,7 @@ from .tables import COMPARED as COMPARED
 from .tables import Summary as Summary
 from .tables import budget_rows as budget_rows
 from .tables import compared as compared
+from .tables import explanation_rows as explanation_rows
 from .tables import halves_agree as halves_agree
 from .tables import rejections as rejections
 from .tables import remarks as remarks

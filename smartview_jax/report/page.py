@@ -57,6 +57,7 @@ def write_page(
         measures=tables.table_rows(rows),
         budget=budget,
         budget_rows=[] if budget is None else tables.budget_rows(budget),
+        explanation_rows=[] if budget is None else tables.explanation_rows(budget),
         rejections=tables.rejections(fit, data),
         blind=[d.words for d in fit.joint.observability.null],
         weak=[

@@ -197,6 +197,20 @@ def budget_rows(budget: ErrorBudget) -> list[tuple[str, str, str]]:
     return [(part.name, f"{part.px:.3g} px", part.advice) for part in budget.parts]
 
 
+def explanation_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
+    """Explanations by one number: name, its size, what it gains, beside a field, hidden regions."""
+    return [
+        (
+            one.name,
+            f"{one.size:.4f} +- {one.std:.4f}",
+            f"{one.gain:.0f}; a field {one.field_gain:.0f}",
+            f"{one.beside_field:.1f}",
+            "" if one.region_px is None else f"{one.region_px:.3g} px",
+        )
+        for one in budget.explanations
+    ]
+
+
 def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
     """Name, value with unit, and standard deviation of every number of the joint fit."""
     calibration = fit.joint.calibration

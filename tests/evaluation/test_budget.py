@@ -5,10 +5,16 @@ import numpy as np
 import pytest
 from starts import nudged
 
-from smartview_jax import error_budget, fit_joint
+from smartview_jax import error_budget, fit_joint, fit_staged, held_out
+from smartview_jax.evaluation import deviations
 from smartview_jax.evaluation.budget import SCALE, SYSTEMATIC, VIEWS
-from smartview_jax.robots import LinearInPose, RobotError
-from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+from smartview_jax.robots import ImpliedArm, LinearInPose, RobotError
+from smartview_jax.simulation import (
+    paper_calibration,
+    paper_points,
+    random_scene,
+    six_axis_scene,
+)
 
 VIEWS_TAKEN = 16
 POINTS = paper_points((0.0, 0.02))[::4]
@@ -38,11 +44,25 @@ def test_a_misprinted_target_is_one_of_two_explanations(misprinted):
     assert found.culprit == SCALE
     assert "measure the board" in found.words
     target, robot = found.explanations
+    assert target.region_px is None
     assert abs(target.size - PRINTED) < 4.0 * target.std < 0.02
     # What a ruler decides: the robot would go farther than it says, by as much.
     assert robot.size == pytest.approx(1.0 / PRINTED, abs=0.01)
     assert abs(target.gain - robot.gain) < 0.5 * target.gain
     assert target.gain > 10.0
+
+
+def test_what_explains_predicts_regions_that_it_never_saw(misprinted):
+    """Better than a chain that leaves the error to the mount; no better than its pixels."""
+    scene, fit, _ = misprinted
+    target = error_budget(scene.data, fit, regions=True).explanations[0]
+    bare = held_out(scene.data, lambda part: trusting(part, fit), 5, by="region").deviations.rms
+    assert target.region_px is not None
+    assert 0.15 < target.region_px < bare
+
+
+def trusting(data, fit):
+    return fit_joint(data, fit.calibration.uncorrected, noise="trusted", bad_views="keep")
 
 
 def test_its_parts_make_up_the_whole(misprinted):
@@ -64,6 +84,16 @@ def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
     assert sizes(found)[SCALE] == 0.0
     assert "have the robot calibrated" in found.words
     assert found.explanations[0].gain < 0.5 * found.explanations[0].field_gain
+
+
+def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain():
+    """Its own bare chain is farther off: lengths take from the mount what they give."""
+    data = six_axis_scene(0).data
+    fit = fit_joint(data, fit_staged(data, "opencv4").calibration, noise="estimated")
+    assert isinstance(fit.calibration.robot_error.field, ImpliedArm)
+    found = error_budget(data, fit)
+    assert found.culprit == SYSTEMATIC
+    assert found.total < deviations(fit.calibration.uncorrected, data).rms
 
 
 def test_few_views_come_before_all_else(misprinted):
