@@ -19,11 +19,12 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from rich.progress import track
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 import smartview_jax as sv
 from smartview_jax.evaluation import coverage, covered, mean_nees, nees
 from smartview_jax.files import write_atomically
+from smartview_jax.joint.doubt import p_value
 from smartview_jax.robots import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene, simulate
 
@@ -114,8 +115,8 @@ def _given(views: int, seeds: range) -> list[dict]:
         fits = sv.fit_many([data], paper_calibration(), noise=TRUE, field=field)
         sizes = (TRUE.pixel, TRUE.translation, TRUE.rotation, *TRUE.field)
         entry = _entry(fits[0], fits.covariance[0], fits.parameter_names, sizes, {})
-        square = nees(np.array([entry["error"]]), np.array([entry["covariance"]]))[0]
-        found.append({**entry, "p_value": float(chdtrc(6, square))})
+        chance = p_value(np.array(entry["error"]), np.array(entry["covariance"]))
+        found.append({**entry, "p_value": chance})
     return found
 
 

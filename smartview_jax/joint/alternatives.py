@@ -120,7 +120,7 @@ def tried_on(
                 masks[field_name(part)] = place < 2 + len(part.groups)
     elif basis is not None:
         masks[field_name(basis)] = place >= 0
-    return _searched(views, basis, masks, first_guess(scatter, basis, views))
+    return _searched(views, basis, masks, _first_guess(scatter, basis, views))
 
 
 def arm_tried_on(
@@ -144,7 +144,7 @@ def arm_tried_on(
     arm = ImpliedArm.over(read)
     group = np.repeat(np.arange(len(arm.groups)), [count for _, count in arm.groups])
     there = views.with_field(_twists(arm, command), group, known)
-    guess = first_guess(scatter, arm, views)
+    guess = _first_guess(scatter, arm, views)
     begin = eqx.tree_at(lambda sizes: sizes.field, white.found.sizes, TOO_LARGE * guess.field)
     active = np.ones(2 + len(arm.groups), dtype=bool)
     found = search(there, begin, jnp.asarray(active))
@@ -170,7 +170,7 @@ def choice(tried: dict[str, Tried], gains: dict[str, float], white_sigma: float,
     return "white" if worth("white") >= 0.0 and believable("white") else "trusted"
 
 
-def first_guess(
+def _first_guess(
     scatter: Float[np.ndarray, "placed 6"], basis: AbstractField | None, views: LinearisedViews
 ) -> Sizes:
     """From how the placed views' own best poses scatter about the start's chain."""

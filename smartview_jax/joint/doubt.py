@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtrc, fdtrc
 
-from .likelihood import LEAST, LinearisedViews, Sizes, integrate
+from .likelihood import LinearisedViews, Sizes, integrate
 from .scoring import Likeliest
 
 UNTOLD = 3.0
@@ -60,20 +60,19 @@ def doubt(views: LinearisedViews, found: Likeliest) -> Doubt:
     Roger).
     """
 
-    def fitted(logarithms: Float[Array, "kinds"]) -> tuple[Array, Array]:
+    def fitted(logarithms: Float[Array, "kinds"]) -> tuple[tuple[Array, Array], Array]:
         at = integrate(views, Sizes.of(jnp.exp(logarithms)))
-        return at.step.shared, at.shared_covariance
+        covariance = at.shared_covariance
+        return (at.step.shared, covariance), jnp.diagonal(covariance)
 
     numbers = found.sizes.numbers
-    moves, by_size = jax.jacfwd(fitted)(jnp.log(numbers))
-    least = jnp.full(len(numbers), LEAST).at[0].set(views.white_sigma)
+    (moves, by_size), variance = jax.jacfwd(fitted, has_aux=True)(jnp.log(numbers))
     # By the logarithm of what a size has beyond its least: d log(size) / d log(beyond).
-    along = jnp.maximum(1.0 - (least / numbers) ** 2, 0.0)
+    along = jnp.maximum(1.0 - (views.least(len(numbers)) / numbers) ** 2, 0.0)
     vague = jnp.eye(len(numbers)) / UNTOLD**2
     spread = jnp.linalg.inv(found.information * jnp.outer(along, along) + vague)
     moves, by_size = along[None] * moves, along[None, None] * by_size
 
-    variance = jnp.diagonal(integrate(views, found.sizes).shared_covariance)
     grows = jnp.diagonal(by_size).T / variance[:, None]
     # A variance that rests on n degrees of freedom has a logarithm of variance 2 / n.
     known = jnp.sum((grows @ spread) * grows, axis=1)

@@ -179,12 +179,7 @@ def estimate_noise(
 class _Statistics:
     """What the free poses and the free camera left, and the chain linearised where one asks."""
 
-    def __init__(
-        self,
-        built: Built,
-        placed: Int[np.ndarray, "placed"],
-        inner: float,
-    ):
+    def __init__(self, built: Built, placed: Int[np.ndarray, "placed"], inner: float):
         problem, groups = built.problem, _groups(built)
         camera = sum(k < problem.parameters.camera_size for k in problem.free)
         self.problem, self.groups, self.inner = problem, jnp.asarray(groups), inner

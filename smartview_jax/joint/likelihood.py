@@ -15,6 +15,8 @@ Reference: Patterson and Thompson, Recovery of inter-block information when bloc
 1971.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -79,7 +81,8 @@ class LinearisedViews(eqx.Module):
         among = jnp.einsum("vki,vkj->ij", moves, moved)
         slope = jnp.einsum("vki,vk->i", moves, self.gradient.corrections)
         off = self.off_mean
-        return LinearisedViews(
+        return dataclasses.replace(
+            self,
             matrix=BlockArrow(
                 jnp.block([[matrix.shared[:known, :known], across], [across.T, among]]),
                 jnp.concatenate([border, moved], axis=2),
@@ -88,14 +91,14 @@ class LinearisedViews(eqx.Module):
             gradient=Step(
                 jnp.concatenate([self.gradient.shared[:known], slope]), self.gradient.corrections
             ),
-            between=self.between,
             off_mean=Step(jnp.pad(off.shared[:known], (0, count)), off.corrections),
             known_weight=jnp.pad(self.known_weight[:known], (0, count)),
             group=jnp.concatenate([self.group[:known], jnp.asarray(group)]),
-            own_free=self.own_free,
-            count=self.count,
-            white_sigma=self.white_sigma,
         )
+
+    def least(self, kinds: int) -> Float[Array, "kinds"]:
+        """What each size is at the least, in the order of `Sizes.numbers`."""
+        return jnp.full(kinds, LEAST).at[0].set(self.white_sigma)
 
 
 class Sizes(eqx.Module):

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .likelihood import (
-    LEAST,
     Integral,
     LinearisedViews,
     Sizes,
@@ -119,7 +118,7 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
         active: which errors of the robot may have a size: of translation, of rotation, of each
             group of the field; the others have none.
     """
-    least = jnp.full(len(start.numbers), LEAST).at[0].set(views.white_sigma)
+    least = views.least(len(start.numbers))
     searched = jnp.concatenate([jnp.ones(1, bool), active])
     begin = 0.5 * jnp.log(jnp.maximum(start.numbers**2 - least**2, (EDGE * least) ** 2))
 

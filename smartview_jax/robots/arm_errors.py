@@ -45,36 +45,36 @@ class AbstractArmErrors(AbstractField):
         Raises:
             ValueError: a pose without the joints' readings.
         """
+        return self.corrected(coefficients).base_from_tool(self._gone(reported, coefficients))
+
+    def by_coefficients(
+        self, reported: Command, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
+        """As of any field, through the arm's numbers, whose twists are known."""
+        at = jax.lax.stop_gradient(coefficients)
+        twists = by_numbers(self.corrected(at), self._gone(reported, at))
+
+        def numbers(
+            moved: Float[Array, "coefficients"], one: Command
+        ) -> Float[Array, "rows joints"]:
+            # How far a joint went moves the tool as its zero does.
+            arm = _with_offsets(self.corrected(moved), self._gone(one, moved))
+            return jnp.stack([arm.theta, arm.d, arm.a, arm.alpha])
+
+        rows = jax.vmap(jax.jacfwd(numbers), in_axes=(None, 0))(coefficients, reported)
+        return jnp.einsum("vkrj,vrjc->vkc", twists, rows)
+
+    def _gone(
+        self, reported: Command, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "*views joints"]:
+        """How far every joint went for its reading."""
         if reported.joints is None:
             raise ValueError(
                 "the errors of an arm are corrected by its joints: give arm.command(joints) "
                 "instead of a pose, or corrected=False for the bare chain"
             )
         joints = jnp.asarray(reported.joints, dtype=float)
-        gone = joints * jnp.broadcast_to(self.ratios(coefficients), joints.shape)
-        return self.corrected(coefficients).base_from_tool(gone)
-
-    def by_coefficients(
-        self, reported: Command, coefficients: Float[Array, "coefficients"]
-    ) -> Float[Array, "views 6 coefficients"]:
-        """As of any field, through the arm's numbers, whose twists are known."""
-        readings = jnp.asarray(reported.joints, dtype=float)
-        at = jax.lax.stop_gradient(coefficients)
-        gone = readings * jnp.broadcast_to(self.ratios(at), readings.shape)
-        twists = by_numbers(self.corrected(at), gone)
-        slides = jnp.array(self.arm.prismatic)
-
-        def numbers(
-            moved: Float[Array, "coefficients"], reading: Float[Array, "joints"]
-        ) -> Float[Array, "rows joints"]:
-            arm, way = self.corrected(moved), reading * self.ratios(moved)
-            nothing = jnp.zeros_like(way)
-            theta = arm.theta + jnp.where(slides, nothing, way)
-            d = arm.d + jnp.where(slides, way, nothing)
-            return jnp.stack([theta, d, arm.a, arm.alpha])
-
-        rows = jax.vmap(jax.jacfwd(numbers), in_axes=(None, 0))(coefficients, readings)
-        return jnp.einsum("vkrj,vrjc->vkc", twists, rows)
+        return joints * jnp.broadcast_to(self.ratios(coefficients), joints.shape)
 
     def command(
         self,

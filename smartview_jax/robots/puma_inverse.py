@@ -96,7 +96,10 @@ def branch_joints(
         base_from_tool: wanted, `(*views)`.
         signs: one of `BRANCHES`.
     """
-    solve = lambda pose: _branch(arm, SE3(pose), signs)[0] - arm.theta  # noqa: E731
+
+    def solve(pose: Float[Array, "7"]) -> Float[Array, "6"]:
+        return _branch(arm, SE3(pose), signs)[0] - arm.theta
+
     poses = base_from_tool.wxyz_xyz
     for _ in poses.shape[:-1]:
         solve = jax.vmap(solve)

@@ -114,8 +114,9 @@ class SerialArm(eqx.Module):
 
     def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
         """Twist at the tool per unit of each joint, translation first."""
-        here = self.base_from_tool(joints).inverse()
-        return jax.jacfwd(lambda q: (here @ self.base_from_tool(q)).log())(jnp.asarray(joints))
+        by_theta, by_d = jnp.moveaxis(by_numbers(self, jnp.asarray(joints))[:, :2], 1, 0)
+        slides = jnp.broadcast_to(jnp.array(self.prismatic), by_theta.shape)
+        return jnp.where(slides, by_d, by_theta)
 
 
 def _checked_limits(

@@ -8,6 +8,7 @@ import pytest
 from starts import nudged
 
 from smartview_jax import Noise, fit_joint, fit_staged
+from smartview_jax.evaluation import deviations
 from smartview_jax.joint.alternatives import ENOUGH_FOR_ARM
 from smartview_jax.joint.build import build_problem
 from smartview_jax.joint.estimate import _Statistics, estimate_noise
@@ -62,7 +63,7 @@ def test_an_arm_that_nobody_described_makes_the_mount_better(arms):
         truth = scene.calibration.camera_from_tool.translation()
         found = (staged, by_pose.calibration, by_arm.calibration)
         mount.append([np.linalg.norm(c.camera_from_tool.translation() - truth) for c in found])
-        pixels.append([rms(c, scene.unseen) for c in found])
+        pixels.append([deviations(c, scene.unseen).rms for c in found])
     staged, by_pose, by_arm = np.sqrt(np.mean(np.square(mount), axis=0))
     assert by_arm < 0.6 * staged
     assert by_arm < by_pose
@@ -70,24 +71,14 @@ def test_an_arm_that_nobody_described_makes_the_mount_better(arms):
     assert by_arm < 0.5 * by_pose < 0.5 * staged
 
 
-def rms(calibration, data):
-    predicted, _ = calibration.project(data.base_from_tool, data.points)
-    seen = np.asarray(data.visible)
-    return np.sqrt(np.mean(np.sum(np.asarray(predicted - data.pixels)[seen] ** 2, axis=-1)))
-
-
 def test_few_views_are_given_no_arm(arms):
     data = arms[0].data.select(range(ENOUGH_FOR_ARM - 1))
     found = estimate_noise(data, arms[0].calibration.uncorrected)
     assert "implied_arm" not in [other.name for other in found.alternatives]
     found = estimate_noise(
-        data, arms[0].calibration.uncorrected, field=ImpliedArm.over(poses(data))
+        data, arms[0].calibration.uncorrected, field=ImpliedArm.over(data.base_from_tool)
     )
     assert found.name == "implied_arm"
-
-
-def poses(data):
-    return data.base_from_tool
 
 
 def test_who_holds_the_robots_error_is_given_none(arms):
