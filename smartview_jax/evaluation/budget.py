@@ -159,7 +159,7 @@ def _advice(name: str, fit: JointFit, views: int, rivals: tuple[Explanation, ...
     return {
         PIXELS: "sharper pictures, steady light, a larger or better printed target",
         LENS: "the lens model is too simple: take a richer one, such as opencv5 or opencv8",
-        NOISE: f"poses are off by {millimetres:.2g} mm and {degrees:.2g} deg, each by itself: wait "
+        NOISE: f"poses are off by {millimetres:.3f} mm and {degrees:.4f} deg, each by itself: wait "
         "until the arm stands still, approach from one side, check the clocks; more views help",
         SCALE: "measure the board",
         SYSTEMATIC: "keep the correction when predicting and commanding, or have the robot "

@@ -80,18 +80,21 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
     gain = 0.03 * width / typical
     rng = np.random.default_rng(0)
     shown = rng.permutation(len(where))[:2500]
+    lengths = np.linalg.norm(vectors, axis=1)
     # From the prediction to the measurement.
     arrows = axes.quiver(
         *where[shown].T,
         *(gain * vectors[shown]).T,
-        np.linalg.norm(vectors[shown], axis=1),
+        lengths[shown],
         angles="xy",
         scale_units="xy",
         scale=1.0,
         cmap="viridis",
         width=0.0018,
     )
-    figure.colorbar(arrows, ax=axes, label="deviation (px)", shrink=0.85)
+    # A few points that are far off would leave all others the same colour.
+    arrows.set_clim(0.0, float(np.percentile(lengths, 98)) or 1.0)
+    figure.colorbar(arrows, ax=axes, label="deviation (px)", shrink=0.85, extend="max")
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     axes.set_aspect("equal")

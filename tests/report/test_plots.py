@@ -65,6 +65,15 @@ def test_arrows_point_from_the_prediction_to_the_measurement(scene):
         np.testing.assert_allclose(vector, gain * residuals[seen][nearest], rtol=0.5 / gain + 1e-9)
 
 
+def test_one_point_far_off_leaves_the_others_their_colours(scene):
+    residuals = np.ones(scene.data.pixels.shape)
+    view, point = np.argwhere(scene.data.visible)[0]
+    residuals[view, point] = 100.0
+    axes = plots.residual_vectors(scene.data, residuals).axes[0]
+    (arrows,) = (child for child in axes.get_children() if isinstance(child, Quiver))
+    assert arrows.get_clim() == pytest.approx((0.0, np.sqrt(2.0)))
+
+
 def test_bars_are_the_rms_of_each_view(scene, rows):
     (axes,) = plots.view_errors(scene.data, rows).axes
     heights = [bar.get_height() for bar in axes.containers[1]]
