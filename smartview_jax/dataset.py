@@ -55,10 +55,15 @@ class Observations(eqx.Module):
 def chain_residuals(
     calibration: Calibration, observations: Observations
 ) -> Float[Array, "views points 2"]:
-    """Measured minus predicted by the reported poses, px; zero where not seen."""
+    """Measured minus predicted by the reported poses, px.
+
+    Zero where a point was not seen, infinite where one was seen that cannot be predicted.
+    """
 
     def view(seen: Observations) -> Float[Array, "points 2"]:
-        return seen.residuals(*calibration.project(seen.command, seen.points))
+        predicted, valid = calibration.project(seen.command, seen.points)
+        nowhere = (seen.visible & ~valid)[..., None]
+        return jnp.where(nowhere, jnp.inf, seen.residuals(predicted, valid))
 
     # View by view: a projection of everything at once takes several times the data's memory.
     return jax.lax.map(view, observations)
@@ -154,6 +159,7 @@ class Dataset(eqx.Module):
         wrong = check_rigid(matrices, ids)
         for view, problem in _pixel_problems(pixels, seen, image_size, ids).items():
             wrong.setdefault(view, problem)
+        wrong = {view: problem for view, problem in wrong.items() if view not in problems}
         if wrong and bad_views == "raise":
             raise ValueError("; ".join(f"view {view}: {text}" for view, text in wrong.items()))
         problems = {**wrong, **problems}
@@ -232,8 +238,17 @@ class Dataset(eqx.Module):
         return dataclasses.replace(self, visible=visible, pixels=pixels)
 
     def select(self, views: Sequence[int] | np.ndarray) -> "Dataset":
-        """The data set of these views alone, by index, in the given order."""
-        index = np.asarray(views, dtype=int)
+        """The data set of these views alone, in the given order.
+
+        Args:
+            views: indices, each once; or, for every view, whether it is one of them.
+
+        Raises:
+            ValueError: an index comes twice.
+        """
+        index = np.arange(self.view_count)[np.asarray(views)] if len(views) else np.zeros(0, int)
+        if len(np.unique(index)) < len(index):
+            raise ValueError(f"views: expected each index once, found {list(views)}")
         ids = tuple(self.view_ids[i] for i in index)
         return Dataset(
             points=self.points[index],

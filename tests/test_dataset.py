@@ -1,10 +1,13 @@
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
 
 from smartview_jax import Dataset
+from smartview_jax.dataset import chain_residuals
 from smartview_jax.robots import kuka_lwr4
+from smartview_jax.simulation import random_scene
 
 VIEWS, POINTS = 4, 6
 
@@ -66,6 +69,37 @@ def test_select_takes_views_by_index_and_keeps_their_names(arrays):
     np.testing.assert_array_equal(data.pixels[1], arrays["pixels"][1])
     assert data.select([1]).masked_views == ()
     np.testing.assert_array_equal(data.usable_views(), [1])
+
+
+def test_select_takes_a_mask_and_no_view_twice(arrays):
+    data = Dataset.from_arrays(**arrays, view_ids="abcd")
+    mask = np.array([True, False, False, True])
+    assert data.select(mask).view_ids == ("a", "d")
+    assert data.select([]).view_ids == ()
+    with pytest.raises(ValueError, match=r"views: expected each index once, found \[1, 1\]"):
+        data.select([1, 1])
+
+
+def test_what_cannot_be_predicted_has_an_infinite_residual():
+    scene = random_scene(0, 4, pixel_noise=0.0)
+    poses = scene.data.base_from_tool.wxyz_xyz
+    turned = SE3(poses[2]) @ SE3.exp(jnp.array([0.0, 0.0, 0.0, np.pi, 0.0, 0.0]))
+    data = eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[2].set(turned.wxyz_xyz)
+    )
+    residuals = np.asarray(chain_residuals(scene.calibration, data.observations))
+    assert np.isinf(residuals[2][np.asarray(data.visible[2])]).all()
+    np.testing.assert_allclose(residuals[[0, 1, 3]], 0.0, atol=1e-9)
+
+
+def test_a_view_known_to_be_unusable_may_have_no_pose(arrays):
+    _nan(arrays["base_from_tool"])
+    data = Dataset.from_arrays(**arrays, masked_views=[("2", "the arm did not answer")])
+    assert data.masked_views == (("2", "the arm did not answer"),)
+    assert np.isfinite(data.base_from_tool.wxyz_xyz).all()
+    arrays["pixels"][0, 4] = [900.0, 20.0]
+    with pytest.raises(ValueError, match="view 0: point 4"):
+        Dataset.from_arrays(**arrays, masked_views=[("2", "the arm did not answer")])
 
 
 @pytest.mark.parametrize(
