@@ -176,11 +176,15 @@ def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, A
     """Standard deviations that Step 1's answer is given: wide, for it saw the same pixels.
 
     Returns:
-        `(n_camera,)` for the camera's numbers (a quarter of alpha, a quarter of the picture, 1 for
-        the lens) and `(views, 6)` for the poses (half the distance, half a radian).
+        `(n_camera,)` for the camera's numbers (a quarter of alpha, a quarter of the picture, for
+        the lens what moves the picture's corner by that, and 1 at the least) and `(views, 6)` for
+        the poses (half the distance, half a radian).
     """
-    numbers, _ = ravel_pytree(camera)
+    numbers, rebuild = ravel_pytree(camera)
     width, height = camera.image_size
+    corner = jnp.stack([width / camera.alpha_u, height / camera.alpha_v, jnp.asarray(2.0)]) / 2.0
+    by_number = jax.jacfwd(lambda n: rebuild(n).project(corner[None])[0][0])(numbers)
+    moved = jnp.max(jnp.abs(by_number[:, 4:]), axis=0)
     pinhole = jnp.stack(
         [
             0.25 * camera.alpha_u,
@@ -189,7 +193,8 @@ def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, A
             jnp.asarray(0.25 * height),
         ]
     )
-    lens = jnp.ones(len(numbers) - 4)
+    # A corner outside the lens's domain does not move, or not by a number.
+    lens = jnp.where(moved > 1e-6 * width, jnp.maximum(0.25 * width / moved, 1.0), 1.0)
     distance = jnp.linalg.norm(camera_from_world.translation(), axis=-1, keepdims=True)
     half = jnp.full((len(distance), 3), 0.5)
     return jnp.concatenate([pinhole, lens]), jnp.concatenate([half * distance, half], axis=1)
