@@ -36,3 +36,4 @@ from .robot_error import RobotError as RobotError
 from .serial_arm import SerialArm as SerialArm
 from .solve_joints import joints_for_pose as joints_for_pose
 from .stretch import PoseOrStretch as PoseOrStretch
+from .stretch import Stretched as Stretched

@@ -10,6 +10,9 @@ from .field import AbstractField, AbstractLinearField
 SPREAD = 1.7
 """Standard deviations of the positions that count as one unit: the half width of a uniform box."""
 
+STANDING = 1e-4
+"""Spread, m, below which a robot did not go anywhere."""
+
 
 class LinearInPosition(AbstractLinearField):
     """Translation and rotation linear in the tool's position: 18 coefficients.
@@ -86,8 +89,8 @@ class LinearInPose(AbstractLinearField):
 def reach_of(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
     """Distance from their middle that counts as one unit, m."""
     variance = jnp.sum(jnp.var(positions, axis=0)) / 3.0
-    # A robot that only turned has no spread to scale by; a field in position is then zero anyway.
-    return SPREAD * jnp.sqrt(jnp.where(variance > 0.0, variance, 1.0))
+    # A robot that only turned has no spread to scale by; a field in position is then next to zero.
+    return SPREAD * jnp.sqrt(jnp.where(variance > STANDING**2, variance, 1.0))
 
 
 def share_of_reach(

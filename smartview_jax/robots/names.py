@@ -4,6 +4,7 @@ from .arm_errors import DHErrors, JointOffsets, JointRatios
 from .field import AbstractField
 from .implied_arm import ImpliedArm
 from .linear_fields import LinearInPose, LinearInPosition
+from .stretch import Stretched
 
 FIELDS: dict[str, type[AbstractField]] = {
     "position": LinearInPosition,
@@ -12,6 +13,7 @@ FIELDS: dict[str, type[AbstractField]] = {
     "joint_offsets": JointOffsets,
     "joint_ratios": JointRatios,
     "dh": DHErrors,
+    "stretched": Stretched,
 }
 
 

@@ -18,14 +18,21 @@ _ROWS = ("theta", "d", "a", "alpha")
 def robot_error_to_dict(error: RobotError) -> dict[str, Any]:
     """Every coefficient by name, so that the file can be read without this library."""
     coefficients = np.asarray(error.coefficients).tolist()
-    parts = {
-        name: arm_to_dict(value) if isinstance(value, SerialArm) else np.asarray(value).tolist()
-        for name, value in vars(error.field).items()
-    }
     return {
-        "field": {"model": field_name(error.field), **parts},
+        "field": _field_to_dict(error.field),
         "coefficients": dict(zip(error.field.names, coefficients, strict=True)),
     }
+
+
+def _field_to_dict(field: AbstractField) -> dict[str, Any]:
+    parts = {name: _part_to_plain(value) for name, value in vars(field).items()}
+    return {"model": field_name(field), **parts}
+
+
+def _part_to_plain(part: Any) -> Any:
+    if isinstance(part, AbstractField):
+        return _field_to_dict(part)
+    return arm_to_dict(part) if isinstance(part, SerialArm) else np.asarray(part).tolist()
 
 
 def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) -> RobotError:
@@ -35,24 +42,29 @@ def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) 
         ValueError: other numbers than the field has.
         KeyError: an entry is missing.
     """
-    parts = dict(content["field"])
-    model = parts.pop("model")
-    kind = field_by_name(model) if field is None else type(field)
-    known = {part.name for part in dataclasses.fields(kind)}
-    if set(parts) != known:
-        raise ValueError(f"robot_error.field: expected {sorted(known)}, found {sorted(parts)}")
-    basis = kind(
-        **{
-            name: arm_from_dict(value) if name == "arm" else jnp.asarray(value, dtype=float)
-            for name, value in parts.items()
-        }
-    )
+    basis = _field_from_dict(content["field"], field)
     given = content["coefficients"]
     if set(given) != set(basis.names):
         raise ValueError(
             f"robot_error.coefficients: expected {', '.join(basis.names)}; found {', '.join(given)}"
         )
     return RobotError(basis, jnp.array([float(given[name]) for name in basis.names]))
+
+
+def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> AbstractField:
+    parts = dict(content)
+    model = parts.pop("model")
+    kind = field_by_name(model) if field is None else type(field)
+    known = {part.name for part in dataclasses.fields(kind)}
+    if set(parts) != known:
+        raise ValueError(f"robot_error.field: expected {sorted(known)}, found {sorted(parts)}")
+
+    def part(name: str, value: Any) -> Any:
+        if isinstance(value, dict) and "model" in value:
+            return _field_from_dict(value, getattr(field, name, None))
+        return arm_from_dict(value) if name == "arm" else jnp.asarray(value, dtype=float)
+
+    return kind(**{name: part(name, value) for name, value in parts.items()})
 
 
 def arm_to_dict(arm: SerialArm) -> dict[str, Any]:

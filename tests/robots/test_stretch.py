@@ -1,12 +1,23 @@
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
 
-from smartview_jax.robots import LinearInPose, PoseOrStretch, RobotError
-from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax import Calibration
+from smartview_jax.robots import (
+    AbstractField,
+    ImpliedArm,
+    LinearInPose,
+    LinearInPosition,
+    PoseOrStretch,
+    RobotError,
+    Stretched,
+    as_command,
+)
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 SHARE = 0.03
 POINTS = paper_points((0.0,))[::5]
@@ -59,3 +70,44 @@ def test_what_does_not_count_does_nothing(scene):
     np.testing.assert_array_equal(basis[..., :54], off.field.pose.basis(poses))
     assert not basis[..., 55].any()
     assert basis[..., 54].any()
+
+
+@pytest.fixture(scope="module", params=[LinearInPosition, LinearInPose, ImpliedArm])
+def stretched(request, scene):
+    """Another field's error besides."""
+    poses = scene.data.base_from_tool
+    field = Stretched.over(request.param.over(poses), poses)
+    coefficients = 1e-3 * np.random.default_rng(1).normal(size=field.size)
+    return RobotError(field, jnp.asarray(coefficients).at[-1].set(SHARE * float(field.reach)))
+
+
+def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, scene):
+    """The tool comes closer to the centre by the share of what is reported."""
+    poses, inner = scene.data.base_from_tool, stretched.field.field
+    before = RobotError(inner, stretched.coefficients[:-1]).true_pose(poses)
+    moved = stretched.true_pose(poses).translation() - before.translation()
+    # Carried along by the tool, which the field has turned.
+    turned = (before.rotation() @ poses.rotation().inverse()).as_matrix()
+    way = np.asarray(poses.translation()) - np.asarray(stretched.field.centre)
+    expected = -SHARE * np.einsum("vij,vj->vi", turned, way)
+    np.testing.assert_allclose(moved, expected, atol=1e-12)
+    none = RobotError(stretched.field, stretched.coefficients.at[-1].set(0.0)).true_pose(poses)
+    np.testing.assert_allclose((before.inverse() @ none).log(), 0.0, atol=1e-14)
+
+
+def test_its_twists_are_the_derivatives_and_its_commands_the_inverse(stretched, scene):
+    reported = as_command(scene.data.base_from_tool)
+    found = stretched.field.by_coefficients(reported, stretched.coefficients)
+    expected = AbstractField.by_coefficients(stretched.field, reported, stretched.coefficients)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    assert len(stretched.field.names) == stretched.field.size == found.shape[-1]
+    back = stretched.command(stretched.true_pose(reported)).base_from_tool
+    np.testing.assert_allclose((reported.base_from_tool.inverse() @ back).log(), 0.0, atol=1e-10)
+
+
+def test_files_keep_what_is_stretched(stretched, tmp_path):
+    calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
+    calibration.save(tmp_path / "calibration.yaml")
+    found = Calibration.load(tmp_path / "calibration.yaml")
+    assert eqx.tree_equal(found, calibration)
+    assert isinstance(found.robot_error.field.field, type(stretched.field.field))
