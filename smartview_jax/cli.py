@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .calibration import Calibration
     from .dataset import Dataset
     from .evaluation import ErrorBudget, Repeatability, Unseen
+    from .joint import CalibrationFit
     from .robots import SerialArm
 
 app = typer.Typer(
@@ -94,7 +95,7 @@ def _keep_compiled() -> None:
 def calibrate(
     dataset: DatasetArgument = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("calibration"),
-    lens: LensOption = "radial",
+    lens: LensOption = "opencv4",
     noise: NoiseOption = NoiseModel.ESTIMATED,
     held_out: Annotated[
         bool, typer.Option(help="Also refit without some views and predict those.")
@@ -105,49 +106,72 @@ def calibrate(
     bad_views: BadViewsOption = BadViews.RAISE,
     debug: DebugOption = False,
 ) -> None:
-    """Calibrate: staged and joint fit, a table, calibration.yaml and report.html."""
+    """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
+
+    Writes the staged pipeline's answer as calibration_staged.yaml besides; and, where the robot's
+    error is corrected, calibration_uncorrected.yaml, for programs that cannot do that.
+    """
     with _errors(debug):
-        from .joint import best_uncorrected
+        from .evaluation import without_rejected_views
         from .joint import calibrate as fit_both
         from .report import halves_agree, summaries, write_page
 
+        notes: list[str] = []
         with _progress() as say:
             data, name = _load(dataset, bad_views, say)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
-            unseen = _held_out(data, lens, noise, diagnose, say) if held_out else {}
-            halves, budget = _diagnosis(fit, data, lens, noise, say) if diagnose else (None, None)
-            title = f"Calibration of {name}"
-            write_page(out / "report.html", fit, data, unseen, title, say, halves, budget)
-            fit.calibration.save(out / "calibration.yaml")
-            fit.staged.calibration.save(out / "calibration_staged.yaml")
-            if fit.calibration.robot_error is not None:
-                best_uncorrected(data, fit).save(out / "calibration_uncorrected.yaml")
+            counted = without_rejected_views(data, fit)
+            unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
+            halves = budget = None
+            if diagnose:
+                halves, budget = _diagnosis(fit, counted, lens, noise, say, notes)
+            written = _save(fit, data, out)
         _print_result(summaries(fit, data, unseen), fit, data)
-        for _, text in halves_agree(halves):
-            typer.echo(f"even and odd views: {text}")
+        for text in (*notes, *(f"even and odd views: {text}" for _, text in halves_agree(halves))):
+            typer.echo(text)
         if budget is not None:
             _print_budget(budget)
-        typer.echo(f"\n{out / 'calibration.yaml'}  {out / 'report.html'}")
-        if fit.calibration.robot_error is not None:
-            typer.echo(
-                f"{out / 'calibration_uncorrected.yaml'}: for programs that cannot correct the "
-                "robot's error; predicts best without, but does not say where the camera sits"
-            )
+        with _progress() as say:
+            title, page = f"Calibration of {name}", out / "report.html"
+            write_page(page, fit, data, unseen, title, say, halves, budget, notes)
+        for path, words in [*written, (page, "what was found, and how good it is")]:
+            typer.echo(f"{path}: {words}")
         if not fit.result.converged:
             raise typer.Exit(1)
+
+
+def _save(fit: "CalibrationFit", data: "Dataset", out: Path) -> list[tuple[Path, str]]:
+    """Files of the calibrations and what they are for; none stays from an earlier run."""
+    from .joint import best_uncorrected
+
+    found = {
+        "calibration.yaml": (fit.calibration, "the calibration"),
+        "calibration_staged.yaml": (fit.staged.calibration, "that of the staged pipeline"),
+    }
+    if fit.calibration.robot_error is not None:
+        found["calibration_uncorrected.yaml"] = (
+            best_uncorrected(data, fit),
+            "for programs that cannot correct the robot's error; predicts best without, but does "
+            "not say where the camera sits",
+        )
+    else:
+        (out / "calibration_uncorrected.yaml").unlink(missing_ok=True)
+    for name, (calibration, _) in found.items():
+        calibration.save(out / name)
+    return [(out / name, words) for name, (_, words) in found.items()]
 
 
 @app.command()
 def compare(
     dataset: DatasetArgument = None,
-    lens: LensOption = "radial",
+    lens: LensOption = "opencv4",
     bad_views: BadViewsOption = BadViews.RAISE,
     debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
     with _errors(debug):
+        from .evaluation import Unseen, standard_methods
         from .evaluation import compare as compare_methods
-        from .evaluation import standard_methods
         from .report import COMPARED, compared, remarks
 
         with _progress() as say:
@@ -163,7 +187,8 @@ def compare(
         console = Console()
         console.print(table)
         for row in rows:
-            for remark in remarks(row.name, row.fitted, row.held_out, row.failure):
+            unseen = None if row.held_out is None else Unseen(row.held_out)
+            for remark in remarks(row.name, row.fitted, unseen, row.failure):
                 console.print(remark, highlight=False)
 
 
@@ -180,7 +205,10 @@ class ExportFormat(StrEnum):
 def export(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     to: Annotated[ExportFormat, typer.Option(help="For which program.")],
-    parent: Annotated[str, typer.Option(help="ROS frame of the mount.")] = "tool0",
+    parent: Annotated[
+        str | None,
+        typer.Option(help="ROS frame of the mount; tool0, or base_link for a camera that stands."),
+    ] = None,
     child: Annotated[str, typer.Option(help="ROS frame of the camera.")] = "camera_optical_frame",
     debug: DebugOption = False,
 ) -> None:
@@ -197,7 +225,8 @@ def export(
                 err=True,
             )
         if to is ExportFormat.ROS:
-            text = io.ros_static_transform(found, parent, child)
+            frame = parent or ("tool0" if found.mount == "eye_in_hand" else "base_link")
+            text = io.ros_static_transform(found, frame, child)
         elif to is ExportFormat.CAMERA_INFO:
             text = io.ros_camera_info(found)
         elif to is ExportFormat.URDF:
@@ -329,14 +358,19 @@ def _load(
 
 
 def _held_out(
-    data: "Dataset", lens: str, noise: NoiseModel, thorough: bool, say: Callable[[str], None]
+    data: "Dataset",
+    lens: str,
+    noise: NoiseModel,
+    thorough: bool,
+    say: Callable[[str], None],
+    notes: list[str],
 ) -> "dict[str, Unseen]":
-    """Held-out error of both fits, each fold fitted once."""
+    """Held-out error of both fits, each fold fitted once; notes why there is none."""
     from .evaluation import unseen_errors
     from .joint import calibrate as fit_both
 
     if len(data.usable_views()) < 4:
-        say("held-out error needs at least 4 usable views: left out")
+        notes.append("held-out error needs at least 4 usable views: left out")
         return {}
     return unseen_errors(
         data,
@@ -347,9 +381,14 @@ def _held_out(
 
 
 def _diagnosis(
-    fit, data: "Dataset", lens: str, noise: NoiseModel, say: Callable[[str], None]
+    fit: "CalibrationFit",
+    data: "Dataset",
+    lens: str,
+    noise: NoiseModel,
+    say: Callable[[str], None],
+    notes: list[str],
 ) -> "tuple[Repeatability | None, ErrorBudget | None]":
-    """Whether halves of the views agree, and where the error comes from, as far as can be told."""
+    """Whether halves of the views agree, and where the error comes from; notes what is not told."""
     from .evaluation import error_budget, repeatability
     from .joint import calibrate as fit_both
 
@@ -361,11 +400,11 @@ def _diagnosis(
     try:
         halves = repeatability(data, half)
     except ValueError as error:
-        say(f"halves of the views are not compared: {error}")
+        notes.append(f"halves of the views are not compared: {error}")
     try:
         budget = error_budget(data, fit.joint, say, regions=True)
     except ValueError as error:
-        say(f"there is no error budget: {error}")
+        notes.append(f"there is no error budget: {error}")
     return halves, budget
 
 
@@ -401,7 +440,7 @@ def _print_result(rows, fit, data) -> None:
     for direction in fit.joint.observability.null:
         console.print(f"not determined: {direction.words}")
     for row in rows:
-        for remark in remarks(row.name, row.fitted, row.held_out):
+        for remark in remarks(row.name, row.fitted, row.unseen):
             console.print(remark, highlight=False)
     rejected = rejections(fit, data)
     if rejected:
@@ -429,7 +468,7 @@ def _errors(debug: bool) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        typer.echo("interrupted; no results were written", err=True)
+        typer.echo("interrupted; no file is left half-written", err=True)
         sys.exit(130)
     except (ValueError, OSError) as error:
         if debug:

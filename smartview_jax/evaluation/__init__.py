@@ -41,6 +41,7 @@ from .rejections import Rejection as Rejection
 from .rejections import RejectionCount as RejectionCount
 from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by
+from .rejections import without_rejected_views as without_rejected_views
 from .repeatability import Repeatability as Repeatability
 from .repeatability import repeatability as repeatability
 from .stylus import stylus_miss as stylus_miss

@@ -14,6 +14,7 @@ from .held_out import has_correction
 from .lens_misfit import lens_misfit
 from .measures import deviations
 from .predicted import expected_squares
+from .rejections import without_rejected_views
 
 PIXELS = "pixel noise"
 LENS = "lens"
@@ -31,6 +32,12 @@ GAINED = 10.0
 ALSO = 0.5
 """Share of the largest part that makes the second worth a sentence of its own."""
 
+ENOUGH = 15
+"""Views from which the sizes of errors are known to 15 %."""
+
+LITTLE = 0.1
+"""Share of the largest part below which nothing is gained by doing something about one."""
+
 
 class Part(NamedTuple):
     """One cause of error.
@@ -38,7 +45,7 @@ class Part(NamedTuple):
     Attributes:
         name: of the cause.
         px: RMS that it has in the bare chain by itself; the parts add up in squares.
-        advice: what to do about it.
+        advice: what to do about it; empty where that would gain little.
     """
 
     name: str
@@ -56,6 +63,8 @@ class ErrorBudget(NamedTuple):
             or too few views.
         culprit: name of the cause to begin with.
         words: what to do, in a sentence or two.
+        own_chain: whether the bare chain is the fit's own; otherwise it is that of a field linear
+            in the pose, in the place of an arm that nobody described.
     """
 
     total: float
@@ -63,6 +72,7 @@ class ErrorBudget(NamedTuple):
     explanations: tuple[Explanation, ...]
     culprit: str
     words: str
+    own_chain: bool = True
 
 
 def error_budget(
@@ -75,8 +85,8 @@ def error_budget(
 
     Pixels, poses and parameters have the sizes that the fit states, pushed through the projection;
     the systematic error is what the correction moves, the lens what smooth pattern is left in the
-    picture where every view has its own pose. Where an arm that nobody described was found, the
-    chain is that of a field linear in the pose.
+    picture where every view has its own pose. Views that the fit left out do not count. Where an
+    arm that nobody described was found, the chain is that of a field linear in the pose.
 
     Args:
         data: what the fit was fitted to.
@@ -90,7 +100,8 @@ def error_budget(
     """
     if fit.estimate is None:
         raise ValueError('an error budget needs a fit with noise="estimated"')
-    views = len(data.usable_views())
+    data = without_rejected_views(data, fit)
+    views, own_chain = len(data.usable_views()), True
     rivals = explanations(data, fit, progress) if views >= FEW else ()
     if regions:
         rivals = tuple(
@@ -102,7 +113,7 @@ def error_budget(
         fit = scale.fit
     elif isinstance(_field(fit), ImpliedArm):
         # Lengths of an arm take from the mount what they give: its bare chain is nobody's.
-        fit = fit_candidate(data, fit, None, field_groups=4)
+        fit, own_chain = fit_candidate(data, fit, None, field_groups=4), False
     seen = np.asarray(data.visible)
     squares = expected_squares(fit, data)
     parameters, pixels, poses = (float(np.mean(square[seen])) for square in squares)
@@ -119,12 +130,15 @@ def error_budget(
         VIEWS: np.sqrt(parameters),
     }
     order = sorted(sizes, key=lambda name: -sizes[name])
-    parts = tuple(
-        Part(name, float(sizes[name]), _advice(name, fit, views, rivals)) for name in order
-    )
     culprit = VIEWS if views < FEW else order[0]
+    worth = [n for n in order if n == culprit or sizes[n] >= LITTLE * sizes[order[0]]]
+    parts = tuple(
+        Part(n, float(sizes[n]), _advice(n, fit, views, rivals) if n in worth else "")
+        for n in order
+    )
     total = deviations(fit.calibration.uncorrected, data).rms
-    return ErrorBudget(total, parts, rivals, culprit, _words(total, parts, culprit))
+    words = _words(total, parts, culprit, own_chain)
+    return ErrorBudget(total, parts, rivals, culprit, words, own_chain)
 
 
 def _field(fit: JointFit) -> AbstractField | None:
@@ -140,11 +154,12 @@ def _one_number(rivals: tuple[Explanation, ...]) -> Explanation | None:
     return best if best.gain >= max(GAINED, MOST * best.field_gain) else None
 
 
-def _words(total: float, parts: tuple[Part, ...], culprit: str) -> str:
+def _words(total: float, parts: tuple[Part, ...], culprit: str, own_chain: bool) -> str:
     named = {part.name: part for part in parts}
     first = named[culprit]
-    text = f"Of {total:.3g} px RMS of the chain without correction, {first.name} is "
-    text += f"{first.px:.3g} px: {first.advice}."
+    text = f"Of {total:.3g} px RMS of the chain without correction"
+    text += ", " if own_chain else " (of a field linear in the pose, in the arm's place), "
+    text += f"{first.name} is {first.px:.3g} px: {first.advice}."
     second = next(part for part in parts if part.name != culprit)
     if second.px > ALSO * first.px:
         text += f" Then {second.name}, {second.px:.3g} px: {second.advice}."
@@ -158,14 +173,15 @@ def _advice(name: str, fit: JointFit, views: int, rivals: tuple[Explanation, ...
     millimetres, degrees = 1e3 * fit.noise.translation, np.rad2deg(fit.noise.rotation)
     return {
         PIXELS: "sharper pictures, steady light, a larger or better printed target",
-        LENS: "the lens model is too simple: take a richer one, such as opencv5 or opencv8",
+        LENS: "the lens bends in a way that its model does not know: try a richer model",
         NOISE: f"poses are off by {millimetres:.3f} mm and {degrees:.4f} deg, each by itself: wait "
         "until the arm stands still, approach from one side, check the clocks; more views help",
         SCALE: "measure the board",
         SYSTEMATIC: "keep the correction when predicting and commanding, or have the robot "
         "calibrated; without either, work near the views",
-        VIEWS: f"{views} views leave the parameters open by so much: take more, 15 at least, that "
-        "differ in direction, distance and roll about the optical axis",
+        VIEWS: f"{views} views leave the parameters open by so much: take "
+        f"{'more' if views >= ENOUGH else f'{ENOUGH} at least'}, that differ in direction, "
+        "distance and roll about the optical axis",
     }[name]
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from ..cameras import AbstractLens
 from ..dataset import Dataset
 from ..joint import calibrate
+from ..joint.calibrate import LENS
 from ..staged import fit_one_view_intrinsics, fit_staged
 from .free_poses import free_pose_deviations
 from .held_out import (
@@ -57,7 +58,7 @@ class Row(NamedTuple):
     failure: str | None = None
 
 
-def standard_methods(lens: str | AbstractLens = "radial") -> dict[str, Method]:
+def standard_methods(lens: str | AbstractLens = LENS) -> dict[str, Method]:
     """The paper's methods, the joint fit, and the bound that no chain can pass."""
 
     def both(data: Dataset) -> Any:

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..joint import JointFit, fit_joint, parameter_names
-from ..joint.estimate import PLAIN
+from ..joint.alternatives import PLAIN
 from ..robots import LinearInPose, PoseOrStretch
 from .held_out import held_out
 from .measures import predict
@@ -36,7 +36,7 @@ class Explanation(NamedTuple):
             that it reports.
         std: of `size`.
         gain: deviance below a robot with white noise alone.
-        field_gain: of the field that `fit` chose, or would have, in its place.
+        field_gain: of a field linear in the pose (in the position, where views are few) instead.
         beside_field: deviance below that field, by what it adds to it.
         px: RMS by which it moves the points that were seen.
         fit: in which it is the only systematic error.

@@ -3,6 +3,11 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from ..dataset import Dataset
+from ..joint import CalibrationFit, JointFit
+
 
 class Rejection(NamedTuple):
     """One point, or one whole view, that a fit did not use.
@@ -26,17 +31,19 @@ class RejectionCount(NamedTuple):
 
 
 def rejected_by(fit: Any) -> tuple[Rejection, ...] | None:
-    """What a fit rejected, with what the staged fit before it already had; None if it cannot tell.
+    """What a fit rejected; None if it cannot tell."""
+    rejected = getattr(fit, "rejected", None)
+    return None if rejected is None else tuple(Rejection(*entry) for entry in rejected)
 
-    A point that both reject is listed once, with the first reason.
+
+def without_rejected_views(data: Dataset, fit: JointFit | CalibrationFit) -> Dataset:
+    """The data without the views that a joint fit did not use at all: what to judge it on.
+
+    A view whose pose contradicts the others' is as far off as its pose is wrong, whoever predicts
+    it. Points that were left out one by one stay: others like them will be seen again.
     """
-    if not hasattr(fit, "rejected"):
-        return None
-    before = fit.staged.rejected if hasattr(fit, "staged") else ()
-    found: dict[tuple[str, int | None], Rejection] = {}
-    for view, point, reason in (*before, *fit.rejected):
-        found.setdefault((view, point), Rejection(view, point, reason))
-    return tuple(found.values())
+    used = np.asarray(fit.problem.observations.visible).any(axis=1)
+    return data.without(np.flatnonzero(~used))
 
 
 def count_rejected(rejected: Sequence[Rejection]) -> RejectionCount:

@@ -20,12 +20,15 @@ class Unseen(NamedTuple):
         by_region: by region of the workspace.
         floor: by view, with a free pose for every hidden view: what the camera alone allows.
         foretold: by view, beside what the fits expected.
+        models: name of what each fold by view took the robot's error for; empty where it was not
+            estimated.
     """
 
     held_out: HeldOut
     by_region: HeldOut | None = None
     floor: HeldOut | None = None
     foretold: Foretold | None = None
+    models: tuple[str, ...] = ()
 
 
 def unseen_errors(
@@ -77,14 +80,18 @@ def _part(
     choose: Callable,
     thorough: bool,
 ) -> Unseen:
-    held_out = score(by_view, data, choose)
+    held_out, models = score(by_view, data, choose), ()
+    if choose is _joint:
+        fits = [fold.fit.joint for fold in by_view if fold.failure is None]
+        models = tuple(fit.estimate.name for fit in fits if fit.estimate is not None)
     if not thorough:
-        return Unseen(held_out)
+        return Unseen(held_out, models=models)
     return Unseen(
         held_out,
         None if by_region is None else score(by_region, data, choose),
         score(by_view, data, choose, free_pose_deviations),
         foretold(by_view, data, choose) if choose is _joint else None,
+        models,
     )
 
 

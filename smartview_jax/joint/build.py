@@ -42,6 +42,14 @@ class Built(eqx.Module):
         """Whether the pixel's deviation is taken as given; if not, the residuals tell it."""
         return self.noise is not None and self.noise.bounds_poses
 
+    @property
+    def sigma_matters(self) -> bool:
+        """Whether the answer depends on it: beside a prior, or within a robust loss."""
+        weight, own_free = self.problem.prior_weight, np.asarray(self.problem.own_free)
+        shared = np.asarray(weight.shared)[list(self.problem.free)]
+        own = np.asarray(weight.corrections)[own_free] if own_free.size else np.zeros(0)
+        return self.problem.loss is not None or bool(shared.any() or own.any())
+
 
 def build_problem(
     data: Dataset,
@@ -61,9 +69,12 @@ def build_problem(
     """
     if not (noise == "trusted" or isinstance(noise, Noise)):
         raise ValueError(
-            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation); '
-            f"found {noise!r}"
+            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), and what '
+            f"estimates it is fit_joint alone; found {noise!r}"
         )
+    for argument, paths in (("fixed", fixed), ("free", free)):
+        if isinstance(paths, str):
+            raise ValueError(f"{argument}: expected paths, as in ({paths!r},); found {paths!r}")
     if start.mount != data.mount:
         raise ValueError(f"the start is {start.mount}, the data {data.mount}")
     start = with_field(with_lens(start, lens), field)
@@ -156,7 +167,7 @@ def _priors(
         if len(noise.field) != len(groups):
             raise ValueError(
                 f"Noise.field: expected one deviation for each of the field's {len(groups)} "
-                f"groups, found {len(noise.field)}"
+                f"groups, found {len(noise.field)}" + ("; say field= too" if not groups else "")
             )
         for (group, _), deviation in zip(groups, noise.field, strict=True):
             chosen = select(names, (f"{ROBOT_ERROR}.{group}",))
@@ -182,7 +193,12 @@ def _refuse_blind_views(data: Dataset, lost: Bool[np.ndarray, "views points"]) -
     seen = np.asarray(data.visible).sum(axis=1)
     blind = [data.view_ids[k] for k in range(len(seen)) if seen[k] > 0 and lost[k].sum() == seen[k]]
     if blind:
-        raise ValueError(
-            f"start: every point of view {', '.join(blind)} lies behind the camera or outside the "
-            f"lens's domain; start nearer to the truth (fit_staged), or check the poses"
-        )
+        raise ValueError(nowhere(blind))
+
+
+def nowhere(views: Sequence[str]) -> str:
+    """What is wrong where a start shows nothing of what these views saw."""
+    return (
+        f"start: every point of view {', '.join(views)} lies behind the camera or outside the "
+        f"lens's domain; start nearer to the truth (fit_staged), or check the poses"
+    )

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .problem import JointProblem
 
@@ -35,14 +35,32 @@ def variance_factor(
 ) -> Float[Array, ""]:
     """By how much the assumed variance of a pixel is wrong, from all residuals.
 
+    With a robust loss by the median: what the loss makes little of must not count here.
+
     Args:
-        problem: whose priors count as observations.
+        problem: a free parameter with a prior takes no degree of freedom from the residuals.
         squares: of its whitened residuals, as `JointProblem.squares` has them.
     """
-    seen = jnp.sum(problem.observations.visible.astype(float))
-    priors = sum(jnp.sum((weight != 0.0).astype(float)) for weight in problem.prior_weight)
-    free = len(problem.free) + jnp.sum(problem.own_free.astype(float))
-    return jnp.sum(squares) / jnp.maximum(2.0 * seen - free + priors, 1.0)
+    visible = problem.observations.visible
+    if problem.loss is not None:
+        return robust_variance(jnp.where(visible, squares, jnp.nan))
+    own_open = problem.own_free & (problem.prior_weight.corrections == 0.0)
+    free = sum(jnp.sum(open_.astype(float)) for open_ in (_open(problem), own_open))
+    return jnp.sum(squares) / jnp.maximum(2.0 * jnp.sum(visible.astype(float)) - free, 1.0)
+
+
+def robust_variance(squares: Float[Array | np.ndarray, "*points"]) -> Float[Array, ""]:
+    """Variance per component from the median: half the points lie within 2 log 2 of it.
+
+    NaN is what was not seen; one where nothing was.
+    """
+    middle = jnp.nanmedian(squares) / (2.0 * jnp.log(2.0))
+    return jnp.where(jnp.isnan(middle), 1.0, jnp.maximum(middle, 1e-24))
+
+
+def _open(problem: JointProblem) -> Bool[Array, "free"]:
+    """Free shared parameters without a prior."""
+    return problem.prior_weight.shared[problem.chosen] == 0.0
 
 
 def covariance(

@@ -13,17 +13,8 @@ from jaxtyping import Array, Bool, Int
 from ..calibration import Calibration
 from ..compilation import compiled
 from ..dataset import Dataset
-from ..robots import AbstractField, RobotError, field_name
-from .alternatives import (
-    ENOUGH_FOR_ARM,
-    PLAIN,
-    arm_tried_on,
-    choice,
-    largest_field,
-    read_poses,
-    search,
-    tried_on,
-)
+from ..robots import AbstractField, RobotError
+from .alternatives import believed, gain, largest_field, search
 from .build import Built, build_problem
 from .doubt import Doubt, doubt
 from .likelihood import LEAST, LinearisedViews, Sizes, best_step
@@ -87,7 +78,7 @@ class NoiseEstimate(NamedTuple):
 
     def doubt_of(self, names: Sequence[str]) -> Doubt:
         """That of some of the parameters."""
-        return self.doubt.of(np.array([self.parameter_names.index(name) for name in names]))
+        return self.doubt.of(np.array([self.parameter_names.index(n) for n in names], dtype=int))
 
 
 def estimate_noise(
@@ -118,6 +109,8 @@ def estimate_noise(
         ValueError: as `fit_joint` does, and for a prior on what is estimated here.
     """
     say = progress or (lambda _: None)
+    if field is False:
+        start = start.uncorrected
     for path in priors or ():
         if path.split(".")[0] in (ROBOT_ERROR, CORRECTIONS):
             raise ValueError(
@@ -136,18 +129,8 @@ def estimate_noise(
     views = _Statistics(built, placed, 2.0 * float(equations.cost))
     white, z = views.white_sigma, solution.z
 
-    scatter = np.asarray(z.corrections)[placed]
     there = views.linearised(z)
-    tried = tried_on(there, field, basis, scatter)
-    errs = len(built.names) > views.known
-    if field is None and data.arm is None and errs and len(placed) >= ENOUGH_FOR_ARM:
-        command, read = data.observations.command, read_poses(data)
-        tried |= arm_tried_on(there, views.known, command, read, tried["white"], scatter)
-    robotless = tried["trusted"].found.deviance
-    gains = {name: float(robotless - one.found.deviance) for name, one in tried.items()}
-    name = list(tried)[-1]
-    if field is None:
-        name = choice(tried, gains, white, len(placed))
+    name, tried = believed(there, data, field, basis, np.asarray(z.corrections)[placed])
     chosen = tried[name]
     say(f"errors of the robot: {name}")
     if chosen.basis is not basis:
@@ -158,7 +141,7 @@ def estimate_noise(
         there = views.linearised(z)
     z, there, found, settled = _settled(views, z, there, chosen.found, chosen.active)
     alternatives = tuple(
-        Alternative(other, gains[other], _noise(one.found.sizes, white, one.active))
+        Alternative(other, gain(tried, other), _noise(one.found.sizes, white, one.active))
         for other, one in tried.items()
     )
     calibration, _ = built.problem.calibration(z)
@@ -167,7 +150,7 @@ def estimate_noise(
     return NoiseEstimate(
         name,
         _noise(found.sizes, white, chosen.active),
-        *_kept(calibration, name),
+        *_kept(calibration, chosen.field),
         alternatives,
         settled,
         tuple(map(float, shares)),
@@ -227,7 +210,7 @@ def _settled(
 
 def _loose(problem: JointProblem) -> JointProblem:
     """The problem in which every view has a pose of its own: the same program, other priors."""
-    weight, free = problem.prior_weight, np.asarray(problem.free)
+    weight, free = problem.prior_weight, np.array(problem.free, dtype=int)
     held = free[free >= problem.parameters.camera_size]
     return eqx.tree_at(
         lambda p: p.prior_weight,
@@ -239,7 +222,7 @@ def _loose(problem: JointProblem) -> JointProblem:
 @compiled
 def _observed(problem: JointProblem, z: Step) -> tuple[NormalEquations, Step]:
     off = problem.off_mean(problem.step(z))
-    return problem.observed(z), Step(off.shared[jnp.array(problem.free)], off.corrections)
+    return problem.observed(z), Step(off.shared[problem.chosen], off.corrections)
 
 
 def _groups(built: Built) -> Int[np.ndarray, "free"]:
@@ -251,14 +234,15 @@ def _groups(built: Built) -> Int[np.ndarray, "free"]:
         [
             next((k for k, prefix in enumerate(prefixes) if name.startswith(prefix)), -1)
             for name in built.names
-        ]
+        ],
+        dtype=int,
     )
 
 
 @compiled
 def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem:
     """The problem with priors of these sizes."""
-    chosen, shared = jnp.array(problem.free), problem.prior_weight.shared
+    chosen, shared = problem.chosen, problem.prior_weight.shared
     weights = sizes.weights(groups, shared[chosen])
     own = jnp.broadcast_to(weights.corrections, problem.own_free.shape)
     weight = Step(shared.at[chosen].set(weights.shared), own)
@@ -275,11 +259,12 @@ def _noise(sizes: Sizes, white: float, active: Bool[np.ndarray, "robot"]) -> Noi
     return Noise(*numbers, field=field, white_pixel=white)
 
 
-def _kept(calibration: Calibration, name: str) -> tuple[AbstractField | None, Calibration]:
+def _kept(
+    calibration: Calibration, field: AbstractField | None
+) -> tuple[AbstractField | None, Calibration]:
     """The field that was chosen, and the calibration with no other."""
     error = calibration.robot_error
-    if name in PLAIN or error is None:
+    if field is None or error is None:
         return None, calibration.uncorrected
-    field = next(part for part in error.field.nested if field_name(part) == name)
     error = RobotError(field, error.coefficients[: field.size])
     return field, dataclasses.replace(calibration, robot_error=error)

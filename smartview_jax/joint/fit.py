@@ -19,9 +19,9 @@ from ..robots import AbstractField
 from ..staged import FitCode, FitResult
 from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
-from .covariance import UnitColumns, covariance, own_std, variance_factor
+from .covariance import UnitColumns, covariance, own_std, robust_variance, variance_factor
 from .doubt import p_value
-from .estimate import NoiseEstimate, estimate_noise
+from .estimate import FINEST, NoiseEstimate, estimate_noise
 from .influence import Influence, moves_without, pose_scores
 from .losses import AbstractLoss
 from .noise import Noise
@@ -30,7 +30,7 @@ from .parameters import Parameters, Step, parameter_names, select
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
-from .screening import Rejected, robust_variance, screened, without_views
+from .screening import Rejected, screened, without_views
 from .sharding import solve_on
 from .solver import Solution, solve
 
@@ -45,6 +45,12 @@ Far below the usual level: real robots' errors have longer tails than the normal
 
 BAD_VIEWS = ("keep", "leave_out")
 
+SIGMA_ROUNDS = 10
+"""Of fitting anew with the sigma that the residuals tell, at most."""
+
+SIGMA_SETTLED = 1e-3
+"""Share by which it then still changes."""
+
 
 class JointFit(eqx.Module):
     """What the joint fit found.
@@ -57,18 +63,19 @@ class JointFit(eqx.Module):
             tell.
         freedom: degrees of freedom that the deviations of the shared parameters rest on, by name;
             infinite where the sizes of errors were not estimated.
-        noise: as assumed or estimated; None where the robot was trusted.
+        noise: as assumed or estimated; None where the robot was to be trusted. Where likelihood
+            trusts it, the sizes of its errors are next to nothing.
         estimate: how the noise was estimated, and what the alternatives would have given; None
             where it was not.
         pixel_sigma: of u and of v, px: as given, or from the residuals' degrees of freedom.
         residuals: measured minus predicted through the chain *without* pose corrections, px.
-        inliers: observations within the gate around the fit.
-        rejected: view id, point index (None for a whole view), reason.
+        inliers: observations within the gate around the fit; what is outside counted all the same.
+        rejected: what was left out: view id, point index (None for a whole view), reason.
         pose_corrections: per view, translation (m) then rotation (rad), at the tool.
         observability: what the data cannot tell.
         parameter_names: of the free parameters that all views share.
         view_ids: of the data's views.
-        start: where the fit began.
+        start: where the fit began; with estimated noise, where the estimate ended.
         problem: that was solved.
         solution: iterations and costs.
         result: whether it converged.
@@ -162,7 +169,9 @@ def fit_joint(
             takes the reported poses as exact.
         field: of the robot's error: one of `robots`, or your own. None: chosen by likelihood where
             the noise is estimated, otherwise the start's own stays as it is; False: none.
-        loss: robust loss on the points: a name or an `AbstractLoss`.
+        loss: robust loss on the points: a name or an `AbstractLoss`. Its scale, and the weight of
+            priors, are in deviations of a pixel: the noise's, or where the robot is trusted those
+            that the residuals tell.
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
         priors: a `Prior` by path.
@@ -192,10 +201,13 @@ def fit_joint(
         built = build_problem(data, begin, None, model, loss, fixed, free, priors, smooth)
         count = len(built.names) + len(built.own_names)
         say(f"joint fit: {count} parameters, {data.observation_count} observations")
-        if devices is None:
-            solution, equations = solve(built.problem, solver)
-        else:
-            solution, equations = solve_on(devices, built.problem, solver)
+
+        def run(problem: JointProblem) -> tuple[Solution, NormalEquations]:
+            if devices is None:
+                return solve(problem, solver)
+            return solve_on(devices, problem, solver)
+
+        built, solution, equations = _settled(built, run)
         found = _assemble(data, built, solution, equations, estimate, apart)
         return found, equations.matrix
 
@@ -211,11 +223,30 @@ def fit_joint(
     return eqx.tree_at(lambda f: f.residuals, found, everything)
 
 
+def _settled(
+    built: Built, run: Callable[[JointProblem], tuple[Solution, NormalEquations]]
+) -> tuple[Built, Solution, NormalEquations]:
+    """Solved, with a pixel's sigma that agrees with the residuals where the answer needs one."""
+    solution, equations = run(built.problem)
+    if built.sigma_known or not built.sigma_matters:
+        return built, solution, equations
+    for _ in range(SIGMA_ROUNDS):
+        before = float(built.problem.pixel_sigma)
+        factor = float(_variance_factor(built.problem, solution.z))
+        sigma = max(before * np.sqrt(factor), FINEST)
+        built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, jnp.asarray(sigma))
+        solution, equations = run(built.problem)
+        if abs(sigma - before) <= SIGMA_SETTLED * before:
+            break
+    return built, solution, equations
+
+
 def view_influence(fit: JointFit) -> Influence:
     """How far each view moves the fit: where it would be without that view, to first order."""
     moves = np.asarray(moves_without(fit.problem, fit.solution.z))
     std = np.array([fit.std[name] for name in fit.parameter_names])
-    return Influence(moves, std, fit.parameter_names, fit.view_ids)
+    mount = fit.calibration.transform_names[0]
+    return Influence(moves, std, fit.parameter_names, fit.view_ids, mount)
 
 
 def _doubtful_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
@@ -247,7 +278,6 @@ def _assemble(
     calibration, corrections, square, estimated, parts, own_inverse = at_solution
     visible = np.asarray(problem.observations.visible)
     square = np.asarray(square)
-    size = square[visible]
     factor = 1.0 if built.sigma_known else float(estimated)
 
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
@@ -261,7 +291,7 @@ def _assemble(
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
 
-    spread = robust_variance(size)
+    spread = float(robust_variance(np.where(visible, square, np.nan)))
     limit = GATE * (max(1.0, spread) if built.sigma_known else spread)
     inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
@@ -279,7 +309,7 @@ def _assemble(
         freedom=dict(zip(built.names, map(float, freedom), strict=True)),
         noise=built.noise,
         estimate=estimate,
-        rejected=_rejected(data, apart, visible & ~inliers, built.lost),
+        rejected=_rejected(data, apart, built.lost),
         observability=observability(columns, built.names, calibration),
         parameter_names=built.names,
         view_ids=data.view_ids,
@@ -302,17 +332,18 @@ def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
     )
 
 
-def _rejected(data: Dataset, apart: Rejected, outside: np.ndarray, lost: np.ndarray) -> Rejected:
+@compiled
+def _variance_factor(problem: JointProblem, z: Step) -> Float[Array, ""]:
+    return variance_factor(problem, problem.squares(z))
+
+
+def _rejected(data: Dataset, apart: Rejected, lost: np.ndarray) -> Rejected:
     whole = [(view, None, reason) for view, reason in data.masked_views]
     blind = [
         (data.view_ids[view], int(point), "cannot be projected from the start")
         for view, point in np.argwhere(lost)
     ]
-    far = [
-        (data.view_ids[view], int(point), "far from the fit")
-        for view, point in np.argwhere(outside)
-    ]
-    return (*whole, *apart, *blind, *far)
+    return (*whole, *apart, *blind)
 
 
 def _result(solution: Solution) -> FitResult:

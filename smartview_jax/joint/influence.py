@@ -33,20 +33,26 @@ class Influence(NamedTuple):
         std: standard deviations of the parameters in the fit with all views.
         parameter_names: of the columns.
         view_ids: of the rows.
+        mount: path of the transform that says where the camera is mounted.
     """
 
     moves: Float[np.ndarray, "views free"]
     std: Float[np.ndarray, "free"]
     parameter_names: tuple[str, ...]
     view_ids: tuple[str, ...]
+    mount: str
 
-    def on(self, path: str = "camera_from_tool") -> Float[np.ndarray, "views"]:
+    def on(self, path: str | None = None) -> Float[np.ndarray, "views"]:
         """The largest move of a path's parameters, in their standard deviations.
+
+        Args:
+            path: by default the camera's mount: `camera_from_tool` of a camera in the hand,
+                `camera_from_base` of one that stands.
 
         Raises:
             ValueError: the path names no free parameter.
         """
-        chosen = select(self.parameter_names, (path,))
+        chosen = select(self.parameter_names, (path or self.mount,))
         return np.abs(self.moves[:, chosen] / self.std[chosen]).max(axis=1)
 
 

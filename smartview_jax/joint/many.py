@@ -5,7 +5,7 @@ They run one after the other in one compiled loop, which on a CPU is several tim
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -21,15 +21,23 @@ from ..cameras import AbstractLens
 from ..compilation import optimised
 from ..dataset import Dataset, Observations
 from ..robots import AbstractField
-from .build import build_problem, with_field, with_lens
+from .build import build_problem, nowhere, with_field, with_lens
 from .covariance import NULL, variance_factor
+from .estimate import FINEST
 from .losses import AbstractLoss
 from .noise import Noise
+from .parameters import Step
 from .priors import Prior
 from .problem import JointProblem, valid_at_start
 from .schur import eliminate
 from .sharding import last_repeated
 from .solver import MAXIMUM_STEPS, StructuredLM, next_to_nothing, run
+
+OwnParts = tuple[Calibration, Observations, Any]
+"""Where a fit starts, what was seen, and which of each view's own six may move."""
+
+SIGMA_ROUNDS = 6
+"""Of fitting anew with the sigma that the residuals tell; the last ones change next to nothing."""
 
 FITS = "fits"
 """Name of the mesh axis along which fits are dealt out to devices."""
@@ -61,7 +69,9 @@ class ManyFits(eqx.Module):
         return len(self.cost)
 
     def __getitem__(self, index: int) -> Calibration:
-        return jax.tree.map(lambda x: x[index], self.calibrations)
+        # Arrays of JAX take any index for the nearest there is.
+        place = range(len(self))[index]
+        return jax.tree.map(lambda x: x[place], self.calibrations)
 
 
 def fit_many(
@@ -73,7 +83,7 @@ def fit_many(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    field: AbstractField | None = None,
+    field: AbstractField | Literal[False] | None = None,
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
     """Fit many data sets, as `fit_joint` fits one.
@@ -89,22 +99,40 @@ def fit_many(
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_alike(data, starts)
-    starts = [with_field(with_lens(one, lens), field) for one in starts]
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
-    built = build_problem(data[0], starts[0], None, noise, loss, fixed, free, priors, field)
-    problems = eqx.tree_at(
-        _own_parts, built.problem, (_stacked(starts), _stacked([d.observations for d in data]))
-    )
+    if field is False:
+        starts, field = [one.uncorrected for one in starts], None
+    starts = [with_field(with_lens(one, lens), field) for one in starts]
+    # Which poses may move hangs on which views can be placed, and on nothing else.
+    usable, alike = [tuple(map(int, one.usable_views())) for one in data], {}
+    for k, views in enumerate(usable):
+        if views not in alike:
+            try:
+                alike[views] = build_problem(
+                    data[k], starts[k], None, noise, loss, fixed, free, priors, field
+                )
+            except ValueError as error:
+                raise ValueError(f"data[{k}]: {error}") from error
+    built = alike[usable[0]]
+    own = [
+        (begin, one.observations, alike[views].problem.own_free)
+        for begin, one, views in zip(starts, data, usable, strict=True)
+    ]
+    problems = eqx.tree_at(_own_parts, built.problem, _stacked(own))
     mesh = None if devices is None else Mesh(np.array(devices), (FITS,))
-    answers = jax.tree.map(lambda x: x[: len(data)], _solve_all(problems, built.sigma_known, mesh))
+    rounds = SIGMA_ROUNDS if built.sigma_matters and not built.sigma_known else 0
+    solved = _solve_all(problems, built.sigma_known, rounds, mesh)
+    *answers, blind = jax.tree.map(lambda x: x[: len(data)], solved)
+    for k, view in np.argwhere(blind):
+        raise ValueError(f"data[{k}]: {nowhere([data[k].view_ids[view]])}")
     calibrations, corrections, covariance, cost, steps, converged = answers
     return ManyFits(calibrations, corrections, covariance, cost, steps, converged, built.names)
 
 
-def _own_parts(problem: JointProblem) -> tuple[Calibration, Observations]:
+def _own_parts(problem: JointProblem) -> OwnParts:
     """What differs from one fit to the next."""
-    return problem.parameters.start, problem.observations
+    return problem.parameters.start, problem.observations, problem.own_free
 
 
 def _require_alike(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:
@@ -132,12 +160,12 @@ def _stacked(parts: Sequence[Any]) -> Any:
 
 
 @optimised
-def _solve_all(problems: JointProblem, sigma_known: bool, mesh: Mesh | None) -> tuple:
+def _solve_all(problems: JointProblem, sigma_known: bool, rounds: int, mesh: Mesh | None) -> tuple:
     """Every fit's answer; the fits are spread over a mesh's devices, evened out by copies."""
     parts = _own_parts(problems)
 
-    def one(part: tuple[Calibration, Observations]) -> tuple:
-        return _solve_one(eqx.tree_at(_own_parts, problems, part), sigma_known)
+    def one(part: OwnParts) -> tuple:
+        return _solve_one(eqx.tree_at(_own_parts, problems, part), sigma_known, rounds)
 
     if mesh is None:
         return jax.lax.map(one, parts)
@@ -152,11 +180,25 @@ def _solve_all(problems: JointProblem, sigma_known: bool, mesh: Mesh | None) -> 
     return spread(last_repeated(parts, extra))
 
 
-def _solve_one(problem: JointProblem, sigma_known: bool) -> tuple:
-    """Calibration, corrections, covariance, cost, steps, and whether it converged."""
-    visible = problem.observations.visible & valid_at_start(problem)
-    problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
-    z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS, problem.start())
+def _solve_one(problem: JointProblem, sigma_known: bool, rounds: int) -> tuple:
+    """Calibration, corrections, covariance, cost, steps, whether it converged; views lost."""
+    valid, seen = valid_at_start(problem), problem.observations.visible
+    problem = eqx.tree_at(lambda p: p.observations.visible, problem, seen & valid)
+    blind = jnp.any(seen, axis=1) & ~jnp.any(seen & valid, axis=1)
+
+    def weighed(sigma: Array) -> JointProblem:
+        return eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
+
+    def closer(at: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
+        there = weighed(at[0])
+        z = run(there, StructuredLM(), MAXIMUM_STEPS, at[1])[0]
+        told = at[0] * jnp.sqrt(variance_factor(there, there.squares(z)))
+        return (jnp.maximum(told, FINEST), z), None
+
+    begin = (problem.pixel_sigma, problem.start())
+    (sigma, ahead), _ = jax.lax.scan(closer, begin, length=rounds)
+    problem = weighed(sigma)
+    z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS, ahead)
     calibration, corrections = problem.calibration(z)
     factor = 1.0 if sigma_known else variance_factor(problem, problem.squares(z))
     return (
@@ -166,6 +208,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool) -> tuple:
         equations.cost,
         steps,
         next_to_nothing(gain, equations.cost),
+        blind,
     )
 
 

@@ -37,5 +37,5 @@ class Noise:
 
     @property
     def bounds_poses(self) -> bool:
-        """Whether reports hold the poses at all; if not, `pixel` is of no consequence."""
+        """Whether reports hold the poses at all; if not, the residuals tell the pixels' sigma."""
         return min(self.translation, self.rotation) < math.inf

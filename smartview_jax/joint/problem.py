@@ -62,7 +62,8 @@ class JointProblem(eqx.Module):
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     @property
-    def _chosen(self) -> Int[Array, "free"]:
+    def chosen(self) -> Int[Array, "free"]:
+        """`free` as an index."""
         return jnp.array(self.free, dtype=int)
 
     def start(self) -> Step:
@@ -72,7 +73,7 @@ class JointProblem(eqx.Module):
     def step(self, z: Step) -> Step:
         """The step of all parameters, in their own units, from the scaled one of the free ones."""
         shared = jnp.zeros(self.parameters.shared_size)
-        shared = shared.at[self._chosen].set(z.shared * self.scale.shared)
+        shared = shared.at[self.chosen].set(z.shared * self.scale.shared)
         own = jnp.where(self.own_free, z.corrections * self.scale.corrections, 0.0)
         return Step(shared, own)
 
@@ -172,7 +173,7 @@ class JointProblem(eqx.Module):
         count = len(chain.by_shared)
         camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
         twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
-        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self._chosen]
+        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self.chosen]
         return shared * self.scale.shared[None, None]
 
     def _by_own(self, chain: Chain) -> Float[Array, "corrected 6 6"]:
@@ -219,7 +220,7 @@ class JointProblem(eqx.Module):
         return told - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(corner, border)
 
     def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
-        chosen, gradient, matrix = self._chosen, observed.gradient, observed.matrix
+        chosen, gradient, matrix = self.chosen, observed.gradient, observed.matrix
         residual, own_residual = self._prior_residuals(step)
         weight = self.prior_weight.shared[chosen] * self.scale.shared
         return NormalEquations(

@@ -22,6 +22,7 @@ from ..compilation import compiled
 from ..dataset import Dataset, Observations
 from ..staged import agreeing_views, locate_views
 from .build import build_problem, without_robot
+from .covariance import robust_variance
 from .estimate import FINEST
 from .losses import Cauchy
 from .noise import Noise
@@ -111,11 +112,6 @@ def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
     )
 
 
-def robust_variance(square: Float[np.ndarray, "seen"]) -> float:
-    """Variance per component from the median: half the points lie within 2 log 2 of it."""
-    return max(float(np.median(square)) / (2.0 * np.log(2.0)), 1e-24) if square.size else 1.0
-
-
 def _far(deviation: float, sigma: float) -> str:
     return (
         f"{deviation:.1f} px from where its view's own best pose puts it, "
@@ -167,13 +163,13 @@ def _robust_poses(
     ).problem
     visible, z = np.asarray(problem.observations.visible), problem.start()
     squares = np.asarray(_squares(problem, z))
-    variance = robust_variance(squares[visible])
+    variance = float(robust_variance(np.where(visible, squares, np.nan)))
     for _ in range(ROUNDS):
         sigma = max(float(np.sqrt(variance)), FINEST)
         weighed = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
         z = solve(weighed, ROUGHLY, start=z)[0].z
         squares = np.asarray(_squares(problem, z))
-        variance = robust_variance(squares[visible])
+        variance = float(robust_variance(np.where(visible, squares, np.nan)))
         if variance > (SETTLED * sigma) ** 2:
             break
     found = SE3.exp(z.corrections) @ poses

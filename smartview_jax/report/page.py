@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ..dataset import Dataset
 from ..detection import read_picture
-from ..evaluation import ErrorBudget, Repeatability, Unseen
+from ..evaluation import ErrorBudget, Repeatability, Unseen, without_rejected_views
 from ..files import write_atomically
 from ..joint import CalibrationFit
 from . import plots, tables
@@ -34,6 +34,7 @@ def write_page(
     progress: Callable[[str], None] | None = None,
     halves: Repeatability | None = None,
     budget: ErrorBudget | None = None,
+    notes: Sequence[str] = (),
 ) -> None:
     """Write the report of a calibration.
 
@@ -46,9 +47,11 @@ def write_page(
         progress: told what is being drawn.
         halves: what `repeatability` found.
         budget: what `error_budget` found.
+        notes: what was asked for and could not be told, and why.
     """
     say = progress or (lambda _: None)
     rows = tables.summaries(fit, data, unseen)
+    remarks = [tables.remarks(row.name, row.fitted, row.unseen) for row in rows]
     say("drawing the report")
     page = _TEMPLATE("page.html").render(
         title=title,
@@ -57,6 +60,7 @@ def write_page(
         measures=tables.table_rows(rows),
         budget=budget,
         budget_rows=[] if budget is None else tables.budget_rows(budget),
+        notes=[*notes, *(line for lines in remarks for line in lines)],
         explanation_rows=[] if budget is None else tables.explanation_rows(budget),
         rejections=tables.rejections(fit, data),
         blind=[d.words for d in fit.joint.observability.null],
@@ -106,29 +110,26 @@ def _figures(
             plots.views_in_space(data, calibration),
         ),
     ]
-    picture = _worst_and_typical(data, rows)
-    for view in picture:
-        image = read_picture(data.pictures[view]) if data.pictures else None
-        if image is not None:
-            found.insert(
-                0,
-                (
-                    f"Predicted centres, view {data.view_ids[view]}",
-                    "Cross-bars: where the joint calibration puts the target's points from the "
-                    "robot's pose alone. Dots: where they were measured.",
-                    plots.cross_bars(data, view, image, calibration),
-                ),
-            )
-    return found
+    shown = [
+        (
+            f"Predicted centres, view {data.view_ids[view]}",
+            "Cross-bars: where the joint calibration puts the target's points from the robot's "
+            "pose alone. Dots: where they were measured.",
+            plots.cross_bars(data, view, read_picture(picture), calibration),
+        )
+        for view, picture in _typical_and_worst(data, rows)
+    ]
+    return shown + found
 
 
-def _worst_and_typical(data: Dataset, rows: list[tables.Summary]) -> list[int]:
-    """The view with the largest error, then one with the median error, where pictures are known."""
+def _typical_and_worst(data: Dataset, rows: list[tables.Summary]) -> list[tuple[int, Path]]:
+    """The view with the median error, then that with the largest, where pictures are known."""
     if data.pictures is None:
         return []
     errors = rows[-1].fitted.per_view
     order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
-    return [order[-1], order[len(order) // 2]] if len(order) > 1 else order
+    views = [order[len(order) // 2], order[-1]] if len(order) > 1 else order
+    return [(view, data.pictures[view]) for view in views]
 
 
 def _embedded(figure: Figure) -> str:
@@ -141,8 +142,9 @@ def _facts(
     fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None
 ) -> list[tuple[str, str]]:
     step3 = fit.staged.step3
+    used = len(without_rejected_views(data, fit).usable_views())
     facts = [
-        ("views", f"{len(fit.staged.views)} used of {data.view_count}, {data.mount}"),
+        ("views", f"{used} used of {data.view_count}, {data.mount}"),
         ("observations", f"{data.observation_count} points seen"),
         ("camera alone", f"{float(fit.staged.step2.rms):.3f} px RMS with a free pose a view"),
         ("pixel sigma", f"{float(fit.staged.step2.pixel_sigma):.3f} px of u and of v (Step 2)"),
@@ -160,8 +162,9 @@ def _facts(
     ]
     facts += tables.errors_found(fit.joint, data)
     if unseen:
-        folds = next(iter(unseen.values())).held_out.folds
-        facts.append(("held-out error", f"{len(folds)} folds by view, all refitted in each"))
+        part = unseen.get("joint", next(iter(unseen.values())))
+        text = f"{len(part.held_out.folds)} folds by view, all refitted in each"
+        facts.append(("held-out error", text + tables.models_chosen(part.models)))
     libraries = ", ".join(f"{name} {version(name)}" for name in ("jax", "optimistix", "numpy"))
     facts.append(("computed with", libraries))
     return facts

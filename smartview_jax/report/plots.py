@@ -42,10 +42,12 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
     axes.plot(u, v, "+", color=RED, markersize=9, markeredgewidth=1.2, label="predicted")
     seen = np.asarray(data.pixels)[view, shown][np.asarray(data.visible)[view, shown]]
     axes.plot(*seen.T, ".", color=BLUE, markersize=3, label="measured")
-    margin = 0.12 * float(np.ptp(seen, axis=0).max())
-    low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
-    axes.set_xlim(max(low[0], -0.5), min(high[0], picture.shape[1] - 0.5))
-    axes.set_ylim(min(high[1], picture.shape[0] - 0.5), max(low[1], -0.5))
+    # Of a target of several heights the picture may show another one than was detected.
+    if len(seen):
+        margin = 0.12 * float(np.ptp(seen, axis=0).max())
+        low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
+        axes.set_xlim(max(low[0], -0.5), min(high[0], picture.shape[1] - 0.5))
+        axes.set_ylim(min(high[1], picture.shape[0] - 0.5), max(low[1], -0.5))
     axes.set_title(f"view {data.view_ids[view]}")
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")

@@ -1,10 +1,12 @@
 """The result as rows of text, for the terminal and for the page alike."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from ..calibration import Calibration
 from ..dataset import Dataset
 from ..evaluation import (
     UNCORRECTED,
@@ -18,8 +20,12 @@ from ..evaluation import (
     deviations,
     has_correction,
     rejected_by,
+    without_rejected_views,
 )
 from ..joint import CalibrationFit, JointFit
+from ..joint.alternatives import FEW
+from ..joint.parameters import ROBOT_ERROR
+from ..robots import arm_of
 
 
 class Summary(NamedTuple):
@@ -27,7 +33,7 @@ class Summary(NamedTuple):
 
     Attributes:
         name: of the method.
-        fitted: deviations on all views.
+        fitted: deviations on all views that were not rejected.
         unseen: what it does on views it never saw; None where not evaluated.
     """
 
@@ -44,8 +50,11 @@ class Summary(NamedTuple):
 def summaries(
     fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None = None
 ) -> list[Summary]:
-    """Staged and joint, side by side; where the joint fit corrects the robot, also without."""
-    unseen = unseen or {}
+    """Staged and joint, side by side; where the joint fit corrects the robot, also without.
+
+    Views that the joint fit left out whole do not count: the same ones for all.
+    """
+    unseen, data = unseen or {}, without_rejected_views(data, fit)
     parts = {"staged": fit.staged.calibration, "joint": fit.joint.calibration}
     if has_correction(fit.joint):
         parts[f"joint, {UNCORRECTED}"] = fit.joint.calibration.uncorrected
@@ -56,9 +65,9 @@ MEASURES = (
     "registration error, mean +- std",
     "registration error, RMS",
     "held-out error, RMS",
-    "  95 % of resampled views",
+    "  its 95 % interval over views",
     "  at the target",
-    "  over what the fit expected",
+    "  over what the fit expected (1 is honest)",
     "  with a free pose a view",
     "held-out by region, RMS",
 )
@@ -96,7 +105,7 @@ COMPARED = (
     "mean +- std, px",
     "RMS, px",
     "held out, px",
-    "95 % of views",
+    "95 % interval, px",
     "held out, mm",
     "left out points, views",
 )
@@ -120,18 +129,34 @@ def compared(row: Row) -> list[str]:
 
 
 def remarks(
-    name: str, fitted: Deviations | None, unseen: HeldOut | None, failure: str | None = None
+    name: str, fitted: Deviations | None, unseen: Unseen | None, failure: str | None = None
 ) -> list[str]:
     """What a figure in a table does not say: failures, and points it leaves out."""
     found = [] if failure is None else [f"{name}: {failure}"]
     if fitted is not None and fitted.unpredicted:
         found.append(f"{name}: {fitted.unpredicted} points seen cannot be predicted at all")
-    if unseen is not None:
-        if unseen.deviations.unpredicted:
-            count = unseen.deviations.unpredicted
-            found.append(f"{name}: {count} held-out points seen cannot be predicted at all")
-        found += [f"{name}: fold {k + 1} failed: {why}" for k, why in unseen.failures]
-        found += [f"{name}: fold {k + 1} did not converge: {why}" for k, why in unseen.unconverged]
+    if unseen is None:
+        return found
+    found += _left_out(name, unseen.held_out)
+    if unseen.by_region is not None:
+        found += _left_out(f"{name}, by region", unseen.by_region)
+    # What failed by view has failed here too.
+    known = {number for number, _ in unseen.held_out.failures}
+    others = (unseen.floor, None if unseen.foretold is None else unseen.foretold.predicted)
+    for what, part in zip(("with a free pose", "what the fit expected"), others, strict=True):
+        for number, why in () if part is None else part.failures:
+            if number not in known:
+                found.append(f"{name}, {what}: fold {number + 1} failed: {why}")
+    return found
+
+
+def _left_out(name: str, unseen: HeldOut) -> list[str]:
+    found = []
+    if unseen.deviations.unpredicted:
+        count = unseen.deviations.unpredicted
+        found.append(f"{name}: {count} held-out points seen cannot be predicted at all")
+    found += [f"{name}: fold {k + 1} failed: {why}" for k, why in unseen.failures]
+    found += [f"{name}: fold {k + 1} did not converge: {why}" for k, why in unseen.unconverged]
     return found
 
 
@@ -162,7 +187,8 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     lines = [
         (
             "errors of the robot",
-            f"{estimate.name}; twice the logarithm of likelihood over a trusted robot: {gains}",
+            f"{_in_words(estimate.name)}; twice the logarithm of likelihood over a trusted robot: "
+            f"{gains}",
         ),
         (
             "sizes of errors",
@@ -185,11 +211,37 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     return lines
 
 
+MODELS = {
+    "trusted": "none that can be believed",
+    "white": "each pose by itself",
+    "position": "smooth, linear in the tool's position",
+    "pose": "smooth, linear in the tool's pose",
+    "implied_arm": "those of a six-axis arm, which the poses imply",
+    "joint_offsets": "zeros of the joints",
+    "dh": "zeros of the joints, lengths and twists of the links",
+}
+"""What the names of models of the robot's error stand for."""
+
+
+def _in_words(name: str) -> str:
+    return f"{name} ({MODELS[name]})" if name in MODELS else name
+
+
+def models_chosen(names: Iterable[str]) -> str:
+    """Clause on what refits took the robot's error for; nothing where that was not estimated."""
+    counts = Counter(names).most_common()
+    listed = ", ".join(f"{name} {count}" for name, count in counts)
+    return f"; errors of the robot there: {listed}" if counts else ""
+
+
 def halves_agree(halves: Repeatability | None) -> list[tuple[str, str]]:
     """How far apart two halves of the views put the camera; nothing where that was not asked."""
     if halves is None:
         return []
-    return [("even and odd views", f"the hand-eye transforms that they find are {halves.words}")]
+    estimates = [getattr(fit, "estimate", None) for fit in halves.fits]
+    chosen = models_chosen(found.name for found in estimates if found is not None)
+    text = f"the hand-eye transforms that they find are {halves.words}{chosen}"
+    return [("even and odd views", text)]
 
 
 def budget_rows(budget: ErrorBudget) -> list[tuple[str, str, str]]:
@@ -212,12 +264,15 @@ def explanation_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]
 
 
 def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
-    """Name, value with unit, and standard deviation of every number of the joint fit."""
+    """Name, value with unit, and standard deviation of the numbers of the joint fit.
+
+    Of a smooth error of the robot only those that mean something by themselves: an arm's own.
+    """
     calibration = fit.joint.calibration
-    rows = []
-    for name, value in _values(calibration).items():
+    slides, rows = _offsets_that_slide(calibration), []
+    for name, value in (_values(calibration) | _errors_of_arm(calibration)).items():
         std = fit.joint.std.get(name)
-        scale, unit = _unit(name)
+        scale, unit = _unit(name, slides)
         if std is None:
             spread = "held"
         else:
@@ -226,7 +281,7 @@ def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _values(calibration) -> dict[str, float]:
+def _values(calibration: Calibration) -> dict[str, float]:
     camera = calibration.camera
     values = {
         f"camera.{key}": float(getattr(camera, key)) for key in ("alpha_u", "alpha_v", "u0", "v0")
@@ -248,10 +303,31 @@ def _values(calibration) -> dict[str, float]:
     return values
 
 
-def _unit(name: str) -> tuple[float, str]:
-    if ".translation." in name:
+def _errors_of_arm(calibration: Calibration) -> dict[str, float]:
+    """Coefficients of the errors of an arm whose joints are known."""
+    error = calibration.robot_error
+    if error is None or arm_of(error.field) is None:
+        return {}
+    numbers = np.asarray(error.coefficients)
+    return {
+        f"{ROBOT_ERROR}.{name}": float(number)
+        for name, number in zip(error.field.names, numbers, strict=True)
+    }
+
+
+def _offsets_that_slide(calibration: Calibration) -> set[str]:
+    """Those of joints whose zero is a length."""
+    error = calibration.robot_error
+    arm = None if error is None else arm_of(error.field)
+    if arm is None:
+        return set()
+    return {f"{ROBOT_ERROR}.joint_offset.{1 + k}" for k, s in enumerate(arm.prismatic) if s}
+
+
+def _unit(name: str, slides: set[str]) -> tuple[float, str]:
+    if ".translation." in name or ".link_length." in name or name in slides:
         return 1e3, "mm"
-    if ".rotation." in name:
+    if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
         return float(np.rad2deg(1.0)), "deg"
     if name.split(".")[-1] in ("alpha_u", "alpha_v", "u0", "v0"):
         return 1.0, "px"
@@ -263,12 +339,12 @@ def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows[:2]
+    measured, what = [staged.fitted.rms, joint.fitted.rms], "on the views it was fitted to"
     if staged.held_out is not None and joint.held_out is not None:
-        measured = [staged.held_out.deviations.rms, joint.held_out.deviations.rms]
-        what = "on views it never saw"
-    else:
-        measured = [staged.fitted.rms, joint.fitted.rms]
-        what = "on the views it was fitted to"
+        unseen = [staged.held_out.deviations.rms, joint.held_out.deviations.rms]
+        # Where every fold failed there is nothing to tell.
+        if np.isfinite(unseen).all():
+            measured, what = unseen, "on views it never saw"
     floor = float(fit.staged.step2.rms)
     text = (
         f"The joint fit predicts target points to {measured[1]:.2f} px RMS {what}; "
@@ -279,4 +355,11 @@ def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
         text += ": the rest comes from the robot's poses, the target's size or too few views."
     else:
         text += "."
+    views = len(joint.fitted.per_view)
+    used = int(np.isfinite(joint.fitted.per_view).sum())
+    left = count_rejected(rejected_by(fit) or ()).views
+    if left:
+        text += f" Of {views} views {left} {'is' if left == 1 else 'are'} rejected and not counted."
+    if used < FEW:
+        text += f" With {used} views no figure here is reliable: take {FEW} at least."
     return text

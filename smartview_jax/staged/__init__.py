@@ -11,6 +11,7 @@ from .conventions import check_conventions as check_conventions
 from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
+from .fit import views_to_use as views_to_use
 from .hand_eye import HandEyeResult as HandEyeResult
 from .hand_eye import frobenius_cost as frobenius_cost
 from .hand_eye import solve_hand_eye as solve_hand_eye

@@ -79,6 +79,24 @@ class StagedFit(eqx.Module):
         return Interpolation(self.step2.camera, robot, seen)
 
 
+def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
+    """Indices of the views that show enough points.
+
+    Raises:
+        ValueError: they are too few; the message says what each of the others shows.
+    """
+    minimum = least_points(camera)
+    views = data.usable_views(minimum)
+    if len(views) < 3:
+        raise ValueError(_too_few(data, views, minimum))
+    return views
+
+
+def least_points(camera: Camera | None) -> int:
+    """Points that a view has to show."""
+    return MINIMUM_POINTS if camera is None else 4
+
+
 def fit_staged(
     data: Dataset,
     lens: str | AbstractLens = "radial",
@@ -113,10 +131,7 @@ def fit_staged(
     say = progress or (lambda _: None)
     if conventions not in ("raise", "report"):
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
-    minimum = MINIMUM_POINTS if camera is None else 4
-    views = data.usable_views(minimum)
-    if len(views) < 3:
-        raise ValueError(_too_few(data, views, minimum))
+    views = views_to_use(data, camera)
     # Unused views are hidden, not cut out: a fold then has the shape that is already compiled.
     used = np.zeros(data.view_count, dtype=bool)
     used[views] = True
@@ -168,7 +183,7 @@ def fit_staged(
         step3,
         chain_residuals(calibration, data.observations),
         inliers,
-        _rejected(data, views, np.asarray(common.inliers), minimum)
+        _rejected(data, views, np.asarray(common.inliers), least_points(camera))
         + tuple((ids[view], None, text) for view, text in doubts.items()),
         tuple(int(view) for view in np.flatnonzero(agreeing)),
         report,

@@ -77,14 +77,7 @@ def test_a_method_that_fails_says_why_and_the_others_go_on(scene):
     assert good.failure is None
 
 
-def test_what_the_staged_fit_rejected_counts_for_the_joint_fit_too():
-    class Both:
-        staged = Fit(None, (("1", 7, "gate of Step 2"), ("2", 1, "gate of Step 2")))
-        rejected = (("1", 7, "gate of the joint fit"), ("5", None, "masked"), ("5", 3, "far off"))
-
-    found = rejected_by(Both())
-    assert [item.reason for item in found if item.view == "1"] == ["gate of Step 2"]
-    assert count_rejected(found) == (2, 1)
+def test_a_fit_that_cannot_tell_rejected_nothing_known():
     assert rejected_by(object()) is None
 
 

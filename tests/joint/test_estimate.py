@@ -12,7 +12,8 @@ from starts import nudged
 from smartview_jax import Noise, Prior, fit_joint, fit_staged
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import deviations
-from smartview_jax.robots import LinearInPose, LinearInPosition, RobotError
+from smartview_jax.joint.alternatives import STRETCH_GAINS
+from smartview_jax.robots import LinearInPose, LinearInPosition, RobotError, Stretched
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 VIEWS = 20
@@ -202,3 +203,46 @@ def test_a_real_robot_has_a_field():
     assert found.noise.white_pixel < 0.2 < found.noise.pixel
     errors = [deviations(f.calibration, data).rms for f in (found, trusting)]
     assert errors[0] < 0.6 * errors[1]
+
+
+def test_a_start_that_corrects_the_robot_is_not_corrected_where_no_field_is_asked_for(crooked):
+    """Sizes are of the errors in the chain that is fitted, wherever it began."""
+    scene, _, corrected = crooked
+    assert corrected.calibration.robot_error is not None
+    again = fit_joint(scene.data, corrected.calibration, noise="estimated", field=False)
+    fresh = fit_joint(scene.data, corrected.calibration.uncorrected, noise="estimated", field=False)
+    assert again.calibration.robot_error is None
+    assert again.noise.translation == pytest.approx(fresh.noise.translation, rel=1e-6)
+    assert again.std == pytest.approx(fresh.std, rel=1e-6)
+
+
+def test_with_everything_held_the_sizes_are_found_all_the_same():
+    scene = white_scene(0)
+    held = ("camera", "camera_from_tool", "base_from_world")
+    found = fit_joint(scene.data, scene.calibration, fixed=held, field=False, bad_views="keep")
+    assert found.parameter_names == ()
+    assert found.noise.translation == pytest.approx(TRANSLATION, rel=0.3)
+
+
+@pytest.mark.parametrize("share", [0.13, 0.0])
+def test_ways_that_are_too_long_are_told_from_other_errors(share):
+    """Of eight views, by a share that a field alone takes for one of eighteen numbers."""
+    poses = random_scene(2, 8, POINTS).data.base_from_tool
+    inner = LinearInPosition.over(poses)
+    field = Stretched.over(inner, poses)
+    other = np.repeat([2e-4, 4e-4], 9) * np.random.default_rng(3).normal(size=18)
+    coefficients = jnp.asarray([*other, share * float(field.reach)])
+    truth = dataclasses.replace(paper_calibration(), robot_error=RobotError(field, coefficients))
+    small = {"pixel_noise": 0.1, "translation_noise": 2e-5, "rotation_noise": 4e-5}
+    data = random_scene(2, 8, POINTS, truth, **small).data
+    found = fit_joint(data, truth.uncorrected, noise="estimated")
+    assert found.estimate.name == ("stretched position" if share else "position")
+    gains = {one.name: one.gain for one in found.estimate.alternatives}
+    assert (gains["stretched position"] - gains["position"] > STRETCH_GAINS) is bool(share)
+    if share:
+        given = fit_joint(data, truth.uncorrected, noise="estimated", field=inner)
+        unseen = random_scene(50, 30, POINTS, truth, pixel_noise=0.0).data
+        assert (
+            deviations(found.calibration, unseen).rms
+            < 0.95 * deviations(given.calibration, unseen).rms
+        )

@@ -56,6 +56,14 @@ def test_moves_are_those_of_refits(scene, noise):
         assert found.on("camera_from_tool")[view] == pytest.approx(np.abs(stated).max())
 
 
+def test_by_default_it_is_on_the_mount_whatever_it_is_called(fit):
+    found = view_influence(fit)
+    np.testing.assert_array_equal(found.on(), found.on("camera_from_tool"))
+    names = [name.replace("camera_from_tool", "camera_from_base") for name in fit.parameter_names]
+    stands = found._replace(parameter_names=tuple(names), mount="camera_from_base")
+    np.testing.assert_array_equal(stands.on(), found.on())
+
+
 def test_a_path_that_names_nothing_is_refused(fit):
     with pytest.raises(ValueError, match="no parameter is called 'camera_from_base'"):
         view_influence(fit).on("camera_from_base")

@@ -1,3 +1,5 @@
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,8 +15,8 @@ from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior, calibrate, fit_joint
 from smartview_jax.cameras import Camera, OpenCV4
-from smartview_jax.evaluation import deviations
-from smartview_jax.joint import StructuredLM, optimum
+from smartview_jax.evaluation import cramer_rao, deviations
+from smartview_jax.joint import StructuredLM, best_uncorrected, optimum
 from smartview_jax.joint.build import build_problem
 from smartview_jax.simulation import paper_points, random_scene
 from smartview_jax.staged import FitCode
@@ -293,6 +295,7 @@ def test_one_rotation_axis_is_named(noisy):
     ("options", "message"),
     [
         ({"noise": "guessed"}, 'noise is "trusted", "estimated" or a Noise'),
+        ({"fixed": "camera"}, r"fixed: expected paths, as in \('camera',\); found 'camera'"),
         ({"fixed": ("camera.alpha",)}, r"no parameter is called 'camera.alpha'; did you mean"),
         ({"loss": "l7"}, "loss is one of huber, cauchy"),
         ({"lens": "bottle"}, "lens is one of pinhole"),
@@ -336,3 +339,61 @@ def test_calibrate_goes_all_the_way():
     assert not np.asarray(fit.inliers & scene.outliers).any()
     error = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
     assert float(jnp.linalg.norm(error[:3])) < 2e-3
+
+
+def test_what_either_fit_left_out_is_listed_once():
+    """A point that Step 2 sets aside, and a view that was moved, by too little for Step 2."""
+    scene = random_scene(3, 20, POINTS, outlier_fraction=0.02, translation_noise=2e-4)
+    poses = scene.data.base_from_tool.wxyz_xyz
+    moved = SE3(poses[6]) @ SE3.exp(jnp.array([6e-3, 0.0, 0.0, 0.0, 0.0, 0.01]))
+    data = eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[6].set(moved.wxyz_xyz)
+    )
+    fit = calibrate(data, field=False)
+    assert fit.staged.rejected
+    names = [entry[:2] for entry in fit.rejected]
+    assert len(set(names)) == len(names)
+    assert {entry[:2] for entry in fit.staged.rejected} < set(names)
+    assert ("6", None) in names
+    # The chain that corrects nothing is not fitted to that view either.
+    seen = data.visible & fit.staged.inliers & fit.joint.problem.observations.visible
+    used = eqx.tree_at(lambda d: d.visible, data.without([6]), seen)
+    without = fit_joint(used, fit.staged.calibration, noise="trusted").calibration
+    bare = best_uncorrected(data, fit)
+    gap = bare.camera_from_tool.inverse() @ without.camera_from_tool
+    assert float(jnp.linalg.norm(gap.log())) < 1e-5
+
+
+def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):
+    """Not after the rehearsal has compiled everything."""
+    module = sys.modules["smartview_jax.joint.calibrate"]
+    monkeypatch.setattr(module, "rehearse", lambda *_: pytest.fail("rehearsed"))
+    scene = random_scene(0, views=2)
+    with pytest.raises(ValueError, match="a calibration needs at least 3 views"):
+        calibrate(scene.data)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 1.5])
+def test_priors_weigh_as_much_as_they_say_where_the_residuals_tell_the_sigma(sigma):
+    scene = random_scene(5, 10, POINTS, pixel_noise=sigma)
+    priors = {"camera.u0": Prior(1.0), "camera_from_tool.translation.z": Prior(1e-4)}
+    fit = fit_joint(scene.data, scene.calibration, noise="trusted", priors=priors)
+    assert fit.pixel_sigma == pytest.approx(sigma, rel=0.05)
+    bound = cramer_rao(fit.calibration, scene.data, fit.pixel_sigma, priors=priors)
+    for name in ("camera.u0", "camera_from_tool.translation.z", "camera.alpha_u"):
+        assert fit.std[name] == pytest.approx(bound.std[name], rel=0.02)
+
+
+def test_a_robust_loss_has_its_scale_in_deviations_of_the_residuals():
+    """The same picture, a tenth of the size: the same answer, and the same sigmas."""
+    scene = random_scene(3, views=10, points=POINTS, pixel_noise=0.15, outlier_fraction=0.06)
+    predicted, _ = scene.calibration.project(scene.data.base_from_tool, scene.data.points)
+    errors, found = scene.data.pixels - predicted, []
+    for share in (1.0, 0.1):
+        data = eqx.tree_at(lambda d: d.pixels, scene.data, predicted + share * errors)
+        fit = fit_joint(data, scene.calibration, noise="trusted", loss="geman_mcclure")
+        assert fit.pixel_sigma == pytest.approx(0.15 * share, rel=0.15)
+        off = float(fit.calibration.camera.u0 - scene.calibration.camera.u0)
+        assert abs(off) < 4.0 * fit.std["camera.u0"]
+        found.append(fit.std["camera.u0"] / share)
+    assert found[0] == pytest.approx(found[1], rel=0.1)

@@ -1,3 +1,4 @@
+import equinox as eqx
 import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
@@ -41,6 +42,11 @@ def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
     object.__setattr__(data, "target", target)
     (axes,) = plots.cross_bars(data, 0, np.zeros((480, 640), np.uint8), paper_calibration()).axes
     assert len(drawn(axes, "predicted")) == 9
+    # The first height was not detected.
+    lower = eqx.tree_at(lambda d: d.visible, data, data.visible.at[0, :9].set(False))
+    (axes,) = plots.cross_bars(lower, 0, np.zeros((480, 640), np.uint8), paper_calibration()).axes
+    assert len(drawn(axes, "measured")) == 0
+    assert axes.get_xlim() == (-0.5, 639.5)
 
 
 def test_the_histogram_counts_every_point_below_its_limit(rows):

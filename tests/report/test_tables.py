@@ -1,16 +1,36 @@
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from jaxlie import SE3
 
-from smartview_jax import Noise, fit_joint
-from smartview_jax.evaluation import Deviations, Foretold, HeldOut, Rejection, Row, Unseen
-from smartview_jax.joint import Alternative, NoiseEstimate
+from smartview_jax import Noise, calibrate, fit_joint
+from smartview_jax.evaluation import (
+    Deviations,
+    Foretold,
+    HeldOut,
+    Rejection,
+    Row,
+    Unseen,
+    deviations,
+    error_budget,
+)
+from smartview_jax.joint import Alternative, CalibrationFit, NoiseEstimate
 from smartview_jax.joint.doubt import Doubt
-from smartview_jax.report import COMPARED, Summary, compared, remarks, table_rows
-from smartview_jax.report.tables import errors_found
-from smartview_jax.robots import LinearInPosition, RobotError
-from smartview_jax.simulation import random_scene
+from smartview_jax.report import (
+    COMPARED,
+    Summary,
+    compared,
+    remarks,
+    summaries,
+    table_rows,
+    verdict,
+)
+from smartview_jax.report.tables import errors_found, models_chosen, parameter_rows
+from smartview_jax.robots import DHErrors, LinearInPosition, RobotError, six_axes
+from smartview_jax.simulation import paper_points, random_scene
 
 FITTED = Deviations(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
 UNSEEN = HeldOut(
@@ -41,16 +61,16 @@ def test_the_table_shows_what_was_evaluated_and_no_empty_rows():
     rows = [Summary("staged", FITTED, Unseen(UNSEEN)), Summary("joint", FITTED, full)]
     table = {name.strip(): cells for name, *cells in table_rows(rows)}
     assert table["held-out error, RMS"] == ["7.07 px", "7.07 px"]
-    assert table["95 % of resampled views"] == ["6.00 to 8.00 px"] * 2
+    assert table["its 95 % interval over views"] == ["6.00 to 8.00 px"] * 2
     assert table["held-out by region, RMS"] == ["-", "2.89 px"]
     # 6 and 8 where 3 and 4 were expected.
-    assert table["over what the fit expected"] == ["-", "2.00"]
+    assert table["over what the fit expected (1 is honest)"] == ["-", "2.00"]
     assert "with a free pose a view" not in table
     assert len(table_rows([Summary("joint", FITTED, None)])) == 2
 
 
 def test_remarks_say_what_the_figures_leave_out():
-    assert remarks("joint", FITTED, UNSEEN) == [
+    assert remarks("joint", FITTED, Unseen(UNSEEN)) == [
         "joint: 1 points seen cannot be predicted at all",
         "joint: 1 held-out points seen cannot be predicted at all",
         "joint: fold 2 failed: no pose",
@@ -58,7 +78,7 @@ def test_remarks_say_what_the_figures_leave_out():
     ]
     assert remarks("joint", None, None, "no pose at all") == ["joint: no pose at all"]
     whole = Deviations(np.ones((1, 2)), np.ones((1, 2)))
-    assert remarks("joint", whole, HeldOut(whole, ((0,),), ())) == []
+    assert remarks("joint", whole, Unseen(HeldOut(whole, ((0,),), ()))) == []
 
 
 def test_the_errors_found_are_in_the_units_people_use():
@@ -75,7 +95,7 @@ def test_the_errors_found_are_in_the_units_people_use():
     assert errors_found(trusting, scene.data) == []
     joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
     lines = errors_found(joint, scene.data)
-    assert lines[0][1].startswith("position; ")
+    assert lines[0][1].startswith("position (smooth, linear in the tool's position); ")
     assert lines[0][1].endswith("trusted 0, position 31")
     assert "0.400 px +- 10% (within a view 0.100)" in lines[1][1]
     assert "0.100 mm +- 20% and 0.0200 deg" in lines[1][1]
@@ -83,3 +103,79 @@ def test_the_errors_found_are_in_the_units_people_use():
     assert lines[2][0] == "without the correction"
     assert "0.00 px RMS" in lines[2][1]
     assert "still changing" in lines[3][1]
+
+
+@pytest.fixture(scope="module")
+def moved_view():
+    """Twelve views of which one was moved, with everything that is said of them."""
+    scene = random_scene(3, 12, paper_points((0.0, 0.02))[::3], translation_noise=1e-4)
+    poses = scene.data.base_from_tool.wxyz_xyz
+    wrong = SE3(poses[6]) @ SE3.exp(jnp.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.02]))
+    data = eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[6].set(wrong.wxyz_xyz)
+    )
+    return data, calibrate(data, field=False)
+
+
+def test_a_view_that_was_rejected_does_not_count(moved_view):
+    data, fit = moved_view
+    assert ("6", None) in [entry[:2] for entry in fit.rejected]
+    rows = summaries(fit, data)
+    without = data.without([6])
+    for row, part in zip(rows, (fit.staged, fit.joint), strict=True):
+        assert row.fitted.rms == pytest.approx(deviations(part.calibration, without).rms)
+        assert row.fitted.rms < 0.2 * deviations(part.calibration, data).rms
+    text = verdict(rows, fit)
+    assert f"{rows[1].fitted.rms:.2f} px RMS on the views it was fitted to" in text
+    assert "Of 12 views 1 is rejected and not counted." in text
+    assert "reliable" not in text
+    budget = error_budget(data, fit.joint)
+    assert budget.total == pytest.approx(rows[1].fitted.rms)
+
+
+def test_few_views_are_called_few(moved_view):
+    data, fit = moved_view
+    few = data.without(range(6, 12))
+    assert "With 6 views no figure here is reliable" in verdict(summaries(fit, few), fit)
+
+
+def test_without_a_single_good_fold_the_fitted_error_is_told(moved_view):
+    data, fit = moved_view
+    nothing = HeldOut(Deviations(*np.full((2, 12, 28), np.nan)), ((0,),), ((0, "no pose"),))
+    unseen = dict.fromkeys(("staged", "joint"), Unseen(nothing))
+    text = verdict(summaries(fit, data, unseen), fit)
+    assert "nan" not in text
+    assert "on the views it was fitted to" in text
+
+
+def test_remarks_are_on_every_measure():
+    floor = HeldOut(FITTED, ((0,), (1,)), ((0, "no free pose"), (1, "no pose")))
+    expected = HeldOut(FITTED, ((0,), (1,)), ((0, "leaves something open"),))
+    unseen = Unseen(UNSEEN, UNSEEN, floor, Foretold(expected, UNSEEN))
+    found = remarks("joint", None, unseen)
+    assert "joint: fold 2 failed: no pose" in found
+    assert "joint, by region: fold 2 failed: no pose" in found
+    assert found[-2:] == [
+        "joint, with a free pose: fold 1 failed: no free pose",
+        "joint, what the fit expected: fold 1 failed: leaves something open",
+    ]
+
+
+def test_what_folds_and_halves_took_the_error_for_is_counted():
+    assert models_chosen(["pose", "implied_arm", "implied_arm"]).endswith("implied_arm 2, pose 1")
+    assert models_chosen([]) == ""
+
+
+def test_an_arms_own_errors_are_parameters_in_its_units(moved_view):
+    """Zeros in degrees, of a joint that slides in mm; of other fields nothing."""
+    _, fit = moved_view
+    arm = dataclasses.replace(six_axes(), prismatic=(False,) * 5 + (True,))
+    error = RobotError(DHErrors(arm), jnp.full(24, 1e-3))
+    bent = dataclasses.replace(fit.joint.calibration, robot_error=error)
+    known = CalibrationFit(fit.staged, dataclasses.replace(fit.joint, calibration=bent))
+    rows = {name: value for name, value, _ in parameter_rows(known)}
+    assert rows["robot_error.joint_offset.1"] == "0.0572958 deg"
+    assert rows["robot_error.joint_offset.6"] == "1 mm"
+    assert rows["robot_error.link_length.a.2"] == "1 mm"
+    assert rows["robot_error.link_twist.3"] == "0.0572958 deg"
+    assert not any(name.startswith("robot_error") for name, _, _ in parameter_rows(fit))
