@@ -20,7 +20,7 @@ BENCHMARKS = {
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "defaults": "lenses and noises on the real data sets by held-out error",
-    "engine": "the joint fit beside Ceres, pyceres and scipy: time, memory, cost",
+    "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of the joint fit by points, views and devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",

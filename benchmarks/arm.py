@@ -13,7 +13,7 @@ import numpy as np
 import smartview_jax as sv
 from smartview_jax.evaluation import deviations
 
-from .real_sets import LENS, load, present
+from .real_sets import LENS, held_out_px, load, present
 
 SET = ("lwr4_joint", "")
 ESTIMATED = "errors estimated, scale"
@@ -61,7 +61,7 @@ def run(smoke: bool = False) -> bool:
         figures = [deviations(found.calibration, data).rms]
         if not smoke:
             folds = (5, len(data.usable_views()))
-            figures += [sv.held_out(data, fit, folds=k).deviations.rms for k in folds]
+            figures += [held_out_px(data, fit, k) for k in folds]
         kept = all(
             bound is None or figure <= bound
             for figure, bound in zip(figures, row.bounds, strict=False)

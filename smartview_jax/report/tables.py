@@ -224,7 +224,9 @@ MODELS = {
 
 
 def _in_words(name: str) -> str:
-    return f"{name} ({MODELS[name]})" if name in MODELS else name
+    model = name.removeprefix("stretched ")
+    besides = "" if model == name else "; and all ways too long, or too short, by one share"
+    return f"{name} ({MODELS[model]}{besides})" if model in MODELS else name
 
 
 def models_chosen(names: Iterable[str]) -> str:

@@ -28,7 +28,7 @@ from smartview_jax.report import (
     table_rows,
     verdict,
 )
-from smartview_jax.report.tables import errors_found, models_chosen, parameter_rows
+from smartview_jax.report.tables import _in_words, errors_found, models_chosen, parameter_rows
 from smartview_jax.robots import DHErrors, LinearInPosition, RobotError, six_axes
 from smartview_jax.simulation import paper_points, random_scene
 
@@ -164,6 +164,10 @@ def test_remarks_are_on_every_measure():
 def test_what_folds_and_halves_took_the_error_for_is_counted():
     assert models_chosen(["pose", "implied_arm", "implied_arm"]).endswith("implied_arm 2, pose 1")
     assert models_chosen([]) == ""
+    assert _in_words("stretched pose").startswith(
+        "stretched pose (smooth, linear in the tool's pose; "
+    )
+    assert _in_words("Sag") == "Sag"
 
 
 def test_an_arms_own_errors_are_parameters_in_its_units(moved_view):
