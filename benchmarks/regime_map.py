@@ -164,7 +164,8 @@ def heat_map(found: Mapping[Regime, dict[str, Errors]]) -> Figure:
         for column, (name, measure) in enumerate(pairs):
             if name in errors and STAGED in errors:
                 over_staged[row, column] = errors[name].over(errors[STAGED], measure).value
-    figure = Figure(figsize=(4.5 + 0.75 * (len(names) + len(pairs)), 3.0 + 0.33 * len(found)))
+    size = (6.0 + 0.75 * (len(names) + len(pairs)), 3.0 + 0.33 * len(found))
+    figure = Figure(figsize=size, layout="constrained")
     left, right = figure.subplots(
         1, 2, sharey=True, gridspec_kw={"width_ratios": [len(names), len(pairs)]}
     )
@@ -174,7 +175,6 @@ def heat_map(found: Mapping[Regime, dict[str, Errors]]) -> Figure:
     _cells(right, over_staged, labels, colors.LogNorm(1.0 / 3.0, 3.0), "RdYlGn_r")
     right.set_title("error / staged error:\nthe joint fit pays where green")
     left.set_yticks(range(len(found)), [f"{regime.axis}: {regime.name}" for regime in found])
-    figure.tight_layout()
     return figure
 
 

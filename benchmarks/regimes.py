@@ -42,8 +42,10 @@ ARM_REGIMES = (
     Regime("6R arm", "8 views", 8, errors=1.0, **ARM_NOISE),
 )
 
-FEW_VIEWS, SEEDS_OF_FEW = 8, 40
-"""Views below which errors scatter so much that it takes more runs to compare two of them."""
+FEW_VIEWS = 8
+
+SEEDS = {5: 40, 25: 24}
+"""Runs by views, where fits are so close or scatter so much that eight would leave it to chance."""
 
 LITTLE, MUCH = (0.01, 0.001), (0.3, 0.05)
 """Noise of a robot, mm and degrees, beside the usual 0.1 and 0.01."""
@@ -65,7 +67,7 @@ WHITE_REGIMES = (
             views,
             translation=mm,
             rotation=deg,
-            seeds=SEEDS_OF_FEW if views < FEW_VIEWS else 8,
+            seeds=SEEDS.get(views, 8),
         )
         for (mm, deg), views in itertools.product((LITTLE, (0.1, 0.01), MUCH), (5, 8, 15, 25))
         if (views, mm) != (15, 0.1)
