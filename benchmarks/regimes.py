@@ -42,8 +42,6 @@ ARM_REGIMES = (
     Regime("6R arm", "8 views", 8, errors=1.0, **ARM_NOISE),
 )
 
-FEW_VIEWS = 8
-
 SEEDS = {5: 40, 25: 24}
 """Runs by views, where fits are so close or scatter so much that eight would leave it to chance."""
 
@@ -79,8 +77,8 @@ SMOKE = Regime("smoke", "8 views, 12 points", 8, (3, 4), seeds=2)
 SMOKE_METHODS = (STAGED, TRUSTED, PARK)
 """Those that compile in seconds."""
 
-NEAR_BOUND, NEAR_BOUND_OF_FEW = 1.05, 1.15
-"""Times the bound at most, by the interval's lower end; with few views the last."""
+NEAR_BOUND, FEW_VIEWS, NEAR_BOUND_OF_FEW = 1.05, 8, 1.15
+"""Times the bound at most, by the interval's lower end; below so many views the last."""
 
 BEST = 1.03
 """Times the better of the staged and of the plain joint fit, at most."""

@@ -169,6 +169,11 @@ class Calibration(eqx.Module):
         return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
 
     @property
+    def field(self) -> AbstractField | None:
+        """Of the robot's error; None where it is not corrected."""
+        return None if self.robot_error is None else self.robot_error.field
+
+    @property
     def uncorrected(self) -> "Calibration":
         """The same without the robot's error: what programs have that take the transforms alone."""
         return dataclasses.replace(self, robot_error=None)

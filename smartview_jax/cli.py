@@ -313,7 +313,7 @@ def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
 
     if words is not None:
         return load_urdf(words) if words.endswith(".urdf") else arm_by_name(words)
-    return None if known.robot_error is None else arm_of(known.robot_error.field)
+    return arm_of(known.field)
 
 
 def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:

@@ -8,7 +8,7 @@ import numpy as np
 from ..dataset import Dataset
 from ..joint import JointFit
 from ..joint.alternatives import FEW
-from ..robots import AbstractField, ImpliedArm
+from ..robots import ImpliedArm
 from .explanations import Explanation, explanations, fit_candidate, moved, region_error
 from .held_out import has_correction
 from .lens_misfit import lens_misfit
@@ -111,7 +111,7 @@ def error_budget(
     if scale is not None and not has_correction(fit):
         # A likely rival of a fit that found no field: the budget is of the likelier.
         fit = scale.fit
-    elif isinstance(_field(fit), ImpliedArm):
+    elif isinstance(fit.calibration.field, ImpliedArm):
         # Lengths of an arm take from the mount what they give: its bare chain is nobody's.
         fit, own_chain = fit_candidate(data, fit, None, field_groups=4), False
     seen = np.asarray(data.visible)
@@ -139,11 +139,6 @@ def error_budget(
     total = deviations(fit.calibration.uncorrected, data).rms
     words = _words(total, parts, culprit, own_chain)
     return ErrorBudget(total, parts, rivals, culprit, words, own_chain)
-
-
-def _field(fit: JointFit) -> AbstractField | None:
-    error = fit.calibration.robot_error
-    return None if error is None else error.field
 
 
 def _one_number(rivals: tuple[Explanation, ...]) -> Explanation | None:

@@ -45,9 +45,9 @@ class Built(eqx.Module):
     @property
     def sigma_matters(self) -> bool:
         """Whether the answer depends on it: beside a prior, or within a robust loss."""
-        weight, own_free = self.problem.prior_weight, np.asarray(self.problem.own_free)
+        weight = self.problem.prior_weight
         shared = np.asarray(weight.shared)[list(self.problem.free)]
-        own = np.asarray(weight.corrections)[own_free] if own_free.size else np.zeros(0)
+        own = np.asarray(weight.corrections)[np.asarray(self.problem.own_free)]
         return self.problem.loss is not None or bool(shared.any() or own.any())
 
 

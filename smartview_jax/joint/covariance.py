@@ -41,26 +41,24 @@ def variance_factor(
         problem: a free parameter with a prior takes no degree of freedom from the residuals.
         squares: of its whitened residuals, as `JointProblem.squares` has them.
     """
-    visible = problem.observations.visible
+    visible, weight = problem.observations.visible, problem.prior_weight
     if problem.loss is not None:
-        return robust_variance(jnp.where(visible, squares, jnp.nan))
-    own_open = problem.own_free & (problem.prior_weight.corrections == 0.0)
-    free = sum(jnp.sum(open_.astype(float)) for open_ in (_open(problem), own_open))
+        return robust_variance(squares, visible)
+    shared = weight.shared[problem.chosen] == 0.0
+    own = problem.own_free & (weight.corrections == 0.0)
+    free = jnp.sum(shared.astype(float)) + jnp.sum(own.astype(float))
     return jnp.sum(squares) / jnp.maximum(2.0 * jnp.sum(visible.astype(float)) - free, 1.0)
 
 
-def robust_variance(squares: Float[Array | np.ndarray, "*points"]) -> Float[Array, ""]:
+def robust_variance(
+    squares: Float[Array, "views points"], visible: Bool[Array, "views points"]
+) -> Float[Array, ""]:
     """Variance per component from the median: half the points lie within 2 log 2 of it.
 
-    NaN is what was not seen; one where nothing was.
+    One where nothing was seen.
     """
-    middle = jnp.nanmedian(squares) / (2.0 * jnp.log(2.0))
+    middle = jnp.nanmedian(jnp.where(visible, squares, jnp.nan)) / (2.0 * jnp.log(2.0))
     return jnp.where(jnp.isnan(middle), 1.0, jnp.maximum(middle, 1e-24))
-
-
-def _open(problem: JointProblem) -> Bool[Array, "free"]:
-    """Free shared parameters without a prior."""
-    return problem.prior_weight.shared[problem.chosen] == 0.0
 
 
 def covariance(

@@ -275,9 +275,8 @@ def _assemble(
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
-    calibration, corrections, square, estimated, parts, own_inverse = at_solution
-    visible = np.asarray(problem.observations.visible)
-    square = np.asarray(square)
+    calibration, corrections, square, estimated, spread, parts, own_inverse = at_solution
+    visible, square = np.asarray(problem.observations.visible), np.asarray(square)
     factor = 1.0 if built.sigma_known else float(estimated)
 
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
@@ -291,8 +290,7 @@ def _assemble(
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
 
-    spread = float(robust_variance(np.where(visible, square, np.nan)))
-    limit = GATE * (max(1.0, spread) if built.sigma_known else spread)
+    limit = GATE * (max(1.0, float(spread)) if built.sigma_known else float(spread))
     inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
     return JointFit(
@@ -327,6 +325,7 @@ def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
         corrections,
         squares,
         variance_factor(problem, squares),
+        robust_variance(squares, problem.observations.visible),
         parts,
         parts.own_inverse,
     )

@@ -195,8 +195,10 @@ def _solve_one(problem: JointProblem, sigma_known: bool, rounds: int) -> tuple:
         told = at[0] * jnp.sqrt(variance_factor(there, there.squares(z)))
         return (jnp.maximum(told, FINEST), z), None
 
-    begin = (problem.pixel_sigma, problem.start())
-    (sigma, ahead), _ = jax.lax.scan(closer, begin, length=rounds)
+    sigma, ahead = problem.pixel_sigma, problem.start()
+    # A loop of no rounds would be compiled all the same, with the whole solver in it.
+    if rounds:
+        (sigma, ahead), _ = jax.lax.scan(closer, (sigma, ahead), length=rounds)
     problem = weighed(sigma)
     z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS, ahead)
     calibration, corrections = problem.calibration(z)

@@ -161,15 +161,13 @@ def _robust_poses(
         fixed=(*still.transform_names, *filter(_concerns_camera, fixed)),
         priors=of_camera,
     ).problem
-    visible, z = np.asarray(problem.observations.visible), problem.start()
-    squares = np.asarray(_squares(problem, z))
-    variance = float(robust_variance(np.where(visible, squares, np.nan)))
+    z = problem.start()
+    squares, variance = _measured(problem, z)
     for _ in range(ROUNDS):
         sigma = max(float(np.sqrt(variance)), FINEST)
         weighed = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
         z = solve(weighed, ROUGHLY, start=z)[0].z
-        squares = np.asarray(_squares(problem, z))
-        variance = float(robust_variance(np.where(visible, squares, np.nan)))
+        squares, variance = _measured(problem, z)
         if variance > (SETTLED * sigma) ** 2:
             break
     found = SE3.exp(z.corrections) @ poses
@@ -181,8 +179,12 @@ def _concerns_camera(path: str) -> bool:
 
 
 @compiled
-def _squares(problem: JointProblem, z: Step) -> Float[Array, "views points"]:
-    return problem.squares(z)
+def _measured(
+    problem: JointProblem, z: Step
+) -> tuple[Float[Array, "views points"], Float[Array, ""]]:
+    """Every point's whitened square, and their variance."""
+    squares = problem.squares(z)
+    return squares, robust_variance(squares, problem.observations.visible)
 
 
 @compiled

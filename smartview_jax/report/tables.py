@@ -308,7 +308,7 @@ def _values(calibration: Calibration) -> dict[str, float]:
 def _errors_of_arm(calibration: Calibration) -> dict[str, float]:
     """Coefficients of the errors of an arm whose joints are known."""
     error = calibration.robot_error
-    if error is None or arm_of(error.field) is None:
+    if error is None or arm_of(calibration.field) is None:
         return {}
     numbers = np.asarray(error.coefficients)
     return {
@@ -319,8 +319,7 @@ def _errors_of_arm(calibration: Calibration) -> dict[str, float]:
 
 def _offsets_that_slide(calibration: Calibration) -> set[str]:
     """Those of joints whose zero is a length."""
-    error = calibration.robot_error
-    arm = None if error is None else arm_of(error.field)
+    arm = arm_of(calibration.field)
     if arm is None:
         return set()
     return {f"{ROBOT_ERROR}.joint_offset.{1 + k}" for k, s in enumerate(arm.prismatic) if s}

@@ -85,14 +85,14 @@ def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
     Raises:
         ValueError: they are too few; the message says what each of the others shows.
     """
-    minimum = least_points(camera)
+    minimum = _least_points(camera)
     views = data.usable_views(minimum)
     if len(views) < 3:
         raise ValueError(_too_few(data, views, minimum))
     return views
 
 
-def least_points(camera: Camera | None) -> int:
+def _least_points(camera: Camera | None) -> int:
     """Points that a view has to show."""
     return MINIMUM_POINTS if camera is None else 4
 
@@ -183,7 +183,7 @@ def fit_staged(
         step3,
         chain_residuals(calibration, data.observations),
         inliers,
-        _rejected(data, views, np.asarray(common.inliers), least_points(camera))
+        _rejected(data, views, np.asarray(common.inliers), _least_points(camera))
         + tuple((ids[view], None, text) for view, text in doubts.items()),
         tuple(int(view) for view in np.flatnonzero(agreeing)),
         report,

@@ -74,8 +74,7 @@ class Survey(eqx.Module):
             ValueError: an arm's own errors, and no `near`, or as `fit_joint` does.
         """
         target = jnp.asarray(points, dtype=float)
-        fitted = None if calibration.robot_error is None else calibration.robot_error.field
-        arm = arm_of(field or fitted)
+        arm = arm_of(field or calibration.field)
         if arm is not None and near is None:
             raise ValueError(
                 "an arm reaches a view in several ways: give near=joints to begin from"
