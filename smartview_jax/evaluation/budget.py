@@ -7,7 +7,7 @@ import numpy as np
 
 from ..dataset import Dataset
 from ..joint import JointFit
-from ..joint.alternatives import FEW
+from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
 from ..robots import ImpliedArm
 from .explanations import Explanation, explanations, fit_candidate, moved, region_error
 from .held_out import has_correction
@@ -102,7 +102,7 @@ def error_budget(
         raise ValueError('an error budget needs a fit with noise="estimated"')
     data = without_rejected_views(data, fit)
     views, own_chain = len(data.usable_views()), True
-    rivals = explanations(data, fit, progress) if views >= FEW else ()
+    rivals = explanations(data, fit, progress) if views >= MINIMUM_RELIABLE_VIEWS else ()
     if regions:
         rivals = tuple(
             rival._replace(region_px=region_error(data, fit, rival.name)) for rival in rivals
@@ -130,7 +130,7 @@ def error_budget(
         VIEWS: np.sqrt(parameters),
     }
     order = sorted(sizes, key=lambda name: -sizes[name])
-    culprit = VIEWS if views < FEW else order[0]
+    culprit = VIEWS if views < MINIMUM_RELIABLE_VIEWS else order[0]
     worth = [n for n in order if n == culprit or sizes[n] >= LITTLE * sizes[order[0]]]
     parts = tuple(
         Part(n, float(sizes[n]), _advice(n, fit, views, rivals) if n in worth else "")

@@ -16,8 +16,7 @@ from jaxtyping import Array
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..joint import JointFit, fit_joint, parameter_names
-from ..joint.alternatives import PLAIN
-from ..robots import LinearInPose, PoseOrStretch
+from ..robots import LinearInPose, PoseOrStretch, RobotPrior
 from .held_out import held_out
 from .measures import predict
 
@@ -70,7 +69,7 @@ def explanations(
     if fit.estimate is None or "target_scale" in fit.parameter_names:
         return ()
     gains = {other.name: other.gain for other in fit.estimate.alternatives}
-    if set(gains) <= set(PLAIN):
+    if all(name.startswith("white") for name in gains):
         return ()
     groups = 4 if "pose" in gains else 2
     say("error budget: field")
@@ -113,7 +112,17 @@ def fit_candidate(
     field = dataclasses.replace(whole, counts=jnp.array(counts, dtype=float))
     known = {"target_scale", *fit.parameter_names}
     held = tuple(name for name in parameter_names(start) if name not in known)
-    return fit_joint(data, start, noise="estimated", field=field, fixed=held, bad_views="keep")
+    # The candidates are told apart here: no other size of the target besides.
+    prior = RobotPrior(wrong_target=0.0)
+    return fit_joint(
+        data,
+        start,
+        noise="estimated",
+        field=field,
+        fixed=held,
+        bad_views="keep",
+        robot_prior=prior,
+    )
 
 
 def _seen_from(calibration: Calibration) -> Array:

@@ -1,273 +1,253 @@
-"""Which models of the robot's error are tried on a set of views, and which of them is believed."""
+"""Which models of the robot's error explain a set of views, and how probable each of them is.
 
+Every model is a set of groups of one basis that holds them all, so that they are compared on the
+same statistics by the same program. The sizes of a model's errors are found where their posterior
+is largest; the posterior's mass about there, by Laplace's method, is the evidence of the model,
+
+    log Z = -D / 2 - log det(I / 2 pi) / 2 - sum_k log(s_k sqrt(2 pi))
+
+with `D` the deviance including the prior, `I` the information of the logarithms of the sizes and
+`s_k` the standard deviations of their priors. Evidence times prior probability is a model's weight.
+Few views often cannot decide between models. So none is chosen: the fit takes the priors that the
+weighted average has, whose variances are the averages of the models' own (a model without a group
+counts as zero there).
+
+Reference: Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging: a tutorial, 1999.
+"""
+
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
-from ..compilation import compiled, optimised
+from ..compilation import optimised
 from ..dataset import Dataset
 from ..robots import (
     AbstractField,
-    Command,
+    CombinedField,
     DHErrors,
     ImpliedArm,
     LinearInPose,
-    Stretched,
+    RobotPrior,
     field_name,
 )
 from .likelihood import LinearisedViews, Sizes
-from .scoring import Likeliest, likeliest
+from .scoring import Likeliest, SizePrior, likeliest
 
-FEW = 8
-"""Views below which white noise of poses is hard to tell from errors of the camera.
+MINIMUM_RELIABLE_VIEWS = 8
+"""Number of views below which no figure of a calibration is reliable."""
 
-There a model of the robot's error has to be believable besides, or far likelier than white noise.
-Real sets left out view by view: six views of koide_charuco 20230920 err by 2.1 px where they erred
-by 3.2 as long as the robot was trusted; seven of 20231006, where white noise is not believable, by
-1.34 and not 1.8. Five simulated ones with white noise: 1.53 and 2.03.
+ARM_VIEWS = 8
+"""Number of views from which an arm that nobody described is a candidate.
+
+Below, its guessed proportions fit almost anything: random sixes of koide_charuco 20231006, an arm
+of seven joints, err by 2 to 3 times as much with it, while simulated six-axis arms gain.
 """
 
-BELIEVABLE = 3.0
-"""Times the sigma of pixels within views that the effective one may be.
+WHITE, POSITION, POSE, ARM = np.exp([3.0, 0.0, -1.0, 0.0])
+"""Prior odds of white noise alone, and besides it an error linear in position, in the pose, and of
+an arm that nobody described.
 
-A model that is true leaves none of what views disagree in to their pixels. Simulated, it is 1 to 2
-times; where the camera's errors pass for the robot's, on real sets, 4 to 10.
+An error that is not there costs more than a small one that is missed. At odds of 7 instead of 20
+for white noise, fives and sixes of simulated views without a smooth error were 2 to 6 % farther off
+than by white noise alone; arms that do err outweigh either many times over.
 """
 
-DECISIVE = 10.0
-"""Deviance, more than white noise gains, for which a field needs not be believable."""
+PIXEL_RATE = 0.7
+"""Rate of the exponential prior of the logarithm of the effective over the white pixel sigma.
 
-ENOUGH_FOR_ARM = 10
-"""Views from which an arm that nobody described is tried.
-
-It has one size fewer than a field linear in the pose, and fits few views too well: eight of
-visp_franka_eih, an arm of seven joints, are likelier by it and err by a fifth more.
+The two agree where the model is true; on real sets they differ by up to a factor of ten.
 """
 
-PENALTY = 2.0
-"""Deviance that each further size of the field has to gain where views are many: Akaike's.
+NEGLIGIBLE = 0.01
+"""Weight below which a model is left out of the average."""
 
-Where there is nothing to find a size gains but half a chi-square's, since half of the time the best
-size is zero. But a field that is not there costs more than a small one that is missed: at a price
-of one it was taken in one of twenty simulations with white noise alone, at 8 to 25 views, and
-their error on unseen views grew by two thirds (`python -m benchmarks regimes`).
-
-With few views it is dearer, `1 + (FEW / views)^2` times: at eight, Akaike's is paid by chance in
-one of ten. Below, a model has to be believable instead.
-"""
-
-DEARER = 1.25
-"""Times Akaike's price below eight views.
-
-At its own, one of forty simulations of five views and little noise was given a field by chance; at
-1.5 times, a robot that does err, six views of koide_charuco 20230920, by 2.25 px instead of 2.08.
-"""
-
-STRETCH_GAINS = 13.0
-"""Deviance that a stretch of all ways beside the field has to gain.
-
-It is one number that robots and targets often have wrong, and that a field takes for one of many:
-with it, unseen views of visp_franka_eih err by half as much (it gains 33 there). But where there is
-nothing of the kind, what arms do looks like it: it gains up to 11 from simulated ones that err in
-their links, and from tampere_kuka_2, whose halves then put the camera 0.9 mm apart, not 0.4.
-"""
-
-TOO_LARGE = 5.0
-"""Times the first guess."""
-
-PLAIN = ("trusted", "white")
-"""Alternatives without a field."""
+SCALE = "target_scale"
+"""Name of the group that is the target's size, and of the parameter."""
 
 
 class Tried(NamedTuple):
-    """A model of the robot's error, and the sizes of errors that make it likeliest.
+    """A model of the robot's error, and the sizes of errors at which its posterior is largest.
 
     Attributes:
-        basis: the field that it was tried with; it may use its first groups alone.
-        active: which of translation, rotation, and groups of the basis have a size.
-        found: the likeliest sizes.
+        active: which of translation, rotation, and the groups of the basis have a size.
+        found: these sizes.
+        log_weight: logarithm of evidence and prior odds.
+        scaled: whether the target's size is free.
     """
 
-    basis: AbstractField | None
     active: Bool[np.ndarray, "robot"]
     found: Likeliest
-
-    @property
-    def field(self) -> AbstractField | None:
-        """The part of the basis that has a size; None where none has."""
-        groups = int(self.active[2:].sum())
-        if self.basis is None or not groups:
-            return None
-        return next(part for part in self.basis.nested if len(part.groups) == groups)
+    log_weight: float
+    scaled: bool
 
 
-def largest_field(data: Dataset) -> AbstractField:
-    """That of the arm itself where its joints are known, otherwise linear in the pose."""
+class Candidate(NamedTuple):
+    """A model to try.
+
+    Attributes:
+        groups: of the basis, that have a size.
+        log_odds: logarithm of its prior odds.
+    """
+
+    groups: frozenset[str]
+    log_odds: float
+
+
+def largest_field(data: Dataset, views: int) -> AbstractField:
+    """Return the basis that holds the error models to be tried on a data set.
+
+    Args:
+        data: with an arm, if the joints are known.
+        views: number of views that can be placed.
+    """
     if data.arm is not None:
         return DHErrors(data.arm)
-    return LinearInPose.over(read_poses(data))
+    poses = read_poses(data)
+    linear = LinearInPose.over(poses)
+    return CombinedField(linear, ImpliedArm.over(poses)) if views >= ARM_VIEWS else linear
 
 
 def read_poses(data: Dataset) -> SE3:
-    """Without what stands in for a pose that could not be read: it is nowhere near the others."""
+    """Return the poses without what stands in for those that could not be read."""
     masked = {view for view, _ in data.masked_views}
     read = np.array([view not in masked for view in data.view_ids])
     return SE3(data.base_from_tool.wxyz_xyz[read])
 
 
-def believed(
+def candidates(
+    asked: AbstractField | Literal[False] | None, basis: AbstractField | None
+) -> dict[str, Candidate]:
+    """Return the models to try, by name.
+
+    Args:
+        asked: the field that was asked for: None for a choice, False for none.
+        basis: the field that holds all of them.
+    """
+    white = {"white": Candidate(frozenset(), float(np.log(WHITE)))}
+    if basis is None:
+        return white
+    if asked is not None:
+        return white | {field_name(basis): Candidate(_groups(basis), 0.0)}
+    linear, arm = _parts(basis)
+    odds = (POSITION, POSE)
+    nested = linear.nested
+    found = {
+        field_name(part): Candidate(_groups(part), float(np.log(odds[min(k, 1)])))
+        for k, part in enumerate(nested)
+    }
+    if arm is not None:
+        found[field_name(arm)] = Candidate(_groups(arm), float(np.log(ARM)))
+    return white | found
+
+
+def try_all(
     views: LinearisedViews,
-    data: Dataset,
-    asked: AbstractField | Literal[False] | None,
-    basis: AbstractField | None,
-    scatter: Float[np.ndarray, "placed 6"],
-) -> tuple[str, dict[str, Tried]]:
-    """Name of the model that is believed, and every one that was tried.
+    models: Mapping[str, Candidate],
+    groups: tuple[str, ...],
+    guess: Sizes,
+    prior: SizePrior,
+    wrong_target: float,
+) -> dict[str, Tried]:
+    """Find the sizes and the weight of every model; those without a finite one are left out.
 
     Args:
         views: linearised with the basis.
-        data: whose views they are.
-        asked: as `estimate_noise` has it; a field that is asked for is believed.
-        basis: of the field; None where there is none.
-        scatter: of the placed views' own best poses about the start's chain.
-    """
-    tried = _nested(views, asked, basis, scatter)
-    if asked is not None:
-        return list(tried)[-1], tried
-    # Who holds the robot's error asks for none.
-    undescribed = data.arm is None and bool(np.any(np.asarray(views.group) >= 0))
-    command, read = data.observations.command, read_poses(data)
-    if undescribed and len(scatter) >= ENOUGH_FOR_ARM:
-        arm = ImpliedArm.over(read)
-        guess = _first_guess(scatter, arm, views).field
-        tried[field_name(arm)] = _instead(views, command, arm, tried["white"], TOO_LARGE * guess)
-    name = _choice(tried, float(views.white_sigma), len(scatter))
-    field = tried[name].field
-    if undescribed and field is not None:
-        stretched, found = Stretched.over(field, read), tried[name].found
-        guess = _first_guess(scatter, stretched, views).field[-1:]
-        known = found.sizes.field[: len(field.groups)]
-        begin = jnp.concatenate([known, TOO_LARGE * guess])
-        other = f"stretched {name}"
-        tried[other] = _instead(views, command, stretched, tried[name], begin)
-        if gain(tried, other) - gain(tried, name) >= STRETCH_GAINS:
-            name = other
-    return name, tried
-
-
-def gain(tried: dict[str, Tried], name: str) -> float:
-    """Deviance of one below that of a robot that is trusted."""
-    return float(tried["trusted"].found.deviance - tried[name].found.deviance)
-
-
-def _nested(
-    views: LinearisedViews,
-    asked: AbstractField | Literal[False] | None,
-    basis: AbstractField | None,
-    scatter: Float[np.ndarray, "placed 6"],
-) -> dict[str, Tried]:
-    """The likeliest sizes of every model that the basis has, each containing the one before.
-
-    A field that is not asked for is tried only where the views' poses have numbers enough for its
-    coefficients and the chain's twelve.
-    """
-    place = np.arange(2 + (0 if basis is None else len(basis.groups)))
-    masks = {"trusted": place < 0, "white": place < 2}
-    if asked is None and basis is not None:
-        for part in basis.nested:
-            if 6 * len(scatter) >= part.size + 12:
-                masks[field_name(part)] = place < 2 + len(part.groups)
-    elif basis is not None:
-        masks[field_name(basis)] = place >= 0
-    return _searched(views, basis, masks, _first_guess(scatter, basis, views))
-
-
-def _instead(
-    views: LinearisedViews,
-    command: Command,
-    field: AbstractField,
-    known: Tried,
-    begin: Float[jax.Array, "groups"],
-) -> Tried:
-    """A field in the place of the one that the views were linearised with.
-
-    Args:
-        views: linearised, with any field.
-        command: as reported, of all views.
-        field: to try.
-        known: where the sizes of pixels and of poses begin.
-        begin: where the field's own do.
-    """
-    group = np.repeat(np.arange(len(field.groups)), [count for _, count in field.groups])
-    others = int(np.sum(np.asarray(views.group) < 0))
-    there = views.with_field(_twists(field, command), group, others)
-    sizes = eqx.tree_at(lambda s: s.field, known.found.sizes, begin)
-    active = np.ones(2 + len(field.groups), dtype=bool)
-    return Tried(field, active, search(there, sizes, jnp.asarray(active)))
-
-
-def _choice(tried: dict[str, Tried], white_sigma: float, views: int) -> str:
-    """Trusted, white, or a field; of nested ones the largest: its groups switch themselves off."""
-    price = PENALTY * (1.0 + (FEW / views) ** 2 if views >= FEW else DEARER)
-
-    def believable(name: str) -> bool:
-        return views >= FEW or float(tried[name].found.sizes.pixel) <= BELIEVABLE * white_sigma
-
-    def worth(name: str) -> float:
-        return gain(tried, name) - price * tried[name].active.sum()
-
-    # By basis, the last is the largest; without a field there is one all the same.
-    largest = {id(one.basis): name for name, one in tried.items()}
-    field = max(largest.values(), key=worth)
-    likelier = field not in PLAIN and worth(field) >= worth("white")
-    if likelier and (believable(field) or gain(tried, field) - gain(tried, "white") >= DECISIVE):
-        return field
-    return "white" if worth("white") >= 0.0 and believable("white") else "trusted"
-
-
-def _first_guess(
-    scatter: Float[np.ndarray, "placed 6"], basis: AbstractField | None, views: LinearisedViews
-) -> Sizes:
-    """From how the placed views' own best poses scatter about the start's chain."""
-    size = np.median(np.abs(scatter).reshape(-1, 2, 3), axis=(0, 2))
-    translation, rotation = np.maximum(size, 1e-6)
-    groups = [] if basis is None else [name for name, _ in basis.groups]
-    field = [translation if name.startswith("translation") else rotation for name in groups]
-    return Sizes.of(jnp.array([3.0 * float(views.white_sigma), translation, rotation, *field]))
-
-
-def _searched(
-    views: LinearisedViews,
-    basis: AbstractField | None,
-    masks: dict[str, Bool[np.ndarray, "robot"]],
-    guess: Sizes,
-) -> dict[str, Tried]:
-    """Each from where the one before ended, with what is new far too large.
-
-    A size near zero has next to no slope. Where that ends worse, the one before is kept.
+        models: from `candidates`.
+        groups: names of the basis' groups, in order, and `SCALE` last where the target's size is a
+            parameter.
+        guess: sizes where the searches begin.
+        prior: of the sizes of all groups.
+        wrong_target: probability that the target is not of its stated size.
     """
     tried: dict[str, Tried] = {}
-    previous, begin = None, guess
-    for name, active in masks.items():
-        found = search(views, begin, jnp.asarray(active))
-        if previous is not None and previous.deviance < found.deviance:
-            found = previous
-        previous = found
-        tried[name] = Tried(basis, active, found)
-        if active.any():
-            known = np.concatenate([[True], active])
-            begin = Sizes.of(jnp.where(known, found.sizes.numbers, TOO_LARGE * guess.numbers))
+    for scaled in (False, True) if SCALE in groups else (False,):
+        odds = np.log(wrong_target / (1.0 - wrong_target)) if scaled else 0.0
+        for name, model in models.items():
+            chosen = model.groups | ({SCALE} if scaled else set())
+            active = np.array([True, True, *(group in chosen for group in groups)])
+            found = search(views, guess, jnp.asarray(active), prior)
+            weight = float(log_evidence(found, active, prior) + model.log_odds + odds)
+            if np.isfinite(weight):
+                known = f"{name}, {SCALE}" if scaled else name
+                tried[known] = Tried(active, found, weight, scaled)
     return tried
 
 
-@compiled
-def _twists(field: AbstractField, command: Command) -> Float[jax.Array, "views 6 coefficients"]:
-    return field.by_coefficients(command, jnp.zeros(field.size))
+def log_evidence(found: Likeliest, active: Bool[np.ndarray, "robot"], prior: SizePrior) -> float:
+    """Return the logarithm of a model's evidence by Laplace's method, up to a common constant."""
+    kinds = np.concatenate([[True], active])
+    information = np.asarray(found.information)[np.ix_(kinds, kinds)] / (2.0 * np.pi)
+    if not np.isfinite(information).all():
+        return -np.inf
+    widths = np.sqrt(2.0 * np.pi) * np.asarray(prior.spread)[active]
+    logarithm = np.linalg.slogdet(information)[1]
+    return float(-0.5 * found.deviance - 0.5 * logarithm - np.sum(np.log(widths)))
+
+
+def probabilities(tried: Mapping[str, Tried]) -> dict[str, float]:
+    """Return the models' weights, one together."""
+    logs = np.array([one.log_weight for one in tried.values()])
+    weights = np.exp(logs - logs.max())
+    return dict(zip(tried, map(float, weights / weights.sum()), strict=True))
+
+
+def kept(weights: Mapping[str, float]) -> dict[str, float]:
+    """Return the weights without those that are negligible, one together again."""
+    large = {name: weight for name, weight in weights.items() if weight >= NEGLIGIBLE}
+    whole = sum(large.values())
+    return {name: weight / whole for name, weight in large.items()}
+
+
+def averaged(tried: Mapping[str, Tried], weights: Mapping[str, float]) -> Sizes:
+    """Return the sizes whose variances are the weighted averages of the models'."""
+    numbers = [np.asarray(tried[name].found.sizes.numbers) for name in weights]
+    shares = np.array(list(weights.values()))
+    return Sizes.of(jnp.asarray(np.sqrt(shares @ np.square(numbers))))
+
+
+def field_of(
+    basis: AbstractField | None, models: Mapping[str, Candidate], names: set[str]
+) -> AbstractField | None:
+    """Return the smallest part of the basis that holds the named models; None for white noise."""
+    groups = frozenset().union(*(models[name].groups for name in names))
+    if basis is None or not groups:
+        return None
+    linear, arm = _parts(basis)
+    if arm is None or not groups & _groups(arm):
+        return next(part for part in linear.nested if groups <= _groups(part))
+    rest = groups - _groups(arm)
+    if not rest:
+        return arm
+    return CombinedField(next(part for part in linear.nested if rest <= _groups(part)), arm)
+
+
+def size_prior(prior: RobotPrior, field: AbstractField | None, with_scale: bool) -> SizePrior:
+    """Return the prior of the sizes of a field's groups, and of the target's where it is free."""
+    median, spread = prior.medians(field), np.asarray(prior.spreads(field))
+    if with_scale:
+        # A known width, not one to be found: log-normal, and next to no spread.
+        median, spread = np.append(median, prior.wrong_target_std), np.append(spread, 0.01)
+    return SizePrior(jnp.asarray(median), jnp.asarray(spread), jnp.asarray(PIXEL_RATE))
+
+
+def first_guess(prior: SizePrior, white_sigma: float) -> Sizes:
+    """Return the prior's medians, and pixels that scatter a little more than within views."""
+    return Sizes.of(jnp.concatenate([jnp.asarray([1.1 * white_sigma]), prior.median]))
+
+
+def _parts(basis: AbstractField) -> tuple[AbstractField, AbstractField | None]:
+    """Return a basis without the arm that nobody described, and that arm."""
+    if isinstance(basis, CombinedField):
+        return basis.first, basis.second
+    return basis, None
+
+
+def _groups(field: AbstractField) -> frozenset[str]:
+    return frozenset(name for name, _ in field.groups)
 
 
 search = optimised(likeliest)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Bool
 
 from ..calibration import Calibration
@@ -20,6 +21,9 @@ LENS = "opencv4"
 
 One that does not decentre hides on some of them what the arm does.
 """
+
+WORSE_THAN_STAGED, MUCH_WORSE_THAN_STAGED = 1.5, 5.0
+"""Residuals over the staged fit's that are remarkable: of the whole fit, and of the bare chain."""
 
 STEP2 = {"kalman": kalman_filter, "batch": batch_filter}
 """Ways of fitting one camera to all views."""
@@ -41,6 +45,11 @@ class CalibrationFit(eqx.Module):
         """What either left out, once and with the first reason: the joint fit saw neither."""
         both = (*self.staged.rejected, *self.joint.rejected)
         return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against the answer: the joint fit's own doubts, and the staged fit's say."""
+        return (*self.joint.warnings, *_beside_staged(self))
 
     def __getattr__(self, name: str):
         if name.startswith("__"):
@@ -104,6 +113,28 @@ def best_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     free = tuple(name for name in ("target_scale",) if name in moved)
     used = _seen_only(data, fit.joint.problem.observations.visible)
     return fit_joint(used, start, noise="trusted", fixed=held, free=free).calibration
+
+
+def _beside_staged(fit: CalibrationFit) -> tuple[str, ...]:
+    """Return what the staged fit says against the joint one."""
+    joint = fit.joint
+    seen = np.asarray(joint.inliers)
+
+    def rms(residuals: Array) -> float:
+        return float(np.sqrt(np.mean(np.sum(np.asarray(residuals)[seen] ** 2, axis=-1))))
+
+    staged, whole = rms(fit.staged.residuals), rms(joint.residuals)
+    found = []
+    if whole > WORSE_THAN_STAGED * staged:
+        found.append(f"the joint fit leaves {whole:.2f} px RMS, the staged one {staged:.2f}")
+    if joint.calibration.robot_error is not None:
+        bare = rms(chain_residuals(joint.calibration.uncorrected, joint.problem.observations))
+        if bare > MUCH_WORSE_THAN_STAGED * staged:
+            found.append(
+                f"without its correction of the robot the chain leaves {bare:.1f} px RMS, the "
+                f"staged one {staged:.1f}: the correction holds what belongs elsewhere"
+            )
+    return tuple(found)
 
 
 def _seen_only(data: Dataset, these: Bool[Array, "views points"]) -> Dataset:

@@ -15,7 +15,7 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
-from ..robots import AbstractField
+from ..robots import AbstractField, RobotPrior
 from ..staged import FitCode, FitResult
 from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
@@ -27,6 +27,7 @@ from .losses import AbstractLoss
 from .noise import Noise
 from .observability import Observability, observability
 from .parameters import Parameters, Step, parameter_names, select
+from .plausibility import UNUSUAL, doubts
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
@@ -42,6 +43,9 @@ ABSURD = 1e-6
 
 Far below the usual level: real robots' errors have longer tails than the normal distribution.
 """
+
+SPOILS = 3.0
+"""Ratio of the sizes of errors of reported poses with and without a view, if its pose is wrong."""
 
 BAD_VIEWS = ("keep", "leave_out")
 
@@ -100,6 +104,11 @@ class JointFit(eqx.Module):
     view_ids: tuple[str, ...] = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against the answer, a sentence each; nothing where all is well."""
+        return doubts(self)
+
     def margin(self, name: str, level: float = 0.95) -> float:
         """How far either way of what was found a shared parameter's true value is, at most.
 
@@ -157,6 +166,7 @@ def fit_joint(
     devices: Sequence[Any] | None = None,
     bad_views: str | None = None,
     progress: Callable[[str], None] | None = None,
+    robot_prior: RobotPrior | None = None,
 ) -> JointFit:
     """Fit camera, hand-eye and world (and more, if asked) to all pixels at once.
 
@@ -182,6 +192,8 @@ def fit_joint(
             others', and lists them in `rejected`; `"keep"` takes the data as they are, and so does
             None unless the noise is estimated.
         progress: told what is being done.
+        robot_prior: how large errors of arms usually are, where the noise is estimated; by default
+            those of good industrial arms.
 
     Raises:
         ValueError: an unknown path or name, too few views, or a start from which a view's points
@@ -192,13 +204,16 @@ def fit_joint(
     say, start = progress or (lambda _: None), with_lens(start, lens)
 
     def fit(data: Dataset, apart: Rejected) -> tuple[JointFit, BlockArrow]:
-        model, begin, smooth, estimate = noise, start, field, None
+        model, begin, smooth, estimate, opened = noise, start, field, None, tuple(free)
         if noise == "estimated":
-            estimate = estimate_noise(data, begin, field, fixed, free, priors, progress)
+            estimate = estimate_noise(
+                data, begin, field, fixed, free, priors, progress, robot_prior
+            )
             model, smooth, begin = estimate.noise, estimate.field, estimate.start
+            opened += estimate.free
         if smooth is False:
             begin, smooth = begin.uncorrected, None
-        built = build_problem(data, begin, None, model, loss, fixed, free, priors, smooth)
+        built = build_problem(data, begin, None, model, loss, fixed, opened, priors, smooth)
         count = len(built.names) + len(built.own_names)
         say(f"joint fit: {count} parameters, {data.observation_count} observations")
 
@@ -215,9 +230,20 @@ def fit_joint(
         return fit(data, ())[0]
     used, apart = screened(data, start, fixed, priors, progress)
     found, matrix = fit(used, apart)
-    while (doubt := _doubtful_view(used, found, matrix)) is not None:
-        used = without_views(used, dict([doubt]))
-        found, matrix = fit(used, apart)
+    while True:
+        if (doubt := _doubtful_view(used, found, matrix)) is not None:
+            used = without_views(used, dict([doubt]))
+            found, matrix = fit(used, apart)
+        elif (suspect := _suspect_view(used, found, matrix)) is not None:
+            # One wrong pose makes all of them look bad: judged by what is left without it.
+            without = without_views(used, {suspect: ""})
+            other, matrix = fit(without, apart)
+            if (reason := _spoiled(found, other)) is None:
+                break
+            used = without_views(used, {suspect: reason})
+            found, matrix = fit(used, apart)
+        else:
+            break
     # What was left out is predicted all the same.
     everything = chain_residuals(found.calibration, data.observations)
     return eqx.tree_at(lambda f: f.residuals, found, everything)
@@ -251,8 +277,7 @@ def view_influence(fit: JointFit) -> Influence:
 
 def _doubtful_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
     """The view whose pose the others make least believable, if it is absurd, and why."""
-    trusted = fit.noise is None or (fit.estimate is not None and fit.estimate.name == "trusted")
-    if trusted or len(data.usable_views()) <= FEWEST:
+    if fit.noise is None or len(data.usable_views()) <= FEWEST:
         return None
     scores = pose_scores(fit.problem, fit.solution.z, matrix, fit.estimate is None)
     distance, chance = np.asarray(scores.distance), np.asarray(scores.p_value)
@@ -263,6 +288,35 @@ def _doubtful_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[in
         f"its pose lies {distance[worst]:.0f} standard deviations from where the other views put "
         f"it: mispaired or moved?"
     )
+
+
+def _suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None:
+    """Return the view whose pose is least believable, where poses err more than robots do."""
+    estimate, noise = fit.estimate, fit.noise
+    if estimate is None or noise is None or len(data.usable_views()) <= FEWEST:
+        return None
+    usual = estimate.prior.medians(None) * np.exp(UNUSUAL * estimate.prior.spreads(None))
+    if noise.translation <= usual[0] and noise.rotation <= usual[1]:
+        return None
+    scores = pose_scores(fit.problem, fit.solution.z, matrix, sizes_known=False)
+    return int(np.argmin(np.asarray(scores.p_value)))
+
+
+def _spoiled(fit: JointFit, without: JointFit) -> str | None:
+    """Return why a view is left out: what the others' poses err by with it, and without it."""
+    assert fit.noise is not None
+    assert without.noise is not None
+    for name, unit, times in (
+        ("translation", "mm", 1e3),
+        ("rotation", "degrees", float(np.rad2deg(1.0))),
+    ):
+        before, after = (times * getattr(f.noise, name) for f in (fit, without))
+        if before > SPOILS * after:
+            return (
+                f"its pose contradicts the others': with it reported poses err by {before:.3g} "
+                f"{unit}, without it by {after:.3g}: mispaired or moved?"
+            )
+    return None
 
 
 def _assemble(

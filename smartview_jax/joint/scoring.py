@@ -42,14 +42,29 @@ STEPS = 100
 FIRST_DAMPING, DAMPINGS = 1e-2, (1e-6, 1e8)
 
 
+class SizePrior(NamedTuple):
+    """Independent priors on the sizes of errors.
+
+    Attributes:
+        median: of the log-normal priors of the robot's errors: translation, rotation, each group.
+        spread: standard deviations of their logarithms.
+        pixel_rate: of the exponential prior of the logarithm of the effective pixel sigma over the
+            white one.
+    """
+
+    median: Float[Array, "robot"]
+    spread: Float[Array, "robot"]
+    pixel_rate: Float[Array, ""]
+
+
 class Likeliest(NamedTuple):
     """Where the search ended.
 
     Attributes:
         sizes: of all errors.
-        deviance: there.
+        deviance: there, with twice the prior's negative logarithm where there is a prior.
         gained: by how much it was higher where the search began.
-        information: Fisher's, of the logarithms of the sizes.
+        information: Fisher's, of the logarithms of the sizes, with the prior's precision.
         steps: that were tried.
     """
 
@@ -109,14 +124,20 @@ def fisher_information(
     return 2.0 * by_precision
 
 
-def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]) -> Likeliest:
-    """The sizes of errors that make the views' statistics likeliest.
+def likeliest(
+    views: LinearisedViews,
+    start: Sizes,
+    active: Bool[Array, "robot"],
+    prior: SizePrior | None = None,
+) -> Likeliest:
+    """Maximise the restricted likelihood, or the posterior, over the sizes of errors.
 
     Args:
         views: linearised.
         start: where the search begins.
         active: which errors of the robot may have a size: of translation, of rotation, of each
             group of the field; the others have none.
+        prior: of the sizes; None for none.
     """
     least = views.least(len(start.numbers))
     searched = jnp.concatenate([jnp.ones(1, bool), active])
@@ -132,8 +153,10 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
         at = integrate(views, sizes)
         slope = 0.5 * slopes(views, sizes, at).numbers * sizes.numbers
         told = fisher_information(views, at, len(sizes.field))
+        penalty, pull, precision = _penalty(logarithms, jnp.log(least[0]), active, prior)
+        told, deviance = told + jnp.diag(precision), at.deviance + 2.0 * penalty
         return _Expansion(
-            x, sizes, at.deviance, told, along * slope, told * jnp.outer(along, along)
+            x, sizes, deviance, told, along * (slope + pull), told * jnp.outer(along, along)
         )
 
     # A size that rests on n draws has a logarithm known to about 1 / sqrt(2 n).
@@ -146,6 +169,23 @@ def likeliest(views: LinearisedViews, start: Sizes, active: Bool[Array, "robot"]
     best = search.best
     gained = first.deviance - best.deviance
     return Likeliest(best.sizes, best.deviance, gained, best.information, search.steps)
+
+
+def _penalty(
+    logarithms: Float[Array, "kinds"],
+    white: Float[Array, ""],
+    active: Bool[Array, "robot"],
+    prior: SizePrior | None,
+) -> tuple[Float[Array, ""], Float[Array, "kinds"], Float[Array, "kinds"]]:
+    """Return the prior's negative logarithm, and its first and second derivatives by the sizes'."""
+    if prior is None:
+        nothing = jnp.zeros_like(logarithms)
+        return jnp.zeros(()), nothing, nothing
+    precision = jnp.where(active, prior.spread**-2, 0.0)
+    off = logarithms[1:] - jnp.log(prior.median)
+    value = 0.5 * jnp.sum(precision * off**2) + prior.pixel_rate * (logarithms[0] - white)
+    pull = jnp.concatenate([prior.pixel_rate[None], precision * off])
+    return value, pull, jnp.pad(precision, (1, 0))
 
 
 class _Expansion(NamedTuple):

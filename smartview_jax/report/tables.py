@@ -23,7 +23,7 @@ from ..evaluation import (
     without_rejected_views,
 )
 from ..joint import CalibrationFit, JointFit
-from ..joint.alternatives import FEW
+from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
 from ..joint.parameters import ROBOT_ERROR
 from ..robots import arm_of
 
@@ -180,15 +180,18 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     noise, estimate = joint.noise, joint.estimate
     if noise is None or estimate is None:
         return []
-    gains = ", ".join(f"{other.name} {other.gain:.0f}" for other in estimate.alternatives)
+    chances = ", ".join(
+        f"{other.name} {other.probability:.2f}"
+        for other in estimate.alternatives
+        if other.probability >= 0.005
+    )
     white = "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
     # Of a size that is next to nothing the share says nothing.
     known = [f" +- {share:.0%}" if share < 1.0 else "" for share in estimate.relative_std]
     lines = [
         (
             "errors of the robot",
-            f"{_in_words(estimate.name)}; twice the logarithm of likelihood over a trusted robot: "
-            f"{gains}",
+            f"{_in_words(estimate.name)}; probabilities: {chances}",
         ),
         (
             "sizes of errors",
@@ -212,7 +215,6 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
 
 
 MODELS = {
-    "trusted": "none that can be believed",
     "white": "each pose by itself",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
@@ -224,9 +226,7 @@ MODELS = {
 
 
 def _in_words(name: str) -> str:
-    model = name.removeprefix("stretched ")
-    besides = "" if model == name else "; and all ways too long, or too short, by one share"
-    return f"{name} ({MODELS[model]}{besides})" if model in MODELS else name
+    return f"{name} ({MODELS[name]})" if name in MODELS else name
 
 
 def models_chosen(names: Iterable[str]) -> str:
@@ -361,6 +361,7 @@ def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
     left = count_rejected(rejected_by(fit) or ()).views
     if left:
         text += f" Of {views} views {left} {'is' if left == 1 else 'are'} rejected and not counted."
-    if used < FEW:
-        text += f" With {used} views no figure here is reliable: take {FEW} at least."
+    if used < MINIMUM_RELIABLE_VIEWS:
+        fewest = MINIMUM_RELIABLE_VIEWS
+        text += f" With {used} views no figure here is reliable: take {fewest} at least."
     return text

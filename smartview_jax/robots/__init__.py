@@ -5,6 +5,7 @@ from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios
 from .arm_errors import arm_of as arm_of
 from .axes import arm_from_axes as arm_from_axes
+from .combined import CombinedField as CombinedField
 from .command import Command as Command
 from .command import CommandLike as CommandLike
 from .command import JointsLike as JointsLike
@@ -33,6 +34,7 @@ from .puma_inverse import is_puma_like as is_puma_like
 from .puma_inverse import nearest_puma_joints as nearest_puma_joints
 from .puma_inverse import puma_joints as puma_joints
 from .robot_error import RobotError as RobotError
+from .robot_prior import RobotPrior as RobotPrior
 from .serial_arm import SerialArm as SerialArm
 from .solve_joints import joints_for_pose as joints_for_pose
 from .stretch import PoseOrStretch as PoseOrStretch

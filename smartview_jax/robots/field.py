@@ -87,6 +87,11 @@ class AbstractField(eqx.Module):
         return (self,)
 
     @property
+    def unit_length(self) -> float:
+        """Distance, m, per which the coefficients of what grows with the position are."""
+        return 1.0
+
+    @property
     def size(self) -> int:
         """Number of coefficients."""
         return sum(count for _, count in self.groups)

@@ -35,6 +35,10 @@ class LinearInPosition(AbstractLinearField):
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (("translation_by_position", 9), ("rotation_by_position", 9))
 
+    @property
+    def unit_length(self) -> float:
+        return float(self.reach)
+
     def extent(self, reported: Command) -> Float[Array, "*views"]:
         return share_of_reach(self.centre, self.reach, reported)
 
@@ -71,6 +75,10 @@ class LinearInPose(AbstractLinearField):
             ("translation_by_orientation", 18),
             ("rotation_by_orientation", 18),
         )
+
+    @property
+    def unit_length(self) -> float:
+        return float(self.reach)
 
     def extent(self, reported: Command) -> Float[Array, "*views"]:
         return share_of_reach(self.centre, self.reach, reported)

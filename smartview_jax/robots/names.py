@@ -1,6 +1,7 @@
 """Fields by the name that files and options use."""
 
 from .arm_errors import DHErrors, JointOffsets, JointRatios
+from .combined import CombinedField
 from .field import AbstractField
 from .implied_arm import ImpliedArm
 from .linear_fields import LinearInPose, LinearInPosition
@@ -14,6 +15,7 @@ FIELDS: dict[str, type[AbstractField]] = {
     "joint_ratios": JointRatios,
     "dh": DHErrors,
     "stretched": Stretched,
+    "combined": CombinedField,
 }
 
 

@@ -51,6 +51,10 @@ class Stretched(AbstractField):
     def names(self) -> tuple[str, ...]:
         return (*self.field.names, f"{STRETCH}.0")
 
+    @property
+    def unit_length(self) -> float:
+        return float(self.reach)
+
     def extent(self, reported: Command) -> Float[Array, "*views"]:
         return self.field.extent(reported)
 
@@ -95,6 +99,10 @@ class PoseOrStretch(AbstractLinearField):
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (*self.pose.groups, (self.STRETCH, 1), (self.SCALE, 1))
+
+    @property
+    def unit_length(self) -> float:
+        return self.pose.unit_length
 
     def extent(self, reported: Command) -> Float[Array, "*views"]:
         return self.pose.extent(reported)

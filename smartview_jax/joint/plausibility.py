@@ -1,0 +1,157 @@
+"""Is what a fit found possible? Doubts about its answer, in words.
+
+A fit that converged with small residuals can still be wrong: residuals say how well a model bends
+to the data, not whether arms, targets and mounts are like that. What a fit found is held against
+what is known of arms, against itself without the smooth error of the robot, and against what a
+hand-eye calibration is for.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..compilation import compiled
+from ..dataset import Observations
+from ..robots import RobotError
+from .alternatives import MINIMUM_RELIABLE_VIEWS, SCALE
+from .estimate import DECIDED
+
+if TYPE_CHECKING:
+    from .fit import JointFit
+
+LARGEST_TRANSLATION, LARGEST_ROTATION = 5e-3, float(np.deg2rad(1.5))
+"""Correction of a reported pose, m and rad, beyond which arms do not err smoothly."""
+
+UNUSUAL = 3.0
+"""Prior standard deviations beyond which the size of an error is unusual."""
+
+COARSE_TRANSLATION, COARSE_ROTATION = 5e-3, float(np.deg2rad(0.5))
+"""Half widths of 95 % intervals of the hand-eye transform, m and rad, too coarse to work with."""
+
+MOVED = 2.0
+"""Standard deviations by which correcting the robot may move the mount unmentioned."""
+
+SCATTERED = 5.0
+"""Effective over white sigma of the pixels above which camera or target are not as modelled."""
+
+FAR_OFF_RMS = 20.0
+"""RMS of the chain's residuals, px, that no lens and no arm explains."""
+
+POSSIBLE = 0.05
+"""Probability of another size of the target from which it is mentioned."""
+
+
+def doubts(fit: "JointFit") -> tuple[str, ...]:
+    """Return what speaks against a joint fit's answer, a sentence each; nothing where all is well.
+
+    Args:
+        fit: to judge.
+    """
+    found = [] if fit.result.converged else [fit.result.message]
+    found += _of_residuals(fit)
+    found += _of_target(fit)
+    found += _of_robot(fit)
+    found += _of_mount(fit)
+    found += [f"the data do not tell: {one.words}" for one in fit.observability.null]
+    found += [f"the data hardly tell: {one.words}" for one in fit.observability.weak]
+    used = int((np.asarray(fit.inliers).sum(axis=1) > 0).sum())
+    if used < MINIMUM_RELIABLE_VIEWS:
+        found.append(
+            f"{used} views are few: no figure is reliable with fewer than {MINIMUM_RELIABLE_VIEWS}"
+        )
+    return tuple(found)
+
+
+def _of_residuals(fit: "JointFit") -> list[str]:
+    seen = np.asarray(fit.inliers)
+    squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)
+    rms = float(np.sqrt(np.mean(squares[seen]))) if seen.any() else np.nan
+    found = []
+    if not rms <= FAR_OFF_RMS:
+        found.append(
+            f"the chain leaves {rms:.0f} px RMS: poses and pictures do not belong together; "
+            f"mirrored pictures, another convention of the poses, or mispaired views?"
+        )
+    noise = fit.noise
+    if noise is not None and noise.white_pixel and noise.pixel > SCATTERED * noise.white_pixel:
+        found.append(
+            f"views disagree by {noise.pixel / noise.white_pixel:.0f} times what pixels scatter "
+            f"within a view: the lens, or the target's points, are not as modelled"
+        )
+    return found
+
+
+def _of_target(fit: "JointFit") -> list[str]:
+    scale = None if fit.estimate is None else fit.estimate.scale
+    if scale is None or scale.probability < POSSIBLE:
+        return []
+    chance = f"of its stated size (probability {scale.probability:.2f})"
+    if scale.probability > DECIDED:
+        size, std = float(fit.calibration.target_scale), fit.std[SCALE]
+        return [f"the target is {size:.4f} +- {std:.4f} {chance}, and taken so: measure it"]
+    return [f"the target may be {scale.size:.4f} +- {scale.std:.4f} {chance}: measure it"]
+
+
+def _of_robot(fit: "JointFit") -> list[str]:
+    if fit.estimate is None or fit.noise is None:
+        return []
+    noise, prior, field = fit.noise, fit.estimate.prior, fit.calibration.field
+    sizes = np.array([noise.translation, noise.rotation, *noise.field])
+    names = ["translation of reported poses", "rotation of reported poses"]
+    names += [] if field is None else [name for name, _ in field.groups]
+    medians, spreads = prior.medians(field), prior.spreads(field)
+    beyond = np.log(sizes / medians) > UNUSUAL * spreads
+    found = [
+        f"errors of the robot are larger than arms have: {names[k]} {sizes[k]:.2g}, "
+        f"usually {medians[k]:.1g}"
+        for k in np.flatnonzero(beyond)
+    ]
+    error = fit.calibration.robot_error
+    if error is not None:
+        twists = np.asarray(_corrections(error, fit.problem.observations))
+        seen = np.asarray(fit.inliers).any(axis=1)
+        off = twists[seen] - twists[seen].mean(axis=0)
+        shift, turn = (np.linalg.norm(part, axis=1).max() for part in (off[:, :3], off[:, 3:]))
+        if shift > LARGEST_TRANSLATION or turn > LARGEST_ROTATION:
+            found.append(
+                f"the robot is corrected by up to {1e3 * shift:.1f} mm and "
+                f"{np.rad2deg(turn):.2f} degrees, which is more than arms err"
+            )
+    return found
+
+
+@compiled
+def _corrections(error: RobotError, seen: Observations) -> Float[Array, "views 6"]:
+    """Return the twists at the tool from the reported to the corrected poses."""
+    return (seen.base_from_tool.inverse() @ error.true_pose(seen.command)).log()
+
+
+def _of_mount(fit: "JointFit") -> list[str]:
+    mount = fit.calibration.transform_names[0]
+    found = []
+    for part, limit, unit, times in (
+        ("translation", COARSE_TRANSLATION, "mm", 1e3),
+        ("rotation", COARSE_ROTATION, "degrees", float(np.rad2deg(1.0))),
+    ):
+        names = [n for n in fit.parameter_names if n.startswith(f"{mount}.{part}.")]
+        widths = {name: fit.margin(name) for name in names}
+        coarse = {name: width for name, width in widths.items() if not width <= limit}
+        if coarse:
+            worst = max(coarse, key=lambda name: coarse[name])
+            found.append(
+                f"{worst} is known to +- {times * coarse[worst]:.3g} {unit} only (95 %): "
+                f"take more views, turned about more axes"
+            )
+    if fit.estimate is not None and fit.estimate.mount_shift is not None:
+        shift = np.array(fit.estimate.mount_shift)
+        names = [f"{mount}.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
+        known = [k for k, name in enumerate(names) if np.isfinite(fit.std.get(name, np.inf))]
+        times = np.array([abs(shift[k]) / fit.std[names[k]] for k in known])
+        if len(times) and times.max() > MOVED:
+            found.append(
+                f"correcting the robot moves {mount} by {1e3 * np.linalg.norm(shift[:3]):.1f} mm "
+                f"and {np.rad2deg(np.linalg.norm(shift[3:])):.2f} degrees, {times.max():.0f} "
+                f"standard deviations"
+            )
+    return found
