@@ -24,6 +24,7 @@ from .rigid import mean_pose as mean_pose
 from .rigid import nearest_rotation as nearest_rotation
 from .rigid import rotation_angle as rotation_angle
 from .rigid import transform_points as transform_points
+from .viewing import FIVE_PATTERNS as FIVE_PATTERNS
 from .viewing import FIVE_STEP as FIVE_STEP
 from .viewing import direction_of as direction_of
 from .viewing import five_viewpoints as five_viewpoints

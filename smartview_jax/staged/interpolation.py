@@ -80,8 +80,8 @@ class Interpolation(eqx.Module):
     def inside(self, base_from_tool: CommandLike) -> Bool[np.ndarray, "*views"]:
         """Return whether robot poses lie between the viewpoints; others are extrapolated.
 
-        Between means within the hull of the viewpoints' positions, and no farther from the plane
-        or line that they span than the farthest of them.
+        Between means within the hull of the viewpoints' positions along what they span, and no
+        farther across it than the farthest of them, or than `FLAT` times their reach.
         """
         positions = np.asarray(as_command(base_from_tool).base_from_tool.translation())
         corners, axes = np.asarray(self.positions), np.asarray(self.axes)
@@ -91,7 +91,7 @@ class Interpolation(eqx.Module):
         # In the hull is what weights of sum 1 reproduce without one of them being negative.
         A = np.vstack([np.full(len(corners), _SUM_TO_ONE), axes @ corners.T])
         gaps = np.array([nnls(A, np.r_[_SUM_TO_ONE, axes @ place])[1] for place in places])
-        thickness = _distance_across(corners, axes).max()
+        thickness = max(_distance_across(corners, axes).max(), FLAT)
         near = _distance_across(places, axes) <= thickness + ON_THE_HULL
         return (near & (gaps <= ON_THE_HULL)).reshape(positions.shape[:-1])
 
