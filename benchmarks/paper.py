@@ -51,7 +51,7 @@ def stylus_misses(
 
 
 def run(smoke: bool = False) -> bool:
-    """Print both tables; True where each of the paper's rows is within its spread of the paper's."""
+    """Print both tables; True where the paper's rows are within their spread of its own."""
     seeds = range(1 if smoke else 20)
     deviations: dict[str, list[np.ndarray]] = {}
     misses: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}

@@ -75,7 +75,7 @@ def unseen_deviations(predictor: Predictor, unseen: Scene) -> np.ndarray:
 
 
 def run(smoke: bool = False) -> bool:
-    """Print the tables; True where each of the paper's rows is within its spread of the paper's."""
+    """Print the tables; True where the paper's rows are within their spread of its own."""
     means = _table("the paper's set-up", PaperSetUp(), methods() | joint_methods(), smoke, 40)
     for name, setup in ({} if smoke else ABLATIONS).items():
         _table(name, setup, methods(), smoke, 20)
