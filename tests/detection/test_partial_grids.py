@@ -60,9 +60,9 @@ def test_circles_that_are_hidden_do_not_lose_the_others(target, turn, which):
 def test_a_circle_cut_by_the_border_is_left_out_and_no_other():
     image, centres = drawn(PLAIN, 0.0)
     edge = int(np.floor(centres[:, 0].max()))
-    left = edge - centres[:, 0] > 14.0
-    assert 70 < left.sum() < 80
-    found = detect(np.ascontiguousarray(image[:, :edge]), MARKED if left.sum() < 73 else PLAIN)
+    left = edge - centres[:, 0] > 12.0
+    assert left.sum() == 77
+    found = detect(np.ascontiguousarray(image[:, :edge]), PLAIN)
     assert_seen(found, PLAIN, centres, left)
 
 
@@ -129,7 +129,7 @@ def test_a_picture_of_noise_is_not_searched_for_long(monkeypatch):
 
 def test_among_too_many_blobs_those_of_like_size_are_kept():
     specks = [cv2.KeyPoint(50.0 + k % 500, 60.0 + k % 300, 3.0 + 0.01 * (k % 9)) for k in range(99)]
-    circles = [cv2.KeyPoint(50.0 + 4.0 * k, 200.0, 12.0 + 0.2 * (k % 30)) for k in range(150)]
+    circles = [cv2.KeyPoint(50.0 + 3.0 * k, 200.0, 12.0 + 0.2 * (k % 30)) for k in range(150)]
     assert candidates(specks + circles, 40, (480, 640)) == sorted(circles, key=lambda b: b.size)
     assert candidates(specks + circles, 20, (480, 640)) == []
     assert len(candidates(specks + circles, 80, (480, 640))) == 249
