@@ -54,7 +54,7 @@ def partial_grid(
     blobs = np.array(list(cells.values()))
     turned = [_turned(placed, quarter) for quarter in range(4)]
     fits = [cell for cell in turned if (cell.max(axis=0) < (target.rows, target.columns)).all()]
-    rows, columns = placed.max(axis=0) + 1
+    rows, columns = (fits or turned)[0].max(axis=0) + 1
     seen = f"{len(cells)} circles seen, on {rows} x {columns} places"
     if not fits:
         return f"{seen}: more than the grid of {target.rows} x {target.columns} has"
