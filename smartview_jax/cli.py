@@ -54,6 +54,13 @@ NoiseOption = Annotated[
 BadViewsOption = Annotated[
     BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
 ]
+BaseFromWorldOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Where the target stands, roughly, for a pattern that looks the same when turned: "
+        "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world if the camera stands)."
+    ),
+]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
 
 
@@ -104,6 +111,7 @@ def calibrate(
         bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
     ] = False,
     bad_views: BadViewsOption = BadViews.RAISE,
+    base_from_world: BaseFromWorldOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
@@ -116,9 +124,9 @@ def calibrate(
         from .joint import calibrate as fit_both
         from .report import halves_agree, summaries, write_page
 
-        notes: list[str] = []
         with _progress() as say:
-            data, name = _load(dataset, bad_views, say)
+            data, name = _load(dataset, bad_views, say, base_from_world)
+            notes = list(data.notes)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
             counted = without_rejected_views(data, fit)
             unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
@@ -166,6 +174,7 @@ def compare(
     dataset: DatasetArgument = None,
     lens: LensOption = "opencv4",
     bad_views: BadViewsOption = BadViews.RAISE,
+    base_from_world: BaseFromWorldOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
@@ -175,7 +184,7 @@ def compare(
         from .report import COMPARED, compared, remarks
 
         with _progress() as say:
-            data, name = _load(dataset, bad_views, say)
+            data, name = _load(dataset, bad_views, say, base_from_world)
             rows = compare_methods(data, standard_methods(lens), progress=say)
         table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
         for column in COMPARED:
@@ -186,6 +195,8 @@ def compare(
             table.add_row(*compared(row))
         console = Console()
         console.print(table)
+        for note in data.notes:
+            console.print(note, highlight=False)
         for row in rows:
             unseen = None if row.held_out is None else Unseen(row.held_out)
             for remark in remarks(row.name, row.fitted, unseen, row.failure):
@@ -347,14 +358,22 @@ def _readings(words: str | None, arm: "SerialArm | None") -> "np.ndarray | None"
 
 
 def _load(
-    dataset: Path | None, bad_views: str, say: Callable[[str], None]
+    dataset: Path | None,
+    bad_views: str,
+    say: Callable[[str], None],
+    base_from_world: str | None = None,
 ) -> "tuple[Dataset, str]":
-    from .io import load_dataset, sample_folder
+    from .io import load_dataset, parse_rough_pose, sample_folder
+
+    rough = None
+    if base_from_world is not None:
+        rough = parse_rough_pose("--base-from-world", base_from_world)
 
     if dataset is None:
         say("no data set given: the sample of the package")
         return load_dataset(sample_folder(), progress=say, keep_detections=False), "the sample"
-    return load_dataset(dataset, bad_views, progress=say), dataset.resolve().name
+    found = load_dataset(dataset, bad_views, progress=say, holder_from_world=rough)
+    return found, dataset.resolve().name
 
 
 def _held_out(

@@ -18,6 +18,7 @@ from .pairs import import_pairs as import_pairs
 from .pictures import from_pictures as from_pictures
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
+from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import sample_folder as sample_folder
 from .urdf import load_urdf as load_urdf
 from .viewpoints import Viewpoints as Viewpoints
