@@ -24,6 +24,9 @@ from .rigid import mean_pose as mean_pose
 from .rigid import nearest_rotation as nearest_rotation
 from .rigid import rotation_angle as rotation_angle
 from .rigid import transform_points as transform_points
+from .viewed_region import ViewedRegion as ViewedRegion
+from .viewed_region import region_from_dict as region_from_dict
+from .viewed_region import region_to_dict as region_to_dict
 from .viewing import FIVE_STEP as FIVE_STEP
 from .viewing import direction_of as direction_of
 from .viewing import five_viewpoints as five_viewpoints

@@ -18,6 +18,7 @@ from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
+from .region import with_region as with_region
 from .result import FitCode as FitCode
 from .result import FitResult as FitResult
 from .weng import ViewCalibrations as ViewCalibrations

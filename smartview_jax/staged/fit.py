@@ -17,6 +17,7 @@ from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
+from .region import with_region
 from .result import FitCode, FitResult
 from .weng import ViewCalibrations, calibrate_views, locate_views
 
@@ -177,7 +178,7 @@ def fit_staged(
     inliers = common.inliers & jnp.asarray(agreeing)[:, None]
     ids = data.view_ids
     return StagedFit(
-        calibration,
+        with_region(calibration, data, np.flatnonzero(agreeing)),
         step1,
         common,
         step3,
