@@ -159,7 +159,7 @@ def test_poses_the_wrong_way_round_are_named(tmp_path):
     (folder / "dataset.yaml").write_text(text.replace("base_from_tool", "tool_from_base"))
     run = RUNNER.invoke(app, ["calibrate", str(folder), "--out", str(tmp_path / "out")])
     assert run.exit_code == 2
-    assert "when every one is inverted" in run.stderr
+    assert "every pose is inverted" in run.stderr
     assert not (tmp_path / "out").exists()
 
 

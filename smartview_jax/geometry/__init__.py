@@ -5,6 +5,7 @@ from .conics import conic_centre as conic_centre
 from .conics import region_centroid as region_centroid
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
+from .host import host_matrices as host_matrices
 from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
