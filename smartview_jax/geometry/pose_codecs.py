@@ -37,6 +37,9 @@ ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 _UNIT_TOLERANCE = 1e-3
 """How far a quaternion's length may be from 1: files have few digits."""
 
+_MOST_RADIANS = 4.0 * np.pi
+"""Angle that no controller writes in radians."""
+
 _NAMED = 5
 """How many bad rows a message names: in a wrong unit or format all of them are bad."""
 
@@ -86,6 +89,12 @@ class PoseCodec:
             raise ValueError(
                 f"{self.name}: expected rows of {len(self.columns)} numbers "
                 f"({', '.join(self.columns)}), found shape {numbers.shape}"
+            )
+        turns = np.abs(numbers[..., list(self.angles)])
+        if angle_unit == "rad" and (turns[np.isfinite(turns)] > _MOST_RADIANS).any():
+            raise ValueError(
+                f"{self.name}: angles up to {np.nanmax(turns):.4g} where radians are stated: "
+                "degrees? (angle_unit: deg)"
             )
         numbers = numbers * self._units(length_unit, angle_unit)
         flat = numbers.reshape(-1, len(self.columns))
