@@ -23,7 +23,10 @@ from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
 from .files import dump_yaml, read_yaml, write_atomically
 from .geometry import (
     PoseLike,
+    ViewedRegion,
     as_se3,
+    region_from_dict,
+    region_to_dict,
     transform_from_dict,
     transform_points,
     transform_to_dict,
@@ -75,6 +78,7 @@ class Calibration(eqx.Module):
         target_scale: true size of the target over its stated size.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         robot_error: what the reported poses are wrong by; None where they are taken as they are.
+        region: from where the target was seen when this was fitted; None where it was not fitted.
     """
 
     camera: Camera
@@ -83,6 +87,7 @@ class Calibration(eqx.Module):
     target_scale: Float[Array, ""]
     mount: str = eqx.field(static=True)
     robot_error: RobotError | None
+    region: ViewedRegion | None
 
     def __init__(
         self,
@@ -92,6 +97,7 @@ class Calibration(eqx.Module):
         mount: str,
         target_scale: ScalarLike = 1.0,
         robot_error: RobotError | None = None,
+        region: ViewedRegion | None = None,
     ):
         mount_frames(mount)
         self.camera = camera
@@ -100,6 +106,7 @@ class Calibration(eqx.Module):
         self.target_scale = jnp.asarray(target_scale, dtype=float)
         self.mount = mount
         self.robot_error = robot_error
+        self.region = region
 
     @classmethod
     def eye_in_hand(
@@ -283,6 +290,8 @@ class Calibration(eqx.Module):
         content["target_scale"] = float(self.target_scale)
         if self.robot_error is not None:
             content["robot_error"] = robot_error_to_dict(self.robot_error)
+        if self.region is not None:
+            content["region"] = region_to_dict(self.region)
         return content
 
     @classmethod
@@ -305,7 +314,7 @@ class Calibration(eqx.Module):
             names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
             camera = camera_from_dict(content["camera"], lens)
             mounted, held = (transform_from_dict(name, content[name]) for name in names)
-            error = content.get("robot_error")
+            error, region = content.get("robot_error"), content.get("region")
             return cls(
                 camera,
                 mounted,
@@ -313,6 +322,7 @@ class Calibration(eqx.Module):
                 mount,
                 float(content["target_scale"]),
                 None if error is None else robot_error_from_dict(error, field),
+                None if region is None else region_from_dict(region),
             )
         except KeyError as error:
             raise ValueError(f"entry {error.args[0]!r} is missing") from error

@@ -11,7 +11,8 @@
 `poses.csv` has a column `view` and the codec's columns; `{view}` in the pattern is that name, and
 `{height}` the number of the height for a board at several heights. In place of poses, or beside
 them, there may be joints (see `joints.py`). Pictures, poses and joints are paired by view, never by
-position.
+position. Where the pattern looks the same when turned, `base_from_world` (`tool_from_world` for a
+camera beside the arm) says roughly how the target stands (see `rough_pose.py`).
 """
 
 import re
@@ -25,12 +26,13 @@ from jaxlie import SE3
 from ..calibration import mount_frames
 from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
-from ..geometry import pose_codec
+from ..geometry import PoseLike, pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
 from .commands import read_commands
 from .detections import DETECTIONS, read_detections, write_detections
 from .joints import write_joints
 from .pictures import from_pictures, refuse_strays
+from .rough_pose import read_rough_pose
 from .tables import write_table
 
 FORMAT_VERSION = 1
@@ -42,6 +44,7 @@ def load_folder(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
+    holder_from_world: PoseLike | None = None,
 ) -> Dataset:
     """A data set from a folder with a `dataset.yaml`; see `load_dataset`."""
     where = folder / DESCRIPTION
@@ -59,6 +62,7 @@ def load_folder(
     try:
         mount_frames(mount)
         target = target_from_dict(content["target"])
+        rough = read_rough_pose(content, mount)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     commands = read_commands(folder, content, where, bad_views)
@@ -75,6 +79,7 @@ def load_folder(
             commands.masked,
             progress,
             folder / DETECTIONS if keep_detections else None,
+            rough if holder_from_world is None else holder_from_world,
         )
         return commands.with_joints(data)
     if not (folder / DETECTIONS).is_file():

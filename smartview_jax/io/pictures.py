@@ -27,6 +27,7 @@ def from_pictures(
     masked: Mapping[str, str] | None = None,
     progress: Callable[[str], None] | None = None,
     cache: Path | None = None,
+    holder_from_world: PoseLike | None = None,
 ) -> Dataset:
     """A data set from pictures: the target is looked for in each.
 
@@ -40,6 +41,9 @@ def from_pictures(
         masked: views already known to be unusable, with the reason.
         progress: told what is being done.
         cache: a `detections.csv` to read if it is of these pictures, or else to write.
+        holder_from_world: where the target stands, roughly: `base_from_world`, or for a camera that
+            stands beside the arm `tool_from_world`. It says which way round a pattern is that looks
+            the same when turned; by default the one that is turned least.
 
     Raises:
         FileNotFoundError: a picture is missing.
@@ -61,9 +65,12 @@ def from_pictures(
             f"{len(views)} views ({next(iter(unseen.values()))}): is it a {target!r}?"
         )
     pixels = np.stack([found[view].pixels for view in views])
+    ordered, words = _in_one_order(pixels, target, poses, mount, image_size, holder_from_world)
+    if words and progress is not None:
+        progress(words)
     return Dataset.from_arrays(
         target.points,
-        _in_one_order(pixels, target, poses, mount, image_size),
+        ordered,
         poses,
         image_size,
         view_ids=views,
@@ -72,6 +79,7 @@ def from_pictures(
         masked_views=list({**unseen, **(masked or {})}.items()),
         pictures=[pictures[view][0] for view in views],
         target=target,
+        notes=(words,) if words else (),
     )
 
 
@@ -175,12 +183,20 @@ def _in_one_order(
     poses: SE3,
     mount: str,
     image_size: tuple[int, int],
-) -> Float[np.ndarray, "views points 2"]:
-    """Points numbered alike in every picture, also where the pattern itself does not tell."""
-    board = target.board if isinstance(target, StackedTarget) else target
+    holder_from_world: PoseLike | None,
+) -> tuple[Float[np.ndarray, "views points 2"], str]:
+    """Points numbered alike in every picture, also where the pattern does not tell, and a note."""
+    stacked = isinstance(target, StackedTarget)
+    board = target.board if stacked else target
     symmetries = board.symmetries
     if len(symmetries) == 1:
-        return pixels
+        return pixels, ""
+    rough = None
+    if holder_from_world is not None:
+        rough = np.asarray(as_se3(holder_from_world).rotation().as_matrix())
+        if stacked and not board.y_up:
+            # The board is ordered in its own frame, which a stack of them has turned about x.
+            rough = rough @ np.diag([1.0, -1.0, -1.0])
     # Every picture is ordered by itself: at another height the detector may begin elsewhere.
     flat = pixels.reshape(-1, len(board.points), 2)
     turns = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
@@ -191,9 +207,11 @@ def _in_one_order(
         symmetries,
         np.repeat(turns, len(flat) // len(pixels), axis=0),
         image_size,
+        mount_frames(mount)[1],
+        rough,
     )
-    ordered = [where[symmetries[k]] for where, k in zip(flat, chosen, strict=True)]
-    return np.stack(ordered).reshape(pixels.shape)
+    ordered = [where[symmetries[k]] for where, k in zip(flat, chosen.symmetry, strict=True)]
+    return np.stack(ordered).reshape(pixels.shape), chosen.words
 
 
 def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:

@@ -88,7 +88,7 @@ def test_eye_to_hand_with_a_known_camera():
 def test_wrong_poses_are_refused_or_reported():
     scene = random_scene(5, views=8)
     wrong = eqx.tree_at(lambda d: d.base_from_tool, scene.data, scene.data.base_from_tool.inverse())
-    with pytest.raises(ValueError, match="when every one is inverted"):
+    with pytest.raises(ValueError, match="but do if every pose is inverted"):
         fit_staged(wrong)
     assert "inverted" in fit_staged(wrong, conventions="report").conventions.problems[0]
     with pytest.raises(ValueError, match="conventions is 'raise' or 'report'"):
