@@ -1,11 +1,20 @@
 """Reading and writing text files: safely, atomically, with errors that name the file."""
 
 import os
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+DEEPEST = 40
+"""Levels of nesting that a YAML file may have; the library's own have six."""
+
+MOST_NODES = 1_000_000
+"""Entries that a YAML file may have when its aliases are written out."""
+
+_LONGEST_MESSAGE = 300
 
 
 def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path:
@@ -28,23 +37,135 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path
     return path
 
 
-def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The mapping in a YAML (or JSON) file.
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a UTF-8 file, without the byte-order mark that some programs begin with.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is not YAML, or not a mapping at the top level.
+        ValueError: it is not UTF-8; the message has the place of the first wrong byte.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not readable as YAML: {error}") from error
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: not readable as UTF-8 text: {error}") from error
+
+
+def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read the mapping in a YAML (or JSON) file.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: it is not YAML, has a key twice, is nested or repeated beyond all need, or is
+            not a mapping at the top level.
+    """
+    content = parse_yaml(read_text(path), path)
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a mapping, found {type(content).__name__}")
     return content
+
+
+def parse_yaml(
+    text: str, path: str | os.PathLike[str], loader: "type[PlainLoader] | None" = None
+) -> Any:
+    """Return what a YAML text holds; errors name the file it is from.
+
+    Args:
+        text: of one document.
+        path: where the text is from, for messages.
+        loader: knows tags besides the plain ones.
+
+    Raises:
+        ValueError: it is not YAML that the loader takes.
+    """
+    try:
+        return yaml.load(text, Loader=loader or PlainLoader)
+    # A scalar that does not fit its tag (`!!bool x`) ends in whatever its constructor runs into.
+    except Exception as error:
+        words = " ".join(str(error).split())[:_LONGEST_MESSAGE]
+        raise ValueError(f"{path}: not readable as YAML: {words}") from error
+
+
+class PlainLoader(yaml.SafeLoader):
+    """The safe loader, stricter: each key once, numbers as YAML 1.2 has them, bounded nesting.
+
+    YAML 1.1, which PyYAML follows, reads 1e-3 as text, 010 as eight and 1:30 as ninety. Nothing
+    here makes objects: mappings, lists, text, numbers, true and false, and null.
+    """
+
+    def __init__(self, stream: str):
+        super().__init__(stream)
+        self._depth = 0
+        self._sizes: dict[int, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Refuse what is nested deeper, or by aliases grows larger, than any file of use."""
+        if self._depth > DEEPEST:
+            raise yaml.YAMLError(f"nested deeper than {DEEPEST} levels")
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if node is not None and id(node) not in self._sizes:
+            parts = (x for pair in _parts(node) for x in pair)
+            # A part that is not yet measured is an alias to what it stands in.
+            sizes = [self._sizes.get(id(part)) for part in parts]
+            if None in sizes:
+                raise yaml.YAMLError("an alias to what it stands in")
+            self._sizes[id(node)] = 1 + sum(size for size in sizes if size is not None)
+            if self._sizes[id(node)] > MOST_NODES:
+                raise yaml.YAMLError(f"more than {MOST_NODES} entries, aliases written out")
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Build a mapping in which no key comes twice."""
+        seen: set[Any] = set()
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                continue
+            name = self.construct_object(key, deep=True)
+            if isinstance(name, str | int | float) and name in seen:
+                raise yaml.YAMLError(f"key {name!r} comes twice, again {key.start_mark}")
+            if isinstance(name, str | int | float):
+                seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def _parts(node: yaml.Node) -> list[tuple[yaml.Node, ...]]:
+    if isinstance(node, yaml.MappingNode):
+        return node.value
+    return [(part,) for part in node.value] if isinstance(node, yaml.SequenceNode) else []
+
+
+def _whole_number(loader: PlainLoader, node: yaml.ScalarNode) -> int:
+    return int(loader.construct_scalar(node))
+
+
+def _number(loader: PlainLoader, node: yaml.ScalarNode) -> float:
+    text = loader.construct_scalar(node).lower()
+    return float(text.replace(".inf", "inf").replace(".nan", "nan"))
+
+
+def _numbers_of_yaml_1_2() -> None:
+    """Give the loader the core schema's numbers in place of YAML 1.1's, and no dates."""
+    tags = {name: f"tag:yaml.org,2002:{name}" for name in ("int", "float", "timestamp")}
+    PlainLoader.yaml_implicit_resolvers = {
+        first: [pair for pair in pairs if pair[0] not in tags.values()]
+        for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    whole = re.compile(r"[-+]?[0-9]+\Z")
+    number = re.compile(
+        r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z"
+    )
+    PlainLoader.add_implicit_resolver(tags["int"], whole, list("-+0123456789"))
+    PlainLoader.add_implicit_resolver(tags["float"], number, list("-+0123456789."))
+    PlainLoader.add_constructor(tags["int"], _whole_number)
+    PlainLoader.add_constructor(tags["float"], _number)
+
+
+_numbers_of_yaml_1_2()
 
 
 def dump_yaml(content: dict[str, Any]) -> str:

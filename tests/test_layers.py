@@ -12,10 +12,10 @@ import smartview_jax
 PACKAGE = Path(smartview_jax.__file__).parent
 
 # From the ground floor up; `files` holds only the reading and writing of text, `compilation` how
-# programs are compiled.
+# programs are compiled, `schemas` what may stand in a file.
 FLOORS = """
-    files compilation geometry cameras robots targets calibration dataset detection io simulation
-    staged joint evaluation viewpoints modeling localization grasping report editor cli
+    files compilation schemas geometry cameras robots targets calibration dataset detection io
+    simulation staged joint evaluation viewpoints modeling localization grasping report editor cli
 """.split()
 
 NO_OPENCV = """

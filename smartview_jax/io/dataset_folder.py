@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import mount_frames
 from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
@@ -43,21 +42,19 @@ def load_folder(
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
 ) -> Dataset:
-    """A data set from a folder with a `dataset.yaml`; see `load_dataset`."""
+    """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
+    # The validation library is imported where files are read.
+    from ..schemas.dataset import DATASET
+    from ..schemas.reading import checked
+
     where = folder / DESCRIPTION
-    content = read_yaml(where)
-    _require(content, "smartview_dataset", where)
-    if content["smartview_dataset"] != FORMAT_VERSION:
-        raise ValueError(
-            f"{where}: smartview_dataset: expected {FORMAT_VERSION}, "
-            f"found {content['smartview_dataset']!r}"
-        )
-    for key in ("camera", "target", "joints" if "joints" in content else "poses"):
-        _require(content, key, where)
-    image_size = _image_size(content["camera"], where)
-    mount = content.get("mount", "eye_in_hand")
+    read = read_yaml(where)
+    description = checked(read, DATASET, where)
+    content = {key: value for key, value in read.items() if value is not None}
+    mount = description.mount
+    width, height = description.camera.image_size
+    image_size = (width, height)
     try:
-        mount_frames(mount)
         target = target_from_dict(content["target"])
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
@@ -81,7 +78,12 @@ def load_folder(
         raise ValueError(f"{where}: entry 'pictures' is missing, and there is no {DETECTIONS}")
     data = Dataset.from_arrays(
         target.points,
-        read_detections(folder / DETECTIONS, commands.views, len(target.points)),
+        read_detections(
+            folder / DETECTIONS,
+            commands.views,
+            len(target.points),
+            None if description.detections is None else description.detections.rows,
+        ),
         commands.poses,
         image_size,
         view_ids=commands.views,
@@ -102,13 +104,12 @@ def save_dataset(data: Dataset, folder: str | Path) -> None:
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    write_detections(folder / DETECTIONS, data.view_ids, np.asarray(data.pixels))
-    joints = {}
+    rows = write_detections(folder / DETECTIONS, data.view_ids, np.asarray(data.pixels))
+    more: dict[str, Any] = {"detections": {"rows": rows}}
     if data.arm is not None and data.joints is not None:
-        entry = write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
-        joints = {"joints": entry}
+        more["joints"] = write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
     write_folder(
-        folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount, joints
+        folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount, more
     )
 
 
@@ -141,6 +142,8 @@ def write_folder(
     )
     description = {
         "smartview_dataset": FORMAT_VERSION,
+        # Says that the last line is an end mark; a person's own file needs neither.
+        "end_mark": True,
         "camera": {"image_size": list(image_size)},
         "target": target_to_dict(target),
         "mount": mount,
@@ -150,22 +153,12 @@ def write_folder(
             "length_unit": "m",
             "angle_unit": "rad",
             "direction": "base_from_tool",
+            "rows": len(rows),
         },
         **(more or {}),
+        "end": "smartview_dataset",
     }
     write_atomically(folder / DESCRIPTION, dump_yaml(description))
-
-
-def _require(content: dict[str, Any], key: str, where: Path) -> None:
-    if key not in content:
-        raise ValueError(f"{where}: entry {key!r} is missing")
-
-
-def _image_size(camera: dict[str, Any], where: Path) -> tuple[int, int]:
-    size = camera.get("image_size") if isinstance(camera, dict) else None
-    if not (isinstance(size, list) and len(size) == 2 and all(isinstance(n, int) for n in size)):
-        raise ValueError(f"{where}: camera.image_size: expected [width, height], found {size!r}")
-    return size[0], size[1]
 
 
 def _picture_files(
@@ -177,9 +170,7 @@ def _picture_files(
     where: Path,
 ) -> dict[str, list[Path]]:
     """The pictures of each view: one, or one a height."""
-    pattern = content.get("pattern")
-    if not isinstance(pattern, str) or "{view}" not in pattern:
-        raise ValueError(f"{where}: pictures.pattern: expected a name with {{view}} in it")
+    pattern = content["pattern"]
     heights = len(target.heights) if isinstance(target, StackedTarget) else 1
     if heights > 1 and "{height}" not in pattern:
         raise ValueError(f"{where}: pictures.pattern: {heights} heights need {{height}} in it")
@@ -187,5 +178,11 @@ def _picture_files(
         view: [folder / pattern.format(view=view, height=k) for k in range(heights)]
         for view in views
     }
-    refuse_strays(files, folder / re.sub(r"{(view|height)}", "*", pattern), poses)
+    known = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escaped(pattern)))
+    refuse_strays(files, folder / known, poses)
     return files
+
+
+def _escaped(pattern: str) -> str:
+    """Return a pattern in which no character but those of `{view}` stands for others."""
+    return re.sub(r"([*?[])", r"[\1]", pattern)
