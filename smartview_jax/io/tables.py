@@ -82,13 +82,17 @@ def numbers(
     """
     values = np.empty(len(columns))
     for k, column in enumerate(columns):
-        # Python's own reading takes underscores and the digits of all scripts, too.
-        if not _NUMBER.fullmatch(row[column]):
+        if not is_number(row[column]):
             raise ValueError(f"{path}: view {view}: {column} is {shown(row[column])}, not a number")
         values[k] = float(row[column])
         if finite and not np.isfinite(values[k]):
             raise ValueError(f"{path}: view {view}: {column} is {row[column]}, not a finite number")
     return values
+
+
+def is_number(text: str) -> bool:
+    """Say whether a text is a number; Python's own reading takes 1_0 and other scripts' digits."""
+    return _NUMBER.fullmatch(text) is not None
 
 
 def refuse_far(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -> None:

@@ -169,29 +169,27 @@ def _as_json(views: Viewpoints) -> str:
 def _from_csv(path: Path) -> Viewpoints:
     rows = read_table(path, ("view", *_COLUMNS))
     names = [row["view"] for row in rows]
-    poses = np.array([numbers(path, row, _COLUMNS, row["view"]) for row in rows]).reshape(-1, 6)
+    poses = np.array([numbers(path, row, _COLUMNS, row["view"], False) for row in rows]).reshape(
+        -1, 6
+    )
     columns = [name for name in (rows[0] if rows else ()) if name.startswith("joint_")]
-    joints = np.array([numbers(path, row, columns, row["view"]) for row in rows])
-    return _read(path, poses, names, joints if columns else None)
+    joints = np.array([numbers(path, row, columns, row["view"], False) for row in rows])
+    return _read(path, poses.reshape(-1, 6), names, joints if columns else None)
 
 
 def _from_json(path: Path) -> Viewpoints:
-    content = read_yaml(path)
-    version, units = content.get("smartview_viewpoints"), content.get("units")
-    if version != FORMAT_VERSION:
-        raise ValueError(
-            f"{path}: smartview_viewpoints: expected {FORMAT_VERSION}, found {version!r}"
-        )
-    if units != _UNITS:
-        raise ValueError(f"{path}: units: expected {_UNITS}, found {units}")
-    try:
-        entries = content["viewpoints"]
-        names = [str(entry["name"]) for entry in entries]
-        poses = np.array([entry["xyzoat"] for entry in entries], dtype=float).reshape(-1, 6)
-        joints = [entry["joints"] for entry in entries if "joints" in entry]
-    except KeyError as error:
-        raise ValueError(f"{path}: entry {error.args[0]!r} is missing") from error
-    return _read(path, poses, names, np.array(joints, dtype=float) if joints else None)
+    from ..schemas.imported import VIEWPOINTS
+    from ..schemas.reading import checked
+
+    content = checked(read_yaml(path), VIEWPOINTS, path)
+    if content.units != _UNITS:
+        raise ValueError(f"{path}: units: expected {_UNITS}, found {content.units}")
+    names = [entry.name for entry in content.viewpoints]
+    poses = np.array([entry.xyzoat for entry in content.viewpoints]).reshape(-1, 6)
+    joints = [entry.joints for entry in content.viewpoints if entry.joints is not None]
+    if joints and {len(row) for row in joints} != {len(joints[0])}:
+        raise ValueError(f"{path}: joints: expected equally many in every view")
+    return _read(path, poses, names, np.array(joints) if joints else None)
 
 
 def _read(

@@ -46,14 +46,19 @@ class LensEntry(Entry):
     model: Name
 
 
-class CameraEntry(Entry):
-    """A camera's pinhole numbers and lens."""
+class PinholeEntry(Entry):
+    """A camera's four pinhole numbers."""
 
-    image_size: ImageSize
     alpha_u: _Focal
     alpha_v: _Focal
     u0: _Centre
     v0: _Centre
+
+
+class CameraEntry(PinholeEntry):
+    """A camera's pinhole numbers, lens and picture."""
+
+    image_size: ImageSize
     lens: LensEntry
 
 
@@ -134,3 +139,5 @@ class EyeToHandFile(_Calibration):
 CALIBRATION: TypeAdapter[EyeInHandFile | EyeToHandFile] = TypeAdapter(
     Annotated[EyeInHandFile | EyeToHandFile, Field(discriminator="mount")]
 )
+
+CAMERA_NUMBERS = TypeAdapter(PinholeEntry)
