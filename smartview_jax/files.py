@@ -2,7 +2,12 @@
 
 import os
 import re
+import shutil
+import signal
 import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +22,106 @@ MOST_NODES = 1_000_000
 _LONGEST_MESSAGE = 300
 
 
+_writing = threading.RLock()
+"""Held while a file, or a set of files, is put into place."""
+
+_unfinished: set[Path] = set()
+"""Folders with the results of a run that is not yet done."""
+
+
 def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path:
     """Write a whole file or nothing: a temporary name beside it, then a rename.
 
     Folders that are missing are made. An interrupted run leaves the old file as it was.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    with _writing:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(data)
+            os.chmod(name, 0o644)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
     return path
+
+
+def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
+    """Raise a ValueError if no file can be written to a folder; what is missing can be made.
+
+    Args:
+        folder: where results will go.
+        option: that named it, for the message.
+    """
+    folder = Path(folder)
+    above = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not above.is_dir():
+        raise ValueError(f"{option}: {above} is a file; expected a folder to write to")
+    try:
+        with tempfile.TemporaryFile(dir=above):
+            pass
+    except OSError as error:
+        raise ValueError(f"{option}: {above} cannot be written to: {error.strerror}") from error
+
+
+@contextmanager
+def written_together(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
+    """Give a folder to write a run's results to; at the end all take their place at once.
+
+    A run that fails or is interrupted leaves the results of the last one as they were.
+
+    Args:
+        folder: where the results go; made if it is missing.
+        names: of every file that such runs write; one that this run does not is removed, so that
+            results of different runs never stand side by side.
+    """
+    folder = Path(folder)
+    near = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    made = Path(tempfile.mkdtemp(dir=near, prefix=f".{folder.name}."))
+    _unfinished.add(made)
+    try:
+        yield made
+        with _undisturbed():
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in names:
+                if (made / name).is_file():
+                    os.replace(made / name, folder / name)
+                else:
+                    (folder / name).unlink(missing_ok=True)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+        _unfinished.discard(made)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Put off an interrupt until a set of files is in its place."""
+    asked: list[int] = []
+    with _writing, ExitStack() as after:
+        # Python hears signals in its main thread alone.
+        if threading.current_thread() is threading.main_thread():
+            before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+            after.callback(signal.signal, signal.SIGINT, before)
+        yield
+    if asked:
+        raise KeyboardInterrupt
+
+
+def leave_nothing_half_written(patience: float) -> None:
+    """Wait until no file is being put into place, and remove a run's unfinished results.
+
+    For whoever ends the process without a word to the thread that writes.
+
+    Args:
+        patience: longest wait, s.
+    """
+    _writing.acquire(timeout=patience)
+    for folder in list(_unfinished):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
@@ -104,18 +191,17 @@ class PlainLoader(yaml.SafeLoader):
         """Refuse what is nested deeper, or by aliases grows larger, than any file of use."""
         if self._depth > DEEPEST:
             raise yaml.YAMLError(f"nested deeper than {DEEPEST} levels")
+        is_alias = self.check_event(yaml.AliasEvent)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
-        if node is not None and id(node) not in self._sizes:
-            parts = (x for pair in _parts(node) for x in pair)
-            # A part that is not yet measured is an alias to what it stands in.
-            sizes = [self._sizes.get(id(part)) for part in parts]
-            if None in sizes:
-                raise yaml.YAMLError("an alias to what it stands in")
-            self._sizes[id(node)] = 1 + sum(size for size in sizes if size is not None)
-            if self._sizes[id(node)] > MOST_NODES:
+        if is_alias and id(node) not in self._sizes:
+            raise yaml.YAMLError("an alias to what it stands in")
+        if node is not None and not is_alias:
+            size = 1 + sum(self._sizes[id(part)] for pair in _parts(node) for part in pair)
+            if size > MOST_NODES:
                 raise yaml.YAMLError(f"more than {MOST_NODES} entries, aliases written out")
+            self._sizes[id(node)] = size
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

@@ -12,10 +12,11 @@ import smartview_jax
 PACKAGE = Path(smartview_jax.__file__).parent
 
 # From the ground floor up; `files` holds only the reading and writing of text, `compilation` how
-# programs are compiled, `schemas` what may stand in a file.
+# programs are compiled, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
     files compilation schemas geometry cameras robots targets calibration dataset detection io
-    simulation staged joint evaluation viewpoints modeling localization grasping report editor cli
+    simulation staged joint evaluation viewpoints modeling localization grasping report editor
+    interrupts cli
 """.split()
 
 NO_OPENCV = """

@@ -62,9 +62,15 @@ def test_samples_lead_to_the_hand_eye_transform(tmp_path, mount):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(samples=[]), r"samples: expected a list of one sample or more, found \[\]"),
+        (
+            lambda c: c.update(samples=[]),
+            r"samples: expected a list of one .*, found \[\]",
+        ),
         (lambda c: c["samples"][1].pop("tracking"), "entry .samples.1.tracking. is missing"),
-        (lambda c: c["samples"][0]["robot"]["rotation"].update(w="x"), r"samples\.0\.robot\.rotation\.w: expected .* found 'x'"),
+        (
+            lambda c: c["samples"][0]["robot"]["rotation"].update(w="x"),
+            r"samples\.0\.robot\.rotation\.w: expected .* found 'x'",
+        ),
         (
             lambda c: c["samples"][1]["robot"]["rotation"].update(w=3.0),
             r"samples\.1\.robot\.rotation\.w: .* found 3\.0",

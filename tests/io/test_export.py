@@ -1,4 +1,5 @@
 import re
+import shlex
 
 import cv2
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from smartview_jax.io import (
     ros_static_transform,
     urdf_origin,
 )
+from smartview_jax.simulation import paper_calibration
 
 LENSES = {
     "plumb_bob": OpenCV5(0.1, -0.2, 0.001, 0.002, 0.05),
