@@ -250,6 +250,25 @@ def export(
         typer.echo(text, nl=False)
 
 
+class SchemaOf(StrEnum):
+    """Files that have a JSON schema."""
+
+    DATASET = "dataset"
+    CALIBRATION = "calibration"
+
+
+@app.command()
+def schema(of: Annotated[SchemaOf, typer.Argument(help="Of which file.")]) -> None:
+    """Print the JSON schema of dataset.yaml or calibration.yaml, for editors.
+
+    Editors with a YAML language server check a file that begins with the line
+    `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved beside it.
+    """
+    from .schemas.json_schema import json_schema
+
+    typer.echo(json_schema(of.value), nl=False)
+
+
 @app.command()
 def viewpoint(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
@@ -485,8 +504,9 @@ def _errors(debug: bool) -> Iterator[None]:
         with heard_at_once():
             yield
     except KeyboardInterrupt:
-        typer.echo(WORDS, err=True)
-        told.set()
+        if not told.is_set():
+            told.set()
+            typer.echo(WORDS, err=True)
         sys.exit(EXIT_CODE)
     except (ValueError, OSError) as error:
         if debug:

@@ -38,6 +38,7 @@ def heard_at_once() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or not ours:
         yield
         return
+    told.clear()
     heard, bell = os.pipe()
     os.set_blocking(bell, False)
     before = signal.set_wakeup_fd(bell, warn_on_full_buffer=False)
@@ -64,5 +65,7 @@ def _listen(heard: int, asked: threading.Event) -> None:
     if os.isatty(2):
         os.write(2, _SHOW_CURSOR.encode())
     if not told.is_set():
+        # First, because writing lets the main thread go on.
+        told.set()
         os.write(2, f"{WORDS}\n".encode())
     os._exit(EXIT_CODE)

@@ -26,7 +26,7 @@ from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
-from .commands import read_commands
+from .commands import Commands, read_commands
 from .detections import DETECTIONS, read_detections, write_detections
 from .joints import write_joints
 from .pictures import from_pictures, refuse_strays
@@ -73,26 +73,37 @@ def load_folder(
             progress,
             folder / DETECTIONS if keep_detections else None,
         )
-        return commands.with_joints(data)
+        return _with_joints(commands, data, where)
     if not (folder / DETECTIONS).is_file():
         raise ValueError(f"{where}: entry 'pictures' is missing, and there is no {DETECTIONS}")
-    data = Dataset.from_arrays(
-        target.points,
-        read_detections(
-            folder / DETECTIONS,
-            commands.views,
-            len(target.points),
-            None if description.detections is None else description.detections.rows,
-        ),
-        commands.poses,
-        image_size,
-        view_ids=commands.views,
-        mount=mount,
-        bad_views=bad_views,
-        masked_views=list(commands.masked.items()),
-        target=target,
-    )
-    return commands.with_joints(data)
+    try:
+        data = Dataset.from_arrays(
+            target.points,
+            read_detections(
+                folder / DETECTIONS,
+                commands.views,
+                len(target.points),
+                None if description.detections is None else description.detections.rows,
+            ),
+            commands.poses,
+            image_size,
+            view_ids=commands.views,
+            mount=mount,
+            bad_views=bad_views,
+            masked_views=list(commands.masked.items()),
+            target=target,
+        )
+    except ValueError as error:
+        place = "" if str(folder) in str(error) else f"{folder / DETECTIONS}: "
+        raise ValueError(f"{place}{error}") from error
+    return _with_joints(commands, data, where)
+
+
+def _with_joints(commands: Commands, data: Dataset, where: Path) -> Dataset:
+    try:
+        return commands.with_joints(data)
+    except ValueError as error:
+        raise ValueError(f"{where}: joints: {error}") from error
 
 
 def save_dataset(data: Dataset, folder: str | Path) -> None:

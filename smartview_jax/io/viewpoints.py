@@ -195,6 +195,8 @@ def _from_json(path: Path) -> Viewpoints:
 def _read(
     path: Path, rows: np.ndarray, names: Sequence[str], joints: np.ndarray | None
 ) -> Viewpoints:
+    if not names:
+        raise ValueError(f"{path}: no viewpoints")
     try:
         poses = _POSE.decode(rows, "mm", "deg", labels=names)
         return _checked(poses, names, joints)

@@ -1,5 +1,6 @@
 """`dataset.yaml`: what a data-set folder holds; see `io.dataset_folder`."""
 
+import math
 import re
 from typing import Annotated, Literal
 
@@ -11,6 +12,9 @@ from .entry import Entry, Name, Said
 from .target import TargetEntry
 
 END = "smartview_dataset"
+
+MOST_POINTS = 1_000_000
+"""Of a target at all its heights: so many fit into memory for every view."""
 
 LengthUnit = Literal["m", "cm", "mm"]
 AngleUnit = Literal["rad", "deg"]
@@ -102,6 +106,11 @@ class DatasetFile(Entry):
     def _is_whole(self) -> "DatasetFile":
         if self.end_mark and self.end != END:
             raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
+        target = self.target
+        sides = [getattr(target, name, 1) for name in ("rows", "columns", "squares_x", "squares_y")]
+        points = math.prod(sides) * len(target.heights or [0])
+        if points > MOST_POINTS:
+            raise ValueError(f"target: expected up to {MOST_POINTS} points, found {points}")
         if self.poses is None and self.joints is None:
             raise ValueError("entry 'poses' is missing, and so is 'joints'")
         return self
