@@ -11,7 +11,11 @@
 `poses.csv` has a column `view` and the codec's columns; `{view}` in the pattern is that name, and
 `{height}` the number of the height for a board at several heights. In place of poses, or beside
 them, there may be joints (see `joints.py`). Pictures, poses and joints are paired by view, never by
-position.
+position. What may stand in the file is said by `schemas.dataset`; an unknown key is an error.
+
+A file that was cut may look whole. So `save_dataset` states how many `rows` every table has, and
+`end_mark: true`, which promises the last line `end: smartview_dataset`; a person's own file needs
+none of these.
 """
 
 import re
