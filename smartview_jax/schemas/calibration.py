@@ -62,7 +62,8 @@ class CameraEntry(PinholeEntry):
     lens: LensEntry
 
 
-_Numbers = Annotated[list[Plain], Field(max_length=1000), Said("up to 1000 numbers")]
+_Row = Annotated[list[Plain], Field(max_length=1000), Said("a row of up to 1000 numbers")]
+_Numbers = Annotated[list[Plain | _Row], Field(max_length=1000), Said("up to 1000 numbers")]
 _Reach = Annotated[float, Field(gt=0.0, le=1e4), Said("a distance in m, above 0 up to 1e4")]
 
 
