@@ -13,6 +13,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from .files import refuse_unwritable, written_together
+from .interrupts import EXIT_CODE, WORDS, heard_at_once, told
+
 if TYPE_CHECKING:
     import numpy as np
     from jaxlie import SE3
@@ -87,7 +90,8 @@ def main(
     What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
     names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
     """
-    _keep_compiled()
+    with _errors(False):
+        _keep_compiled()
 
 
 def _keep_compiled() -> None:
@@ -127,6 +131,8 @@ def calibrate(
         from .joint import calibrate as fit_both
         from .report import halves_agree, summaries, write_page
 
+        refuse_unwritable(out, "--out")
+        run = _run_name()
         with _progress() as say:
             data, name = _load(dataset, bad_views, say, base_from_world)
             notes = list(data.notes)
@@ -136,40 +142,48 @@ def calibrate(
             halves = budget = None
             if diagnose:
                 halves, budget = _diagnosis(fit, counted, lens, noise, say, notes)
-            written = _save(fit, data, out)
         _print_result(summaries(fit, data, unseen), fit, data)
         for text in (*notes, *(f"even and odd views: {text}" for _, text in halves_agree(halves))):
             typer.echo(text)
         if budget is not None:
             _print_budget(budget)
-        with _progress() as say:
-            title, page = f"Calibration of {name}", out / "report.html"
-            write_page(page, fit, data, unseen, title, say, halves, budget, notes)
-        for path, words in [*written, (page, "what was found, and how good it is")]:
-            typer.echo(f"{path}: {words}")
+        with _progress() as say, written_together(out, tuple(_RESULTS)) as folder:
+            _save(fit, data, folder, run)
+            title, page = f"Calibration of {name}", folder / "report.html"
+            write_page(page, fit, data, unseen, title, say, halves, budget, notes, run)
+        for file, words in _RESULTS.items():
+            if (out / file).is_file():
+                typer.echo(f"{out / file}: {words}")
         if not fit.result.converged:
             raise typer.Exit(1)
 
 
-def _save(fit: "CalibrationFit", data: "Dataset", out: Path) -> list[tuple[Path, str]]:
-    """Files of the calibrations and what they are for; none stays from an earlier run."""
+_RESULTS = {
+    "calibration.yaml": "the calibration",
+    "calibration_staged.yaml": "that of the staged pipeline",
+    "calibration_uncorrected.yaml": "for programs that cannot correct the robot's error; predicts "
+    "best without, but does not say where the camera sits",
+    "report.html": "what was found, and how good it is",
+}
+"""Every file that `calibrate` writes, and what it is for."""
+
+
+def _run_name() -> str:
+    """Return a new name for a run, which all its files carry: the time, and what makes it one."""
+    import secrets
+    from datetime import UTC, datetime
+
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
+
+
+def _save(fit: "CalibrationFit", data: "Dataset", folder: Path, run: str) -> None:
     from .joint import best_uncorrected
 
-    found = {
-        "calibration.yaml": (fit.calibration, "the calibration"),
-        "calibration_staged.yaml": (fit.staged.calibration, "that of the staged pipeline"),
-    }
+    fit.calibration.save(folder / "calibration.yaml", run)
+    fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
-        found["calibration_uncorrected.yaml"] = (
-            best_uncorrected(data, fit),
-            "for programs that cannot correct the robot's error; predicts best without, but does "
-            "not say where the camera sits",
-        )
-    else:
-        (out / "calibration_uncorrected.yaml").unlink(missing_ok=True)
-    for name, (calibration, _) in found.items():
-        calibration.save(out / name)
-    return [(out / name, words) for name, (_, words) in found.items()]
+        bare = best_uncorrected(data, fit)
+        bare.save(folder / "calibration_uncorrected.yaml", run)
 
 
 @app.command()
@@ -250,6 +264,25 @@ def export(
         typer.echo(text, nl=False)
 
 
+class SchemaOf(StrEnum):
+    """Files that have a JSON schema."""
+
+    DATASET = "dataset"
+    CALIBRATION = "calibration"
+
+
+@app.command()
+def schema(of: Annotated[SchemaOf, typer.Argument(help="Of which file.")]) -> None:
+    """Print the JSON schema of dataset.yaml or calibration.yaml, for editors.
+
+    Editors with a YAML language server check a file that begins with the line
+    `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved beside it.
+    """
+    from .schemas.json_schema import json_schema
+
+    typer.echo(json_schema(of.value), nl=False)
+
+
 @app.command()
 def viewpoint(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
@@ -314,6 +347,8 @@ def viewpoint(
         from .io import write_viewpoints
         from .viewpoints import viewpoint_commands
 
+        if out is not None:
+            refuse_unwritable(out.parent, "--out")
         known, codec = Calibration.load(calibration), pose_codec(pose_format)
         place = np.array(at)
         wanted = _wanted(known, place, distance, (tilt, azimuth, roll), five, below)
@@ -562,10 +597,13 @@ def _progress() -> Iterator[Callable[[str], None]]:
 def _errors(debug: bool) -> Iterator[None]:
     """Errors a user can do something about, as one line; an interrupted run says so."""
     try:
-        yield
+        with heard_at_once():
+            yield
     except KeyboardInterrupt:
-        typer.echo("interrupted; no file is left half-written", err=True)
-        sys.exit(130)
+        if not told.is_set():
+            told.set()
+            typer.echo(WORDS, err=True)
+        sys.exit(EXIT_CODE)
     except (ValueError, OSError) as error:
         if debug:
             raise

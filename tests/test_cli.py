@@ -2,6 +2,7 @@ import dataclasses
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 from smartview_jax import Calibration
 from smartview_jax.cli import app
 from smartview_jax.evaluation import deviations
+from smartview_jax.files import read_yaml
 from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
@@ -125,6 +127,48 @@ def test_the_report_is_one_page_that_fetches_nothing(result):
         "calibration_uncorrected.yaml",
         "report.html",
     ]
+
+
+def test_all_files_of_a_run_carry_its_name(result):
+    _, out = result
+    names = {read_yaml(path)["run"] for path in out.glob("*.yaml")}
+    (name,) = names
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:]{8}Z-[0-9a-f]{6}", name)
+    assert name in (out / "report.html").read_text()
+
+
+def test_where_results_go_is_looked_at_before_the_work(tmp_path, monkeypatch):
+    def never(*_):
+        raise AssertionError("it began to work")
+
+    monkeypatch.setattr("smartview_jax.cli._load", never)
+    (tmp_path / "file").write_text("a file")
+    cases = {
+        tmp_path / "file": f"--out: {tmp_path / 'file'} is a file; expected a folder",
+        tmp_path / "file/below": f"--out: {tmp_path / 'file'} is a file; expected a folder",
+        Path("/proc/results"): "--out: /proc cannot be written to",
+    }
+    for out, words in cases.items():
+        run = RUNNER.invoke(app, ["calibrate", "--out", str(out)])
+        assert run.exit_code == 2, run.output
+        assert words in run.stderr.replace("\n", " ")
+
+
+def test_a_report_that_fails_leaves_the_last_runs_files(tmp_path, monkeypatch):
+    """Not a new calibration beside an old report."""
+    monkeypatch.setattr("smartview_jax.cli._load", lambda *_: (three_views(), "three views"))
+
+    def broken(*_):
+        raise ValueError("no report")
+
+    monkeypatch.setattr(sys.modules["smartview_jax.report"], "write_page", broken)
+    for name in ("calibration.yaml", "report.html"):
+        (tmp_path / name).write_text("from an earlier run")
+    run = RUNNER.invoke(app, ["calibrate", "--no-held-out", "--out", str(tmp_path)])
+    assert run.exit_code == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"calibration.yaml", "report.html"}
+    for path in tmp_path.iterdir():
+        assert path.read_text() == "from an earlier run"
 
 
 def test_names_from_the_data_are_escaped(result, tmp_path, monkeypatch):

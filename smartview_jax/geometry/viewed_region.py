@@ -104,31 +104,13 @@ def region_to_dict(region: ViewedRegion) -> dict[str, Any]:
 
 
 def region_from_dict(content: dict[str, Any]) -> ViewedRegion:
-    """The inverse of `region_to_dict`.
-
-    Raises:
-        ValueError: an entry is missing or wrong; the message names it.
-    """
-    known = {"plane": (), "middle": (3,), "reach": (), "distance": (2,)}
-    if not isinstance(content, dict) or content.get("side") not in _SIDES:
-        raise ValueError(f"region.side: expected one of {', '.join(_SIDES)}, found {content!r}")
-    found = {"lowest_tool": np.array(np.inf)}
-    for name, shape in {
-        **known,
-        **({"lowest_tool": ()} if "lowest_tool" in content else {}),
-    }.items():
-        try:
-            value = np.asarray(content.get(name), dtype=float)
-        except (TypeError, ValueError):
-            value = np.array(np.nan)
-        if value.shape != shape or not np.isfinite(value).all():
-            words = f"{shape[0]} numbers" if shape else "a number"
-            raise ValueError(f"region.{name}: expected {words} in m, found {content.get(name)!r}")
-        found[name] = value
-    near, far = found["distance"]
-    if not (found["reach"] > 0.0 and 0.0 < near <= far):
-        raise ValueError(
-            f"region: expected a positive reach and 0 < least <= greatest distance, found "
-            f"{float(found['reach'])} and {found['distance'].tolist()}"
-        )
-    return ViewedRegion(side=_SIDES[content["side"]], **found)
+    """The inverse of `region_to_dict`, of content that `schemas.calibration` has checked."""
+    lowest = content.get("lowest_tool")
+    return ViewedRegion(
+        side=_SIDES[content["side"]],
+        plane=content["plane"],
+        middle=content["middle"],
+        reach=content["reach"],
+        distance=content["distance"],
+        lowest_tool=np.inf if lowest is None else lowest,
+    )

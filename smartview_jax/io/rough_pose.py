@@ -6,40 +6,28 @@ or with a `quaternion_wxyz`, as `calibration.yaml` has it. On a command line it 
 between commas: x, y, z in metres, yaw, pitch, roll in degrees.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import mount_frames
 from ..geometry import pose_codec, transform_from_dict
 
-_ANGLES = "yaw_pitch_roll_deg"
+if TYPE_CHECKING:
+    from ..schemas.dataset import DatasetFile
 
 
-def read_rough_pose(content: dict[str, Any], mount: str) -> SE3 | None:
-    """Read the rough `holder_from_world` of a description; None where it has none.
-
-    Raises:
-        ValueError: numbers that are no pose, or the entry of the other mount.
-    """
-    name, other = (f"{frame}_from_world" for frame in reversed(mount_frames(mount)))
-    if other in content:
-        raise ValueError(f"{other}: the target of an {mount} camera is in the other frame: {name}")
-    entry = content.get(name)
+def rough_pose(description: "DatasetFile") -> SE3 | None:
+    """Return the rough `holder_from_world` of a description; None where it has none."""
+    entry = description.base_from_world or description.tool_from_world
     if entry is None:
         return None
-    known = ({"translation", _ANGLES}, {"translation", "quaternion_wxyz"})
-    if not isinstance(entry, dict) or set(entry) not in known:
-        raise ValueError(
-            f"{name}: expected translation (m) and {_ANGLES} or quaternion_wxyz, found {entry!r}"
-        )
-    try:
-        if _ANGLES not in entry:
-            return transform_from_dict(name, entry)
-        return _decoded(name, [*entry["translation"], *entry[_ANGLES]])
-    except TypeError as error:
-        raise ValueError(f"{name}: expected lists of numbers, found {entry!r}") from error
+    content = entry.model_dump()
+    if "quaternion_wxyz" in content:
+        return transform_from_dict("the target's rough pose", content)
+    return _decoded(
+        "the target's rough pose", [*content["translation"], *content["yaw_pitch_roll_deg"]]
+    )
 
 
 def parse_rough_pose(option: str, words: str) -> SE3:

@@ -220,31 +220,38 @@ def _from_csv(path: Path) -> Viewpoints:
     columns = pose_columns(codec)
     rows = read_table(path, ("view", *columns))
     names = [row["view"] for row in rows]
-    poses = np.array([numbers(path, row, columns, row["view"]) for row in rows])
+    poses = np.array([numbers(path, row, columns, row["view"], False) for row in rows])
     named = [name for name in (rows[0] if rows else ()) if name.startswith("joint_")]
-    joints = np.array([numbers(path, row, named, row["view"]) for row in rows])
+    joints = np.array([numbers(path, row, named, row["view"], False) for row in rows])
     return _read(path, codec, poses.reshape(-1, len(columns)), names, joints if named else None)
 
 
 def _from_json(path: Path) -> Viewpoints:
-    content = read_yaml(path)
-    version, units = content.get("smartview_viewpoints"), content.get("units")
-    if version != FORMAT_VERSION:
+    from ..schemas.imported import VIEWPOINTS
+    from ..schemas.reading import checked
+
+    content = checked(read_yaml(path), VIEWPOINTS, path)
+    codec, entries = pose_codec(content.format), content.viewpoints
+    if content.units != _units(codec):
+        raise ValueError(f"{path}: units: expected {_units(codec)}, found {content.units}")
+    if content.columns not in (None, list(codec.columns)):
         raise ValueError(
-            f"{path}: smartview_viewpoints: expected {FORMAT_VERSION}, found {version!r}"
+            f"{path}: columns: expected {list(codec.columns)}, found {content.columns}"
         )
-    codec = _codec(path, content.get("format", VAL))
-    if units != _units(codec):
-        raise ValueError(f"{path}: units: expected {_units(codec)}, found {units}")
-    try:
-        entries = content["viewpoints"]
-        names = [str(entry["name"]) for entry in entries]
-        poses = np.array([entry[_key(codec)] for entry in entries], dtype=float)
-        joints = [entry["joints"] for entry in entries if "joints" in entry]
-    except KeyError as error:
-        raise ValueError(f"{path}: entry {error.args[0]!r} is missing") from error
-    rows = poses.reshape(-1, len(codec.columns))
-    return _read(path, codec, rows, names, np.array(joints, dtype=float) if joints else None)
+    key = _key(codec)
+    rows = [getattr(entry, key) for entry in entries]
+    for entry, row in zip(entries, rows, strict=True):
+        if row is None or len(row) != len(codec.columns):
+            raise ValueError(
+                f"{path}: view {entry.name}: {key}: expected {len(codec.columns)} numbers "
+                f"({', '.join(codec.columns)}), as the format {codec.name} has them"
+            )
+    joints = [entry.joints for entry in entries if entry.joints is not None]
+    if joints and {len(row) for row in joints} != {len(joints[0])}:
+        raise ValueError(f"{path}: joints: expected equally many in every view")
+    names = [entry.name for entry in entries]
+    poses = np.array(rows).reshape(-1, len(codec.columns))
+    return _read(path, codec, poses, names, np.array(joints) if joints else None)
 
 
 def _read(
@@ -254,6 +261,8 @@ def _read(
     names: Sequence[str],
     joints: np.ndarray | None,
 ) -> Viewpoints:
+    if not names:
+        raise ValueError(f"{path}: no viewpoints")
     try:
         poses = codec.decode(rows, *codec.units, labels=names)
         return _checked(poses, names, joints)

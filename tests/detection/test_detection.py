@@ -184,3 +184,18 @@ def test_robot_motion_orders_a_symmetric_grid():
     back = [p[plain.symmetries[k]] for p, k in zip(turned, chosen.symmetry, strict=True)]
     # The sample's own mark has x along the base's x: the way round that is turned least.
     np.testing.assert_array_equal(back, data.pixels)
+
+
+def test_a_picture_is_read_as_the_sensor_saw_it(tmp_path):
+    """A camera's pixels are its sensor's: an orientation noted in one file would turn them."""
+    picture = np.zeros((48, 64), dtype=np.uint8)
+    picture[:10, :10] = 255
+    data = cv2.imencode(".jpg", picture)[1].tobytes()
+    # EXIF with the one entry "orientation" (0x0112): 6, a quarter turn.
+    entry = b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00"
+    exif = b"Exif\x00\x00MM\x00*\x00\x00\x00\x08\x00\x01" + entry + bytes(4)
+    marked = data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:]
+    (tmp_path / "turned.jpg").write_bytes(marked)
+    read = read_picture(tmp_path / "turned.jpg", (64, 48))
+    assert read[5, 5] > 200
+    assert read[5, 55] < 50

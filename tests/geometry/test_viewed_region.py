@@ -41,21 +41,3 @@ def test_it_is_written_and_read_back(tools):
     again = region_from_dict(region_to_dict(region))
     for name in ("side", "plane", "middle", "reach", "distance", "lowest_tool"):
         np.testing.assert_array_equal(getattr(again, name), getattr(region, name))
-
-
-@pytest.mark.parametrize(
-    ("entry", "value"),
-    [
-        ("side", "up"),
-        ("middle", [1.0, 2.0]),
-        ("reach", float("nan")),
-        ("reach", -1.0),
-        ("distance", [2.0, 1.0]),
-        ("plane", "low"),
-        ("lowest_tool", None),
-    ],
-)
-def test_what_is_wrong_in_a_file_is_named(entry, value):
-    content = {**region_to_dict(ViewedRegion.of(CAMERAS, POINTS, CAMERAS)), entry: value}
-    with pytest.raises(ValueError, match="region"):
-        region_from_dict(content)

@@ -3,15 +3,24 @@ import shutil
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from smartview_jax.cli import app
 from smartview_jax.io import load_dataset, parse_rough_pose, sample_folder
-from smartview_jax.io.rough_pose import read_rough_pose
+from smartview_jax.io.rough_pose import rough_pose
+from smartview_jax.schemas.dataset import DATASET, DatasetFile
+from smartview_jax.schemas.reading import checked
 from smartview_jax.targets import CircleGrid
 
 ROUGH = {"translation": [0.4, 0.0, 0.1], "yaw_pitch_roll_deg": [90.0, 0.0, 180.0]}
 """x along the base's y, z down: into a board that lies on a table."""
+
+
+def described(entries: dict[str, object]) -> DatasetFile:
+    """A description with these entries, as it is read from a file."""
+    whole = yaml.safe_load((sample_folder() / "dataset.yaml").read_text())
+    return checked({**whole, **entries}, DATASET)
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +68,15 @@ def test_six_numbers_are_metres_and_degrees():
     np.testing.assert_allclose(
         pose.rotation().as_matrix(), [[0, 1, 0], [1, 0, 0], [0, 0, -1]], atol=1e-12
     )
-    read = read_rough_pose({"base_from_world": ROUGH}, "eye_in_hand")
-    assert read is not None
-    np.testing.assert_allclose(read.wxyz_xyz, pose.wxyz_xyz, atol=1e-12)
-    assert read_rough_pose({}, "eye_to_hand") is None
+    quaternion = {"translation": [0.4, 0.0, 0.1], "quaternion_wxyz": [0.0, 0.5**0.5, 0.5**0.5, 0.0]}
+    for entry in (ROUGH, quaternion):
+        read = rough_pose(described({"base_from_world": entry}))
+        assert read is not None
+        np.testing.assert_allclose(read.as_matrix(), pose.as_matrix(), atol=1e-9)
+    held = rough_pose(described({"mount": "eye_to_hand", "tool_from_world": ROUGH}))
+    assert held is not None
+    np.testing.assert_allclose(held.as_matrix(), pose.as_matrix(), atol=1e-12)
+    assert rough_pose(described({"mount": "eye_to_hand"})) is None
 
 
 @pytest.mark.parametrize(
@@ -74,11 +88,26 @@ def test_six_numbers_are_metres_and_degrees():
         {"translation": [0, 0], "yaw_pitch_roll_deg": [0, 0, 0]},
         {"translation": 1, "yaw_pitch_roll_deg": [0, 0, 0]},
         {"translation": [0, 0, float("nan")], "yaw_pitch_roll_deg": [0, 0, 0]},
+        {"translation": [400, 0, 100], "yaw_pitch_roll_deg": [0, 0, 0]},
+        {"translation": [0, 0, 0], "yaw_pitch_roll_deg": [0, 0, 1e6]},
+        {"translation": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 1]},
     ],
 )
 def test_what_is_no_pose_is_named(entry):
-    with pytest.raises(ValueError, match="base_from_world: "):
-        read_rough_pose({"base_from_world": entry}, "eye_in_hand")
+    with pytest.raises(ValueError, match=r"base_from_world(: |\.)"):
+        described({"base_from_world": entry})
+
+
+@pytest.mark.parametrize(
+    ("mount", "wrong", "right"),
+    [
+        ("eye_in_hand", "tool_from_world", "base_from_world"),
+        ("eye_to_hand", "base_from_world", "tool_from_world"),
+    ],
+)
+def test_the_pose_of_the_other_mounts_target_is_named(mount, wrong, right):
+    with pytest.raises(ValueError, match=f"{wrong}: .*: {right}"):
+        described({"mount": mount, wrong: ROUGH})
 
 
 @pytest.mark.parametrize("words", ["1,2,3", "a,b,c,d,e,f", "0,0,0,0,0,inf"])

@@ -135,3 +135,41 @@ def test_what_cannot_be_read_is_named(tmp_path):
         read_viewpoints(path)
     with pytest.raises(ValueError, match="ending in"):
         read_viewpoints(tmp_path / "v.val")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda content: content.update(format="kuka"), "format is one of .*'kuka'; did you mean"),
+        (lambda content: content.update(format="ur"), "units: expected .*'m'.* found .*'mm'"),
+        (lambda content: content.update(columns=["x", "y", "z", "W", "P", "R"]), "columns: exp"),
+        (lambda content: content["viewpoints"][1].pop("pose"), "viewpoints.1: expected either"),
+        (lambda content: content["viewpoints"][1].update(xyzoat=[0.0] * 6), "viewpoints.1: exp"),
+        (lambda content: content["viewpoints"][1]["pose"].append(0.0), "view v2: pose: expected 6"),
+        (lambda content: content["viewpoints"][1].update(pose=[0.0] * 20), "viewpoints.1.pose: "),
+        (
+            lambda content: content["viewpoints"][1].update(
+                xyzoat=content["viewpoints"][1].pop("pose")
+            ),
+            "view v2: pose: expected 6",
+        ),
+        (lambda content: content.update(viewpoints=[]), "no viewpoints"),
+    ],
+)
+def test_what_is_wrong_in_another_makers_file_is_named(tmp_path, change, message):
+    path = tmp_path / "v.json"
+    write_viewpoints(path, POSES, pose_format="kuka_abc")
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=rf"v\.json: .*{message}"):
+        read_viewpoints(path)
+
+
+def test_a_file_without_a_format_has_vals(tmp_path):
+    write_viewpoints(tmp_path / "v.json", POSES)
+    content = json.loads((tmp_path / "v.json").read_text())
+    del content["format"], content["columns"]
+    (tmp_path / "v.json").write_text(json.dumps(content))
+    found = read_viewpoints(tmp_path / "v.json").base_from_tool
+    np.testing.assert_allclose(found.as_matrix(), POSES.as_matrix(), atol=1e-12)
