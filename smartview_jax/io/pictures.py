@@ -13,7 +13,7 @@ from ..calibration import mount_frames, mount_from_holder
 from ..dataset import Dataset
 from ..detection import Detection, consistent_ordering, detect, nothing_found, read_picture
 from ..geometry import PoseLike, as_se3
-from ..targets import AbstractTarget, StackedTarget
+from ..targets import AbstractTarget, CircleGrid, StackedTarget
 from .detections import read_stamped, write_detections
 
 
@@ -47,7 +47,8 @@ def from_pictures(
 
     Raises:
         FileNotFoundError: a picture is missing.
-        ValueError: a picture cannot be read or has another size, or none of them shows the target.
+        ValueError: a picture cannot be read or has another size, none of them shows the target, or
+            a circle grid has rows or columns that none of them shows.
     """
     views, poses = list(pictures), as_se3(base_from_tool)
     mount_frames(mount)
@@ -65,6 +66,7 @@ def from_pictures(
             f"{len(views)} views ({next(iter(unseen.values()))}): is it a {target!r}?"
         )
     pixels = np.stack([found[view].pixels for view in views])
+    _refuse_unseen_rows(pixels, target, next(iter(pictures.values()))[0].parent)
     ordered, words = _in_one_order(pixels, target, poses, mount, image_size, holder_from_world)
     if words and progress is not None:
         progress(words)
@@ -175,6 +177,26 @@ def _detect_view(
         np.concatenate([part.visible for part in parts]),
         "; ".join(reasons) or None,
     )
+
+
+def _refuse_unseen_rows(
+    pixels: Float[np.ndarray, "views points 2"], target: AbstractTarget, folder: Path
+) -> None:
+    """Raise a ValueError for rows of a circle grid that no view shows: it is a smaller grid.
+
+    Circles have no numbers to read: in a grid that is stated too large, all views of the whole grid
+    look like views of a part.
+    """
+    grid = target.board if isinstance(target, StackedTarget) else target
+    if not isinstance(grid, CircleGrid):
+        return
+    seen = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns).any(axis=0)
+    rows, columns = int(seen.any(axis=1).sum()), int(seen.any(axis=0).sum())
+    if (rows, columns) != (grid.rows, grid.columns):
+        raise ValueError(
+            f"{folder}: of {grid.rows} rows and {grid.columns} columns of circles, {rows} and "
+            f"{columns} are seen in any of {len(pixels)} views: is it a grid of {rows} x {columns}?"
+        )
 
 
 def _in_one_order(

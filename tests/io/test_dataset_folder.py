@@ -158,7 +158,9 @@ CASES = {
     "target": ("dataset.yaml", "circle_grid", "cube", "target.kind is one of"),
     "size": ("dataset.yaml", "[640, 480]", "[640]", "camera.image_size: expected"),
     "other size": ("dataset.yaml", "[640, 480]", "[800, 600]", "expected 800 x 600 px, found 640"),
-    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 17", "found in none of 4 views"),
+    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 25", "found in none of 4 views"),
+    "more rows": ("dataset.yaml", "rows: 10", "rows: 17", "is it a grid of 10 x 10?"),
+    "more columns": ("dataset.yaml", "columns: 10", "columns: 11", "is it a grid of 10 x 10?"),
     "pattern": ("dataset.yaml", "{view}", "view", "expected a name with {view}"),
 }
 
