@@ -204,19 +204,15 @@ def _as_json(views: Viewpoints, codec: PoseCodec) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def _codec(path: Path, name: object) -> PoseCodec:
-    try:
-        return pose_codec(str(name))
-    except ValueError as error:
-        raise ValueError(f"{path}: format: {error}") from error
-
-
 def _from_csv(path: Path) -> Viewpoints:
     rows = read_table(path, ("view",))
     formats = sorted({row.get("format", VAL) for row in rows})
     if len(formats) > 1:
         raise ValueError(f"{path}: format: expected one for all views, found {', '.join(formats)}")
-    codec = _codec(path, formats[0] if formats else VAL)
+    try:
+        codec = pose_codec(formats[0] if formats else VAL)
+    except ValueError as error:
+        raise ValueError(f"{path}: format: {error}") from error
     columns = pose_columns(codec)
     rows = read_table(path, ("view", *columns))
     names = [row["view"] for row in rows]
