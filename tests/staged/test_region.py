@@ -63,5 +63,5 @@ def test_it_is_saved_with_the_calibration(tmp_path):
     assert again.above is True
     text = (tmp_path / "calibration.yaml").read_text().replace("side: +z", "side: up")
     (tmp_path / "calibration.yaml").write_text(text)
-    with pytest.raises(ValueError, match=r"calibration\.yaml: region\.side: expected one of"):
+    with pytest.raises(ValueError, match=r"calibration\.yaml: region\.side is one of"):
         Calibration.load(tmp_path / "calibration.yaml")
