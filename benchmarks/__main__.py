@@ -24,6 +24,7 @@ BENCHMARKS = {
     "growth": "time and memory of the joint fit by points, views and devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
+    "fuzz": "malformed files: refused by name, or their values in range",
     "stages": "every stage timed beside OpenCV, in one run",
 }
 

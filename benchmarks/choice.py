@@ -24,7 +24,6 @@ from smartview_jax.evaluation import deviations
 from smartview_jax.simulation import (
     paper_calibration,
     paper_points,
-    paper_viewpoints,
     views_around,
 )
 from smartview_jax.viewpoints import (
@@ -79,9 +78,10 @@ def _simulated(truth: sv.Calibration, smoke: bool) -> bool:
     rng = np.random.default_rng((0, 2))
     goal = held_out(survey, views_around(rng, 60, centre, (0.2, 0.2), np.deg2rad(19.0), 0.6))
     for roll, words in ((0.6, "rolled"), (0.0, "without roll")):
-        sets = [paper_viewpoints(np.random.default_rng(seed), roll) for seed in range(20)]
+        turns = [np.random.default_rng(seed).uniform(-roll, roll, 5) for seed in range(20)]
+        sets = [sv.five_viewpoints(centre, 0.2, turn, pattern="L") for turn in turns]
         values = [float(goal(jnp.sum(survey.information(poses), axis=0))) for poses in sets]
-        print(f"the paper's five, {words}: {np.median(values):.2f} px")
+        print(f"five in an L, {words}: {np.median(values):.2f} px")
     views = ViewRange(centre, (0.17, 0.25), float(np.deg2rad(40.0)))
     candidates = views.poses(views.drawn(np.random.default_rng(1), 2000))
     told = survey.information(candidates)

@@ -23,7 +23,10 @@ from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
 from .files import dump_yaml, read_yaml, write_atomically
 from .geometry import (
     PoseLike,
+    ViewedRegion,
     as_se3,
+    region_from_dict,
+    region_to_dict,
     transform_from_dict,
     transform_points,
     transform_to_dict,
@@ -39,7 +42,11 @@ from .robots import (
     robot_error_to_dict,
 )
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Files of version 1 have no end mark; see `schemas.calibration` for which of them load."""
+
+_END_MARK = "smartview_calibration"
+"""Value of the last entry of a file: what was cut does not have it."""
 
 _FRAMES: dict[str, tuple[str, str]] = {
     "eye_in_hand": ("tool", "base"),
@@ -75,6 +82,7 @@ class Calibration(eqx.Module):
         target_scale: true size of the target over its stated size.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         robot_error: what the reported poses are wrong by; None where they are taken as they are.
+        region: from where the target was seen when this was fitted; None where it was not fitted.
     """
 
     camera: Camera
@@ -83,6 +91,7 @@ class Calibration(eqx.Module):
     target_scale: Float[Array, ""]
     mount: str = eqx.field(static=True)
     robot_error: RobotError | None
+    region: ViewedRegion | None
 
     def __init__(
         self,
@@ -92,6 +101,7 @@ class Calibration(eqx.Module):
         mount: str,
         target_scale: ScalarLike = 1.0,
         robot_error: RobotError | None = None,
+        region: ViewedRegion | None = None,
     ):
         mount_frames(mount)
         self.camera = camera
@@ -100,6 +110,7 @@ class Calibration(eqx.Module):
         self.target_scale = jnp.asarray(target_scale, dtype=float)
         self.mount = mount
         self.robot_error = robot_error
+        self.region = region
 
     @classmethod
     def eye_in_hand(
@@ -269,10 +280,11 @@ class Calibration(eqx.Module):
         """
         return self.camera.project(self.points_in_camera(base_from_tool, points, corrected))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self, run: str | None = None) -> dict[str, Any]:
         """Plain numbers with their names and units, as written by `save`."""
         content: dict[str, Any] = {
             "smartview_calibration": FORMAT_VERSION,
+            **({} if run is None else {"run": run}),
             "units": {"length": "m", "angle": "rad", "image": "px"},
             "mount": self.mount,
             "camera": camera_to_dict(self.camera),
@@ -281,14 +293,17 @@ class Calibration(eqx.Module):
         for name, transform in zip(self.transform_names, transforms, strict=True):
             content[name] = transform_to_dict(transform)
         content["target_scale"] = float(self.target_scale)
-        if self.robot_error is not None:
-            content["robot_error"] = robot_error_to_dict(self.robot_error)
+        error = self.robot_error
+        content["robot_error"] = None if error is None else robot_error_to_dict(error)
+        if self.region is not None:
+            content["region"] = region_to_dict(self.region)
+        content["end"] = _END_MARK
         return content
 
     @classmethod
     def from_dict(
         cls,
-        content: dict[str, Any],
+        content: dict[Any, Any],
         lens: AbstractLens | None = None,
         field: AbstractField | None = None,
     ) -> "Calibration":
@@ -297,29 +312,33 @@ class Calibration(eqx.Module):
         Raises:
             ValueError: naming the entry that is missing or wrong.
         """
-        version = content.get("smartview_calibration")
-        if version != FORMAT_VERSION:
-            raise ValueError(f"smartview_calibration: expected {FORMAT_VERSION}, found {version!r}")
-        try:
-            mount = content["mount"]
-            names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
-            camera = camera_from_dict(content["camera"], lens)
-            mounted, held = (transform_from_dict(name, content[name]) for name in names)
-            error = content.get("robot_error")
-            return cls(
-                camera,
-                mounted,
-                held,
-                mount,
-                float(content["target_scale"]),
-                None if error is None else robot_error_from_dict(error, field),
-            )
-        except KeyError as error:
-            raise ValueError(f"entry {error.args[0]!r} is missing") from error
+        # The validation library is imported where files are read, not where arrays are fitted.
+        from .schemas.calibration import CALIBRATION
+        from .schemas.reading import checked
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a YAML file a person can read, whole or not at all."""
-        write_atomically(path, dump_yaml(self.to_dict()))
+        checked(content, CALIBRATION)
+        mount = content["mount"]
+        names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
+        mounted, held = (transform_from_dict(name, content[name]) for name in names)
+        error, region = content.get("robot_error"), content.get("region")
+        return cls(
+            camera_from_dict(content["camera"], lens),
+            mounted,
+            held,
+            mount,
+            float(content["target_scale"]),
+            None if error is None else robot_error_from_dict(error, field),
+            None if region is None else region_from_dict(region),
+        )
+
+    def save(self, path: str | os.PathLike[str], run: str | None = None) -> None:
+        """Write a YAML file a person can read, whole or not at all.
+
+        Args:
+            path: of the file.
+            run: name of the run that this is a result of, which all its files carry.
+        """
+        write_atomically(path, dump_yaml(self.to_dict(run)))
 
     @classmethod
     def load(

@@ -13,14 +13,20 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from .files import refuse_unwritable, written_together
+from .interrupts import EXIT_CODE, WORDS, heard_at_once, told
+
 if TYPE_CHECKING:
     import numpy as np
+    from jaxlie import SE3
 
     from .calibration import Calibration
     from .dataset import Dataset
     from .evaluation import ErrorBudget, Repeatability, Unseen
+    from .geometry import PoseCodec
     from .joint import CalibrationFit
     from .robots import SerialArm
+    from .viewpoints import ViewpointCommands
 
 app = typer.Typer(
     help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
@@ -54,6 +60,13 @@ NoiseOption = Annotated[
 BadViewsOption = Annotated[
     BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
 ]
+BaseFromWorldOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Where the target stands, roughly, for a pattern that looks the same when turned: "
+        "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world if the camera stands)."
+    ),
+]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
 
 
@@ -77,7 +90,8 @@ def main(
     What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
     names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
     """
-    _keep_compiled()
+    with _errors(False):
+        _keep_compiled()
 
 
 def _keep_compiled() -> None:
@@ -104,6 +118,7 @@ def calibrate(
         bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
     ] = False,
     bad_views: BadViewsOption = BadViews.RAISE,
+    base_from_world: BaseFromWorldOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
@@ -116,49 +131,59 @@ def calibrate(
         from .joint import calibrate as fit_both
         from .report import halves_agree, summaries, write_page
 
-        notes: list[str] = []
+        refuse_unwritable(out, "--out")
+        run = _run_name()
         with _progress() as say:
-            data, name = _load(dataset, bad_views, say)
+            data, name = _load(dataset, bad_views, say, base_from_world)
+            notes = list(data.notes)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
             counted = without_rejected_views(data, fit)
             unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
             halves = budget = None
             if diagnose:
                 halves, budget = _diagnosis(fit, counted, lens, noise, say, notes)
-            written = _save(fit, data, out)
         _print_result(summaries(fit, data, unseen), fit, data)
         for text in (*notes, *(f"even and odd views: {text}" for _, text in halves_agree(halves))):
             typer.echo(text)
         if budget is not None:
             _print_budget(budget)
-        with _progress() as say:
-            title, page = f"Calibration of {name}", out / "report.html"
-            write_page(page, fit, data, unseen, title, say, halves, budget, notes)
-        for path, words in [*written, (page, "what was found, and how good it is")]:
-            typer.echo(f"{path}: {words}")
+        with _progress() as say, written_together(out, tuple(_RESULTS)) as folder:
+            _save(fit, data, folder, run)
+            title, page = f"Calibration of {name}", folder / "report.html"
+            write_page(page, fit, data, unseen, title, say, halves, budget, notes, run)
+        for file, words in _RESULTS.items():
+            if (out / file).is_file():
+                typer.echo(f"{out / file}: {words}")
         if not fit.result.converged:
             raise typer.Exit(1)
 
 
-def _save(fit: "CalibrationFit", data: "Dataset", out: Path) -> list[tuple[Path, str]]:
-    """Files of the calibrations and what they are for; none stays from an earlier run."""
+_RESULTS = {
+    "calibration.yaml": "the calibration",
+    "calibration_staged.yaml": "that of the staged pipeline",
+    "calibration_uncorrected.yaml": "for programs that cannot correct the robot's error; predicts "
+    "best without, but does not say where the camera sits",
+    "report.html": "what was found, and how good it is",
+}
+"""Every file that `calibrate` writes, and what it is for."""
+
+
+def _run_name() -> str:
+    """Return a new name for a run, which all its files carry: the time, and what makes it one."""
+    import secrets
+    from datetime import UTC, datetime
+
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
+
+
+def _save(fit: "CalibrationFit", data: "Dataset", folder: Path, run: str) -> None:
     from .joint import best_uncorrected
 
-    found = {
-        "calibration.yaml": (fit.calibration, "the calibration"),
-        "calibration_staged.yaml": (fit.staged.calibration, "that of the staged pipeline"),
-    }
+    fit.calibration.save(folder / "calibration.yaml", run)
+    fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
-        found["calibration_uncorrected.yaml"] = (
-            best_uncorrected(data, fit),
-            "for programs that cannot correct the robot's error; predicts best without, but does "
-            "not say where the camera sits",
-        )
-    else:
-        (out / "calibration_uncorrected.yaml").unlink(missing_ok=True)
-    for name, (calibration, _) in found.items():
-        calibration.save(out / name)
-    return [(out / name, words) for name, (_, words) in found.items()]
+        bare = best_uncorrected(data, fit)
+        bare.save(folder / "calibration_uncorrected.yaml", run)
 
 
 @app.command()
@@ -166,6 +191,7 @@ def compare(
     dataset: DatasetArgument = None,
     lens: LensOption = "opencv4",
     bad_views: BadViewsOption = BadViews.RAISE,
+    base_from_world: BaseFromWorldOption = None,
     debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
@@ -175,7 +201,7 @@ def compare(
         from .report import COMPARED, compared, remarks
 
         with _progress() as say:
-            data, name = _load(dataset, bad_views, say)
+            data, name = _load(dataset, bad_views, say, base_from_world)
             rows = compare_methods(data, standard_methods(lens), progress=say)
         table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
         for column in COMPARED:
@@ -186,6 +212,8 @@ def compare(
             table.add_row(*compared(row))
         console = Console()
         console.print(table)
+        for note in data.notes:
+            console.print(note, highlight=False)
         for row in rows:
             unseen = None if row.held_out is None else Unseen(row.held_out)
             for remark in remarks(row.name, row.fitted, unseen, row.failure):
@@ -236,13 +264,35 @@ def export(
         typer.echo(text, nl=False)
 
 
+class SchemaOf(StrEnum):
+    """Files that have a JSON schema."""
+
+    DATASET = "dataset"
+    CALIBRATION = "calibration"
+
+
+@app.command()
+def schema(of: Annotated[SchemaOf, typer.Argument(help="Of which file.")]) -> None:
+    """Print the JSON schema of dataset.yaml or calibration.yaml, for editors.
+
+    Editors with a YAML language server check a file that begins with the line
+    `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved beside it.
+    """
+    from .schemas.json_schema import json_schema
+
+    typer.echo(json_schema(of.value), nl=False)
+
+
 @app.command()
 def viewpoint(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     at: Annotated[
         tuple[float, float, float], typer.Option(help="Point to look at, in the world's frame, m.")
     ] = (0.0, 0.0, 0.0),
-    distance: Annotated[float, typer.Option(help="From the camera to the point, m.")] = 0.2,
+    distance: Annotated[
+        float | None,
+        typer.Option(help="From the camera to the point, m; by default that of the calibration."),
+    ] = None,
     tilt: Annotated[float, typer.Option(help="From straight above, degrees.")] = 0.0,
     azimuth: Annotated[
         float, typer.Option(help="Where the camera stands, about z from x, degrees.")
@@ -252,8 +302,13 @@ def viewpoint(
         bool, typer.Option("--five", help="The paper's five viewpoints; tilt is their step.")
     ] = False,
     below: Annotated[
-        bool, typer.Option("--below", help="The world's z points away from the camera.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--below/--above",
+            help="The camera stands where the world's z is negative, or positive; by default on "
+            "the side from which the calibration saw the target.",
+        ),
+    ] = None,
     arm: Annotated[
         str | None,
         typer.Option(help="Joint readings too: an arm's name (puma_560, ...) or a .urdf file."),
@@ -265,45 +320,113 @@ def viewpoint(
     out: Annotated[
         Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
     ] = None,
+    pose_format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="How the robot's maker writes poses: val_oat, kawasaki_oat, kuka_abc, ur, "
+            "fanuc_wpr, abb, quaternion_xyzw, ...; .val files have VAL's.",
+        ),
+    ] = "val_oat",
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Also what lies outside of what the calibration knows."),
+    ] = False,
     debug: DebugOption = False,
 ) -> None:
-    """Print what to tell the robot so that the camera looks at a point, and write it for it."""
+    """Print what to tell the robot so that the camera looks at a point, and write it for it.
+
+    Refused, with nothing written, are commands out of reach, on the side of the target that was
+    not seen, or far outside the views that the calibration was fitted to.
+    """
     with _errors(debug):
         import numpy as np
 
         from .calibration import Calibration
+        from .geometry import pose_codec
         from .io import write_viewpoints
-        from .viewpoints import (
-            FIVE_STEP,
-            direction_of,
-            five_viewpoints,
-            look_at,
-            viewpoint_commands,
-        )
+        from .viewpoints import viewpoint_commands
 
-        known = Calibration.load(calibration)
-        if not distance > 0.0:
-            raise ValueError(f"--distance is in metres and positive; found {distance}")
-        lean, around, turn = np.deg2rad([tilt, azimuth, roll])
-        place, directions = np.array(at), direction_of(lean, np.array([around]), not below)
-        if five:
-            step = float(lean) or FIVE_STEP
-            wanted = five_viewpoints(place, distance, float(turn), step, not below)
-        else:
-            wanted = look_at(place, directions, distance, float(turn))
+        if out is not None:
+            refuse_unwritable(out.parent, "--out")
+        known, codec = Calibration.load(calibration), pose_codec(pose_format)
+        place = np.array(at)
+        wanted = _wanted(known, place, distance, (tilt, azimuth, roll), five, below)
         serial = _arm(arm, known)
         commands = viewpoint_commands(known, wanted, place[None], serial, _readings(near, serial))
-        table = Table("view", "x mm", "y mm", "z mm", "O deg", "A deg", "T deg", "", box=box.SIMPLE)
-        rows = np.asarray(commands.xyzoat) * np.repeat([1e3, 180.0 / np.pi], 3)
-        for k, (row, reason) in enumerate(zip(rows, commands.checks.reasons(), strict=True)):
-            table.add_row(f"v{1 + k}", *(f"{value:.3f}" for value in row), reason)
-        Console().print(table)
-        if serial is not None and commands.joints is not None:
-            Console().print(_joint_table(np.asarray(commands.joints), serial))
+        _print_viewpoints(commands, codec)
+        joints = None if commands.joints is None else np.asarray(commands.joints)
+        if serial is not None and joints is not None:
+            Console().print(_joint_table(joints, serial))
+        for text in _by_view(commands.checks.reasons()):
+            typer.echo(text)
+        dangers = _by_view(commands.checks.dangers())
+        if dangers and not force:
+            raise ValueError(
+                f"refused, and nothing is written: {'; '.join(dangers)}. --force if it is meant"
+            )
         if out is not None:
-            joints = None if commands.joints is None else np.asarray(commands.joints)
-            write_viewpoints(out, commands.base_from_tool, joints=joints)
+            write_viewpoints(out, commands.base_from_tool, None, joints, pose_format)
             typer.echo(out)
+
+
+DISTANCE = 0.2
+"""From the camera to the point by default, m, where a calibration does not know it: the paper's."""
+
+
+def _wanted(
+    known: "Calibration",
+    place: "np.ndarray",
+    distance: float | None,
+    degrees: tuple[float, float, float],
+    five: bool,
+    below: bool | None,
+) -> "SE3":
+    """The views that are asked for, where not said otherwise as the calibration's own were."""
+    import numpy as np
+
+    from .viewpoints import FIVE_STEP, direction_of, five_viewpoints, look_at
+
+    region = known.region
+    if distance is None:
+        distance = DISTANCE if region is None else float(np.mean(np.asarray(region.distance)))
+    if not distance > 0.0:
+        raise ValueError(f"--distance is in metres and positive; found {distance}")
+    above = (None if region is None else region.above) if below is None else not below
+    if above is None:
+        raise ValueError(
+            "the calibration does not say from which side the target was seen: --above if the "
+            "world's z points to the camera, --below if away from it (as a chessboard's does)"
+        )
+    lean, around, turn = np.deg2rad(degrees)
+    if five:
+        return five_viewpoints(place, distance, float(turn), float(lean) or FIVE_STEP, above)
+    directions = direction_of(lean, np.array([around]), above)
+    return look_at(place, directions, distance, float(turn))
+
+
+def _print_viewpoints(commands: "ViewpointCommands", codec: "PoseCodec") -> None:
+    """Print the poses in a maker's format."""
+    from .io import pose_columns
+
+    table = Table("view", box=box.SIMPLE)
+    for name in pose_columns(codec):
+        table.add_column(name.replace("_", " "), justify="right", no_wrap=True)
+    for k, row in enumerate(codec.encode(commands.base_from_tool, *codec.units)):
+        table.add_row(f"v{1 + k}", *(_figure(value, codec, n) for n, value in enumerate(row)))
+    Console().print(table)
+
+
+def _by_view(words: tuple[str, ...]) -> list[str]:
+    """Words of the views that have any, named as in the table."""
+    return [f"v{1 + k}: {text}" for k, text in enumerate(words) if text]
+
+
+def _figure(value: float, codec: "PoseCodec", column: int) -> str:
+    """A number of a pose: thousandths of mm and degrees, as fine in other units."""
+    millimetres = column in codec.lengths and codec.units[0] == "mm"
+    degrees = column in codec.angles and codec.units[1] == "deg"
+    return f"{value:.3f}" if millimetres or degrees else f"{value:.6f}"
 
 
 def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
@@ -347,14 +470,22 @@ def _readings(words: str | None, arm: "SerialArm | None") -> "np.ndarray | None"
 
 
 def _load(
-    dataset: Path | None, bad_views: str, say: Callable[[str], None]
+    dataset: Path | None,
+    bad_views: str,
+    say: Callable[[str], None],
+    base_from_world: str | None = None,
 ) -> "tuple[Dataset, str]":
-    from .io import load_dataset, sample_folder
+    from .io import load_dataset, parse_rough_pose, sample_folder
+
+    rough = None
+    if base_from_world is not None:
+        rough = parse_rough_pose("--base-from-world", base_from_world)
 
     if dataset is None:
         say("no data set given: the sample of the package")
         return load_dataset(sample_folder(), progress=say, keep_detections=False), "the sample"
-    return load_dataset(dataset, bad_views, progress=say), dataset.resolve().name
+    found = load_dataset(dataset, bad_views, progress=say, holder_from_world=rough)
+    return found, dataset.resolve().name
 
 
 def _held_out(
@@ -466,10 +597,13 @@ def _progress() -> Iterator[Callable[[str], None]]:
 def _errors(debug: bool) -> Iterator[None]:
     """Errors a user can do something about, as one line; an interrupted run says so."""
     try:
-        yield
+        with heard_at_once():
+            yield
     except KeyboardInterrupt:
-        typer.echo("interrupted; no file is left half-written", err=True)
-        sys.exit(130)
+        if not told.is_set():
+            told.set()
+            typer.echo(WORDS, err=True)
+        sys.exit(EXIT_CODE)
     except (ValueError, OSError) as error:
         if debug:
             raise

@@ -82,6 +82,7 @@ class Dataset(eqx.Module):
         target: the description of the target, where known (a member of `targets`).
         joints: as in `Observations`.
         arm: whose joints these are, where known.
+        notes: sentences on what was taken for granted when the data were read.
     """
 
     points: Float[Array, "views points 3"]
@@ -96,6 +97,7 @@ class Dataset(eqx.Module):
     target: Any = eqx.field(static=True, default=None)
     joints: Float[Array, "views joints"] | None = None
     arm: SerialArm | None = None
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
 
     @classmethod
     def from_arrays(
@@ -113,6 +115,7 @@ class Dataset(eqx.Module):
         target: Any = None,
         joints: np.ndarray | Array | None = None,
         arm: SerialArm | None = None,
+        notes: Sequence[str] = (),
     ) -> "Dataset":
         """A data set from one's own arrays.
 
@@ -133,6 +136,7 @@ class Dataset(eqx.Module):
             joints: `(M, joints)` readings, rad, m for a joint that slides.
             arm: whose joints these are, as its controller believes it to be. Poses that are given
                 as well must agree with it.
+            notes: sentences on what was taken for granted when the data were read.
 
         Raises:
             ValueError: a wrong shape, a duplicate id, or, unless masked, a wrong value; the
@@ -182,6 +186,7 @@ class Dataset(eqx.Module):
             masked_views=tuple((view, problems[view]) for view in ids if view in problems),
             pictures=None if pictures is None else tuple(Path(p) for p in pictures),
             target=target,
+            notes=tuple(notes),
         )
         return data if joints is None and arm is None else data.with_joints(joints, arm)
 
@@ -263,6 +268,7 @@ class Dataset(eqx.Module):
             target=self.target,
             joints=None if self.joints is None else self.joints[index],
             arm=self.arm,
+            notes=self.notes,
         )
 
 

@@ -1,12 +1,17 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from text_files import edit
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import AbstractPerspectiveLens, Camera, Pinhole, lens_by_name
+from smartview_jax.geometry import ViewedRegion
+from smartview_jax.robots import LinearInPosition, RobotError
 
 LENSES = ("pinhole", "radial", "weng", "opencv4", "opencv5", "opencv8", "fisheye")
 
@@ -166,11 +171,21 @@ def test_a_lens_of_ones_own_is_saved_and_loaded(tmp_path, eye_in_hand):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("smartview_calibration: 1", "smartview_calibration: 9", "expected 1, found 9"),
+        ("smartview_calibration: 2", "smartview_calibration: 9", "is one of 1, 2; found 9"),
         ("mount: eye_in_hand", "mount: ceiling", "found 'ceiling'"),
-        ("target_scale", "targetscale", "entry 'target_scale' is missing"),
-        ("quaternion_wxyz: [", "quaternion_wxyz: [1.0, ", "expected 3 and 4 numbers"),
-        ("alpha_u: 800.0", "alpha_w: 800.0", "entry 'alpha_u' is missing"),
+        ("target_scale", "targetscale", "called 'targetscale'; did you mean 'target_scale'"),
+        ("target_scale: 1.01\n", "", "entry 'target_scale' is missing"),
+        ("target_scale: 1.01", "target_scale: 0", "target_scale: expected .* 0.001 .*found 0"),
+        ("quaternion_wxyz: [", "quaternion_wxyz: [1.0, ", "camera_from_tool.quaternion_wxyz: exp"),
+        ("translation: [", "translation: [1000.0, ", "camera_from_tool.translation: exp.* 3 numb"),
+        ("alpha_u: 800.0", "alpha_w: 800.0", "camera: .*'alpha_w'; did you mean 'alpha_[uv]'"),
+        ("alpha_u: 800.0", "alpha_u: .nan", "camera.alpha_u: expected .* px, above 0.* found nan"),
+        ("alpha_u: 800.0", "alpha_u: -1", "camera.alpha_u: expected .* found -1"),
+        ("alpha_u: 800.0", "alpha_u: 1\n  alpha_u: 2", "key 'alpha_u' comes twice"),
+        ("length: m", "length: mm", "units.length: expected m, found 'mm'"),
+        ("model: pinhole", "model: pinhol", "lens is one of .*'pinhol'; did you mean 'pinhole'"),
+        ("model: pinhole", "model: radial", "camera.lens: .*k1"),
+        ("model: pinhole", "model: pinhole, k1: 0.1", "camera.lens: .*k1"),
     ],
 )
 def test_a_wrong_file_names_itself_and_the_entry(tmp_path, eye_in_hand, old, new, message):
@@ -181,3 +196,100 @@ def test_a_wrong_file_names_itself_and_the_entry(tmp_path, eye_in_hand, old, new
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(ValueError, match=rf"calibration\.yaml: .*{message}"):
         Calibration.load(path)
+
+
+def corrected(calibration):
+    field = LinearInPosition(jnp.array([0.4, 0.0, 0.3]), jnp.asarray(0.2))
+    error = RobotError(field, 1e-3 * jnp.arange(18.0))
+    return dataclasses.replace(calibration, robot_error=error)
+
+
+def test_a_file_that_was_cut_anywhere_is_refused(tmp_path, eye_in_hand):
+    """Above all before `robot_error`, where what is left would load without the correction."""
+    path = tmp_path / "calibration.yaml"
+    corrected(eye_in_hand).save(path)
+    whole = path.read_text()
+    assert eqx.tree_equal(Calibration.load(path), corrected(eye_in_hand))
+    for end in {*range(1, len(whole.rstrip()), 23), whole.index("robot_error")}:
+        path.write_text(whole[:end])
+        with pytest.raises(ValueError, match=r"calibration\.yaml: "):
+            Calibration.load(path)
+
+
+def test_files_of_version_1_load_where_nothing_can_be_missing(tmp_path, eye_in_hand):
+    """They have no end mark, and name no robot_error where there is none."""
+    path = tmp_path / "calibration.yaml"
+    corrected(eye_in_hand).save(path)
+    text = path.read_text().replace("smartview_calibration: 2", "smartview_calibration: 1")
+    old = text.replace("end: smartview_calibration\n", "")
+    assert old != text
+    path.write_text(old)
+    assert eqx.tree_equal(Calibration.load(path), corrected(eye_in_hand))
+    cut = old[: old.index("robot_error")]
+    path.write_text(cut)
+    with pytest.raises(ValueError, match=r"cut before it: if it is whole, add .*robot_error: null"):
+        Calibration.load(path)
+    path.write_text(cut + "robot_error: null\n")
+    assert Calibration.load(path).robot_error is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("model: position", "model: pos", "field is one of .*'pos'"),
+        ("reach: 0.2", "reach: 0", "robot_error.field.reach: expected .*found 0"),
+        ("centre: [0.4, 0.0, 0.3]", "centre: [0.4, 0.0]", "robot_error.field.centre: expected"),
+        ("centre: [0.4, 0.0, 0.3]", "centre: {x: 1}", "robot_error.field.centre"),
+        ("translation_by_position.3: ", "translation_by_positio.3: ", "translation_by_positio.3"),
+        ("translation_by_position.3: 0.003", "translation_by_position.3: .inf", "found inf"),
+    ],
+)
+def test_a_wrong_correction_names_its_entry(tmp_path, eye_in_hand, old, new, message):
+    path = tmp_path / "calibration.yaml"
+    corrected(eye_in_hand).save(path)
+    edit(path, old, new)
+    with pytest.raises(ValueError, match=rf"calibration\.yaml: .*{message}"):
+        Calibration.load(path)
+
+
+CAMERAS = np.array([[0.0, 0.1, 0.5], [0.2, 0.1, 0.7], [0.1, 0.4, 0.6]])
+
+
+def seen_from(calibration, tools=CAMERAS):
+    """The calibration, as if it were fitted to views from these places."""
+    region = ViewedRegion.of(CAMERAS, np.zeros((1, 3)), tools)
+    return dataclasses.replace(calibration, region=region)
+
+
+@pytest.mark.parametrize("tools", [None, CAMERAS])
+def test_where_the_target_was_seen_from_is_saved_and_loaded(tmp_path, eye_in_hand, tools):
+    written = seen_from(eye_in_hand, tools)
+    path = tmp_path / "calibration.yaml"
+    written.save(path)
+    assert eqx.tree_equal(Calibration.load(path), written)
+    path.write_text(path.read_text().replace("lowest_tool: 0.5", "lowest_tool: null"))
+    region = Calibration.load(path).region
+    assert region is not None
+    assert np.isinf(region.lowest_tool)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("side", "up"),
+        ("middle", [1.0, 2.0]),
+        ("reach", float("nan")),
+        ("reach", -1.0),
+        ("distance", [2.0, 1.0]),
+        ("distance", [0.0, 1.0]),
+        ("plane", "low"),
+        ("lowest_tool", "low"),
+        ("lowest_tool", 1e6),
+        ("highest_tool", 1.0),
+    ],
+)
+def test_what_is_wrong_with_the_region_is_named(eye_in_hand, entry, value):
+    content = seen_from(eye_in_hand).to_dict()
+    content["region"][entry] = value
+    with pytest.raises(ValueError, match=rf"region.*{entry}"):
+        Calibration.from_dict(content)

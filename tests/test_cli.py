@@ -2,6 +2,7 @@ import dataclasses
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 from smartview_jax import Calibration
 from smartview_jax.cli import app
 from smartview_jax.evaluation import deviations
+from smartview_jax.files import read_yaml
 from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
@@ -81,14 +83,19 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     assert run.exit_code == 0, run.output
     assert not (tmp_path / "calibration_uncorrected.yaml").exists()
     page = (tmp_path / "report.html").read_text()
-    for words in ("held-out error needs at least 4 usable views", "halves of the views are not"):
+    for words in (
+        "held-out error needs at least 4 usable views",
+        "halves of the views are not",
+        "the pattern looks the same in 2 orders",
+    ):
         assert words in run.stdout
         assert words in page
     assert "With 3 views no figure here is reliable" in page
 
 
 def three_views():
-    return random_scene(0, 3, paper_points((0.0, 0.02))[::3]).data
+    data = random_scene(0, 3, paper_points((0.0, 0.02))[::3]).data
+    return dataclasses.replace(data, notes=("the pattern looks the same in 2 orders",))
 
 
 @pytest.mark.parametrize(
@@ -120,6 +127,48 @@ def test_the_report_is_one_page_that_fetches_nothing(result):
         "calibration_uncorrected.yaml",
         "report.html",
     ]
+
+
+def test_all_files_of_a_run_carry_its_name(result):
+    _, out = result
+    names = {read_yaml(path)["run"] for path in out.glob("*.yaml")}
+    (name,) = names
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:]{8}Z-[0-9a-f]{6}", name)
+    assert name in (out / "report.html").read_text()
+
+
+def test_where_results_go_is_looked_at_before_the_work(tmp_path, monkeypatch):
+    def never(*_):
+        raise AssertionError("it began to work")
+
+    monkeypatch.setattr("smartview_jax.cli._load", never)
+    (tmp_path / "file").write_text("a file")
+    cases = {
+        tmp_path / "file": f"--out: {tmp_path / 'file'} is a file; expected a folder",
+        tmp_path / "file/below": f"--out: {tmp_path / 'file'} is a file; expected a folder",
+        Path("/proc/results"): "--out: /proc cannot be written to",
+    }
+    for out, words in cases.items():
+        run = RUNNER.invoke(app, ["calibrate", "--out", str(out)])
+        assert run.exit_code == 2, run.output
+        assert words in run.stderr.replace("\n", " ")
+
+
+def test_a_report_that_fails_leaves_the_last_runs_files(tmp_path, monkeypatch):
+    """Not a new calibration beside an old report."""
+    monkeypatch.setattr("smartview_jax.cli._load", lambda *_: (three_views(), "three views"))
+
+    def broken(*_):
+        raise ValueError("no report")
+
+    monkeypatch.setattr(sys.modules["smartview_jax.report"], "write_page", broken)
+    for name in ("calibration.yaml", "report.html"):
+        (tmp_path / name).write_text("from an earlier run")
+    run = RUNNER.invoke(app, ["calibrate", "--no-held-out", "--out", str(tmp_path)])
+    assert run.exit_code == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"calibration.yaml", "report.html"}
+    for path in tmp_path.iterdir():
+        assert path.read_text() == "from an earlier run"
 
 
 def test_names_from_the_data_are_escaped(result, tmp_path, monkeypatch):
@@ -159,7 +208,7 @@ def test_poses_the_wrong_way_round_are_named(tmp_path):
     (folder / "dataset.yaml").write_text(text.replace("base_from_tool", "tool_from_base"))
     run = RUNNER.invoke(app, ["calibrate", str(folder), "--out", str(tmp_path / "out")])
     assert run.exit_code == 2
-    assert "when every one is inverted" in run.stderr
+    assert "every pose is inverted" in run.stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -207,8 +256,11 @@ def test_a_viewpoint_is_printed_and_written(tmp_path):
 
     paper_calibration().save(tmp_path / "calibration.yaml")
     given = ["viewpoint", str(tmp_path / "calibration.yaml"), "--at", "0.018", "0.015", "0.01"]
+    unsaid = RUNNER.invoke(app, given)
+    assert unsaid.exit_code == 2
+    assert "does not say from which side the target was seen: --above" in unsaid.stderr
     out = tmp_path / "v.json"
-    run = RUNNER.invoke(app, [*given, "--roll", "30", "--out", str(out)])
+    run = RUNNER.invoke(app, [*given, "--above", "--roll", "30", "--out", str(out)])
     assert run.exit_code == 0, run.output
     point = np.array([0.018, 0.015, 0.01])
     wanted = look_at(point, np.array([[0.0, 0.0, -1.0]]), 0.2, np.deg2rad(30.0))
@@ -222,9 +274,80 @@ def test_a_viewpoint_is_printed_and_written(tmp_path):
     expected = paper_calibration().command_for(five_viewpoints(point, 0.2, above=False))
     found = read_viewpoints(tmp_path / "v.csv").base_from_tool
     np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-9)
-    run = RUNNER.invoke(app, [*given, "--distance", "-1"])
+    run = RUNNER.invoke(app, [*given, "--above", "--distance", "-1"])
     assert run.exit_code == 2
     assert "--distance" in run.stderr
+
+
+def test_a_viewpoint_of_the_sample_is_on_the_side_that_was_seen(result, tmp_path):
+    """Its frame has z into the board, which lies on a table: the tool stays over it."""
+    from smartview_jax.io import read_viewpoints
+
+    _, folder = result
+    for name in ("calibration", "calibration_staged", "calibration_uncorrected"):
+        out = tmp_path / f"{name}.json"
+        told = ["viewpoint", str(folder / f"{name}.yaml"), "--five", "--out", str(out)]
+        run = RUNNER.invoke(app, told)
+        assert run.exit_code == 0, run.output
+        assert (np.asarray(read_viewpoints(out).base_from_tool.translation())[:, 2] > 0.5).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--above"], r"the camera is 0\.\d+ m behind the target's plane"),
+        (["--distance", "400"], r"the tool is 400\.\d m from the base: no arm is that long"),
+        (["--at", "3", "0", "0"], r"the camera is 5\.\d times as far from the middle"),
+    ],
+)
+def test_a_viewpoint_that_could_break_something_is_refused(result, tmp_path, options, reason):
+    _, folder = result
+    out = tmp_path / "v.val"
+    given = ["viewpoint", str(folder / "calibration.yaml"), "--out", str(out), *options]
+    run = RUNNER.invoke(app, given)
+    assert run.exit_code == 2
+    assert re.search(f"refused, and nothing is written: v1: .*{reason}", run.stderr)
+    assert not out.exists()
+    forced = RUNNER.invoke(app, [*given, "--force"])
+    assert re.search(reason, forced.stdout)
+    # What no robot can do is not written all the same.
+    absurd = "400" in options
+    assert (forced.exit_code, out.exists()) == ((2, False) if absurd else (0, True))
+
+
+def test_a_viewpoint_out_of_an_arms_reach_is_refused(tmp_path):
+    paper_calibration().save(tmp_path / "calibration.yaml")
+    out = tmp_path / "v.val"
+    given = ["viewpoint", str(tmp_path / "calibration.yaml"), "--above", "--distance", "3"]
+    arm = ["--arm", "puma_560", "--near=0,90,-90,0,60,0"]
+    run = RUNNER.invoke(app, [*given, *arm, "--out", str(out)])
+    assert run.exit_code == 2
+    assert "refused, and nothing is written: v1: out of reach" in run.stderr
+    assert not out.exists()
+
+
+def test_a_viewpoint_in_another_makers_words(tmp_path):
+    """KUKA's angles by scipy."""
+    from scipy.spatial.transform import Rotation
+
+    from smartview_jax.viewpoints import look_at
+
+    paper_calibration().save(tmp_path / "calibration.yaml")
+    out = tmp_path / "v.csv"
+    given = ["viewpoint", str(tmp_path / "calibration.yaml"), "--above", "--out", str(out)]
+    run = RUNNER.invoke(app, [*given, "--format", "kuka_abc"])
+    assert run.exit_code == 0, run.output
+    header, row = out.read_text().splitlines()
+    assert header == "view,format,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
+    wanted = look_at(np.zeros(3), np.array([0.0, 0.0, -1.0]), 0.2)
+    pose = np.asarray(paper_calibration().command_for(wanted).as_matrix())
+    angles = Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX", degrees=True)
+    expected = [*(1e3 * pose[:3, 3]), *angles]
+    np.testing.assert_allclose(np.array(row.split(",")[2:], dtype=float), expected, atol=1e-6)
+    assert f"{angles[0]:.3f}" in run.stdout
+    run = RUNNER.invoke(app, [*given, "--format", "kuka"])
+    assert run.exit_code == 2
+    assert "pose format is one of" in run.stderr
 
 
 def test_a_viewpoint_in_an_arms_joints(tmp_path):
@@ -239,7 +362,7 @@ def test_a_viewpoint_in_an_arms_joints(tmp_path):
     bare = paper_calibration()
     near = joints_for_pose(arm, bare.command_for(wanted), np.deg2rad([[0, 90, -90, 0, 60, 0]]))
     words = ",".join(f"{reading:.0f}" for reading in np.rad2deg(near.joints[0]))
-    given = ["viewpoint", str(path), f"--near={words}", "--out", str(out)]
+    given = ["viewpoint", str(path), "--above", f"--near={words}", "--out", str(out)]
     offsets = jnp.array([0.0, 0.01, -0.02, 0.0, 0.01, 0.0])
     fitted = dataclasses.replace(bare, robot_error=RobotError(JointOffsets(arm), offsets))
     for known, named in ((bare, ["--arm", "puma_560"]), (fitted, [])):
@@ -253,7 +376,7 @@ def test_a_viewpoint_in_an_arms_joints(tmp_path):
 
     bare.save(path)
     for words, message in (
-        (["viewpoint", str(path), "--arm", "puma_560"], "--near"),
+        (["viewpoint", str(path), "--above", "--arm", "puma_560"], "--near"),
         (given, "--arm"),
         ([*given, "--arm", "puma_560", "--near=1,2"], "expected 6 numbers"),
         ([*given, "--arm", "scara"], "puma_560"),

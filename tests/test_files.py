@@ -1,8 +1,9 @@
 import os
+import signal
 
 import pytest
 
-from smartview_jax.files import dump_yaml, read_yaml, write_atomically
+from smartview_jax.files import dump_yaml, read_yaml, write_atomically, written_together
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -32,7 +33,17 @@ def test_a_missing_file_is_named(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("a: [1", "not readable as YAML"), ("- 1\n- 2\n", "expected a mapping, found list")],
+    [
+        ("a: [1", "not readable as YAML"),
+        ("- 1\n- 2\n", "expected a mapping, found list"),
+        ("a: 1\nb: 2\na: 3\n", "not readable as YAML: key 'a' comes twice"),
+        ("a: " + 2000 * "[" + 2000 * "]", "not readable as YAML: nested deeper"),
+        ("a: &a [*a]\n", "not readable as YAML: an alias to what it stands in"),
+        ("a: !!bool maybe\n", "not readable as YAML"),
+        ("a: !!int ''\n", "not readable as YAML"),
+        ("a: " + 5000 * "1" + "\n", "not readable as YAML: Exceeds the limit"),
+        ("a: \x00\n", "not readable as YAML"),
+    ],
 )
 def test_a_wrong_file_is_named(tmp_path, text, message):
     (tmp_path / "wrong.yaml").write_text(text)
@@ -44,3 +55,46 @@ def test_yaml_that_would_run_code_is_refused(tmp_path):
     (tmp_path / "evil.yaml").write_text("a: !!python/object/apply:os.system ['true']\n")
     with pytest.raises(ValueError, match="not readable as YAML"):
         read_yaml(tmp_path / "evil.yaml")
+
+
+def test_aliases_that_multiply_are_refused_before_they_do(tmp_path):
+    """Nine levels of nine aliases are a thousand million entries."""
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{k}: &a{k} [{', '.join(9 * [f'*a{k - 1}'])}]" for k in range(1, 9)]
+    (tmp_path / "bomb.yaml").write_text("\n".join(lines))
+    with pytest.raises(ValueError, match=r"bomb\.yaml: .*more than 1000000 entries"):
+        read_yaml(tmp_path / "bomb.yaml")
+
+
+def test_bytes_that_are_no_text_are_named(tmp_path):
+    (tmp_path / "latin.yaml").write_bytes("größe: 1\n".encode("latin-1"))
+    with pytest.raises(ValueError, match=r"latin\.yaml: not readable as UTF-8 text: .*position 2"):
+        read_yaml(tmp_path / "latin.yaml")
+
+
+def test_numbers_are_those_of_yaml_1_2(tmp_path):
+    """The older version reads text, eight and ninety."""
+    (tmp_path / "numbers.yaml").write_text("a: [1e-3, 010, 1:30, -.inf, 1_000, 2024-01-01, .5]\n")
+    found = read_yaml(tmp_path / "numbers.yaml")["a"]
+    assert found == [1e-3, 10, "1:30", -float("inf"), "1_000", "2024-01-01", 0.5]
+
+
+def test_results_of_two_runs_never_stand_side_by_side(tmp_path, monkeypatch):
+    for name in ("a", "b"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / "another's").write_text("kept")
+    with pytest.raises(IsADirectoryError), written_together(tmp_path, ["a", "b"]) as folder:
+        folder.write_text("in vain")
+    assert (tmp_path / "a").read_text() == "old"
+
+    replace = os.replace
+
+    def interrupted(*paths):
+        replace(*paths)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), written_together(tmp_path, ["a", "b"]) as folder:
+        (folder / "a").write_text("new")
+    assert (tmp_path / "a").read_text() == "new"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "another's"]

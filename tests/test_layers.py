@@ -12,10 +12,11 @@ import smartview_jax
 PACKAGE = Path(smartview_jax.__file__).parent
 
 # From the ground floor up; `files` holds only the reading and writing of text, `compilation` how
-# programs are compiled.
+# programs are compiled, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
-    files compilation geometry cameras robots targets calibration dataset detection io simulation
-    staged joint evaluation viewpoints modeling localization grasping report editor cli
+    files compilation schemas geometry cameras robots targets calibration dataset detection io
+    simulation staged joint evaluation viewpoints modeling localization grasping report editor
+    interrupts cli
 """.split()
 
 NO_OPENCV = """
@@ -80,4 +81,10 @@ def test_importing_starts_no_device():
     """Or `jax.distributed.initialize` would have to come before the import."""
     look = "from jax._src.xla_bridge import backends_are_initialized as started"
     code = f"import smartview_jax\n{look}\nraise SystemExit(started())"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_validation_library_is_imported_where_a_file_is_read():
+    """It takes a tenth of a second, which `smartview --help` and a notebook's import do not owe."""
+    code = "import sys, smartview_jax.cli\nraise SystemExit('pydantic' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

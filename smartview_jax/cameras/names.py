@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..schemas.words import nearest
 from .fisheye import Fisheye
 from .lens import AbstractLens
 from .opencv import OpenCV4, OpenCV5, OpenCV8
@@ -30,7 +31,10 @@ def lens_by_name(name: str | AbstractLens) -> AbstractLens:
     if isinstance(name, AbstractLens):
         return name
     if name not in LENSES:
-        raise ValueError(f"lens is one of {', '.join(LENSES)}, or an AbstractLens; found {name!r}")
+        raise ValueError(
+            f"lens is one of {', '.join(LENSES)}, or an AbstractLens; found {name!r}"
+            f"{nearest(name, LENSES)}"
+        )
     return LENSES[name]()
 
 

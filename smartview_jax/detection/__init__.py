@@ -9,4 +9,5 @@ from .detection import Detection as Detection
 from .detection import nothing_found as nothing_found
 from .markers import charuco_board as charuco_board
 from .markers import dictionary_by_name as dictionary_by_name
+from .ordering import Ordering as Ordering
 from .ordering import consistent_ordering as consistent_ordering

@@ -42,7 +42,10 @@ def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
 
 
 def read_picture(path: Path, image_size: tuple[int, int] | None = None) -> np.ndarray:
-    """A picture as grey uint8.
+    """Read a picture as grey uint8, as the sensor saw it.
+
+    An orientation that the file notes (EXIF) is left aside: a camera's pixels are its sensor's, and
+    a note in some of the files would turn those alone.
 
     Raises:
         FileNotFoundError: it is missing.
@@ -52,7 +55,11 @@ def read_picture(path: Path, image_size: tuple[int, int] | None = None) -> np.nd
         raise FileNotFoundError(f"{path}: no such picture")
     # Not imread: it prints to stderr and cannot read names outside ASCII everywhere.
     data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        image = cv2.imdecode(data, how) if data.size else None
+    except cv2.error as error:
+        raise ValueError(f"{path}: not a picture that can be read: {error}") from error
     if image is None:
         raise ValueError(f"{path}: not a picture that can be read")
     size = (image.shape[1], image.shape[0])

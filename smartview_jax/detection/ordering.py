@@ -5,9 +5,26 @@ camera poses, one a symmetry; between two views the camera must have turned by t
 robot, and one hand-eye rotation must explain all turns.
 """
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from .common_turn import common_turn
+
+
+class Ordering(NamedTuple):
+    """One order of a symmetric target's points over all views.
+
+    Attributes:
+        symmetry: which symmetry to apply in each view, `pixels[view][symmetries[answer[view]]]`; 0
+            for views without points.
+        words: a sentence about the choice; empty where there was none.
+    """
+
+    symmetry: Int[np.ndarray, "views"]
+    words: str = ""
 
 
 def consistent_ordering(
@@ -17,8 +34,10 @@ def consistent_ordering(
     symmetries: Int[np.ndarray, "symmetries points"],
     tool_rotations: Float[np.ndarray, "views 3 3"],
     image_size: tuple[int, int],
-) -> Int[np.ndarray, "views"]:
-    """Which symmetry to apply in each view: `pixels[view][symmetries[answer[view]]]`.
+    holder: str = "base",
+    rough: Float[np.ndarray, "3 3"] | None = None,
+) -> Ordering:
+    """Choose an order of the points in each view, so that all views name the same points alike.
 
     Args:
         pixels, visible: as detected.
@@ -26,24 +45,38 @@ def consistent_ordering(
         symmetries: orders that look alike, identity first.
         tool_rotations: of `mount_from_holder`, so that both mounts are alike.
         image_size: width and height, px.
+        holder: the frame in which the target stands, `"base"` or `"tool"`.
+        rough: rotation of `holder_from_world`, roughly, which decides between turns of the whole
+            target; None takes the least turned one (see `common_turn`).
 
-    Returns:
-        An index a view; 0 for views without points and, since a rotation of the whole target is a
-        free choice, for the view that served as reference.
+    Raises:
+        ValueError: the rough rotation has the target's z axis elsewhere.
     """
     answer = np.zeros(len(pixels), dtype=int)
     shown = np.flatnonzero(visible.sum(axis=1) >= 6)
-    if len(symmetries) == 1 or len(shown) < 3:
-        return answer
+    if len(symmetries) == 1:
+        return Ordering(answer)
+    if len(shown) < 3:
+        return Ordering(
+            answer,
+            f"the target's pattern looks the same in {len(symmetries)} orders of its points, and "
+            f"{len(shown)} views are too few to tell them apart: each has the detector's own",
+        )
     candidates = _candidate_rotations(pixels[shown], visible[shown], points, symmetries, image_size)
     robot = tool_rotations[shown]
-    best, lowest = None, np.inf
-    for first in range(min(len(shown), 4)):
-        chosen, cost = _from_reference(candidates, robot, first)
-        if best is None or cost < lowest:
-            best, lowest = chosen, cost
-    answer[shown] = best
-    return answer
+    tried = [_from_reference(candidates, robot, first) for first in range(min(len(shown), 4))]
+    best, _ = min(tried, key=lambda answer: answer[1])
+    chosen = common_turn(
+        candidates[np.arange(len(shown)), best], robot, points, symmetries, holder, rough
+    )
+    answer[shown] = _after(symmetries, best, chosen.symmetry)
+    return Ordering(answer, chosen.words)
+
+
+def _after(symmetries: np.ndarray, each: np.ndarray, common: int) -> np.ndarray:
+    """Index of each view's own symmetry followed by one that all share."""
+    both = symmetries[each][:, symmetries[common]]
+    return np.argmax((both[:, None] == symmetries[None]).all(axis=2), axis=1)
 
 
 def _candidate_rotations(
@@ -53,7 +86,7 @@ def _candidate_rotations(
     symmetries: np.ndarray,
     image_size: tuple[int, int],
 ) -> np.ndarray:
-    """`(views, symmetries, 3, 3)` rotations of camera_from_world, from a rough common camera."""
+    """Rotations `(views, symmetries, 3, 3)` of camera_from_world, from a rough common camera."""
     matrix = _rough_camera(pixels, visible, points, image_size)
     rotations = np.empty((len(pixels), len(symmetries), 3, 3))
     for view, (where, seen) in enumerate(zip(pixels, visible, strict=True)):

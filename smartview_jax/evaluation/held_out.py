@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxlie import SE3
 
 from ..calibration import Calibration
 from ..dataset import Dataset
@@ -34,12 +35,15 @@ class HeldOut(NamedTuple):
         folds: indices of the views held out in each fold.
         failures: fold and reason, for folds whose fit failed.
         unconverged: fold and message, for folds whose fit stopped early; their predictions count.
+        extrapolated: indices of the views that lie outside of what their fold's predictor calls
+            `inside`; empty where it does not tell. Their predictions count.
     """
 
     deviations: Deviations
     folds: tuple[tuple[int, ...], ...]
     failures: tuple[tuple[int, str], ...]
     unconverged: tuple[tuple[int, str], ...] = ()
+    extrapolated: tuple[int, ...] = ()
 
     def interval(self, level: float = 0.95) -> Interval:
         """Bootstrap interval of the RMS over views, px; see `rms_interval`."""
@@ -142,7 +146,17 @@ def score(
         result = getattr(part.fit, "result", None)
         if result is not None and not result.converged:
             unconverged.append((number, result.message))
-    return found._replace(unconverged=tuple(unconverged))
+    outside = tuple(view for part in parts for view in _extrapolated(part, data))
+    return found._replace(unconverged=tuple(unconverged), extrapolated=outside)
+
+
+def _extrapolated(fold: Refit, data: Dataset) -> tuple[int, ...]:
+    """Return the hidden views that a fold's predictor says lie outside of what it knows."""
+    inside = None if fold.failure else getattr(predictor_of(fold.fit), "inside", None)
+    if inside is None:
+        return ()
+    views = np.array(fold.views)
+    return tuple(int(v) for v in views[~inside(SE3(data.base_from_tool.wxyz_xyz[views]))])
 
 
 def pooled(refits: Sequence[Refit], data: Dataset, measure: Callable[[Any], Deviations]) -> HeldOut:

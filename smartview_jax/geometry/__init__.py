@@ -5,6 +5,7 @@ from .conics import conic_centre as conic_centre
 from .conics import region_centroid as region_centroid
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
+from .host import host_matrices as host_matrices
 from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
@@ -24,6 +25,10 @@ from .rigid import mean_pose as mean_pose
 from .rigid import nearest_rotation as nearest_rotation
 from .rigid import rotation_angle as rotation_angle
 from .rigid import transform_points as transform_points
+from .viewed_region import ViewedRegion as ViewedRegion
+from .viewed_region import region_from_dict as region_from_dict
+from .viewed_region import region_to_dict as region_to_dict
+from .viewing import FIVE_PATTERNS as FIVE_PATTERNS
 from .viewing import FIVE_STEP as FIVE_STEP
 from .viewing import direction_of as direction_of
 from .viewing import five_viewpoints as five_viewpoints

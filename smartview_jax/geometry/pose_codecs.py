@@ -37,8 +37,14 @@ ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 _UNIT_TOLERANCE = 1e-3
 """How far a quaternion's length may be from 1: files have few digits."""
 
+_MOST_RADIANS = 4.0 * np.pi
+"""Angle that no controller writes in radians."""
+
 _NAMED = 5
 """How many bad rows a message names: in a wrong unit or format all of them are bad."""
+
+
+_SI, _MM_DEG = ("m", "rad"), ("mm", "deg")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +59,7 @@ class PoseCodec:
         to_se3: transforms `(*batch)` of rows `(*batch, columns)` in m and rad; pure JAX.
         from_se3: the inverse.
         check: a sentence for each of the labelled rows `(n, columns)` that is no transform.
+        units: of length and angle that the maker's own programs have.
     """
 
     name: str
@@ -62,6 +69,7 @@ class PoseCodec:
     to_se3: Callable[[Array], SE3]
     from_se3: Callable[[SE3], Array]
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]]
+    units: tuple[str, str] = ("m", "rad")
 
     def decode(
         self,
@@ -81,6 +89,12 @@ class PoseCodec:
             raise ValueError(
                 f"{self.name}: expected rows of {len(self.columns)} numbers "
                 f"({', '.join(self.columns)}), found shape {numbers.shape}"
+            )
+        turns = np.abs(numbers[..., list(self.angles)])
+        if angle_unit == "rad" and (turns[np.isfinite(turns)] > _MOST_RADIANS).any():
+            raise ValueError(
+                f"{self.name}: angles up to {np.nanmax(turns):.4g} where radians are stated: "
+                "degrees? (angle_unit: deg)"
             )
         numbers = numbers * self._units(length_unit, angle_unit)
         flat = numbers.reshape(-1, len(self.columns))
@@ -137,7 +151,9 @@ def _matrix() -> PoseCodec:
     )
 
 
-def _quaternion(name: str, columns: tuple[str, ...], wxyz: tuple[int, ...]) -> PoseCodec:
+def _quaternion(
+    name: str, columns: tuple[str, ...], wxyz: tuple[int, ...], units: tuple[str, str] = _SI
+) -> PoseCodec:
     """`wxyz`: where w, x, y and z stand among the last four columns."""
     written = tuple(int(k) for k in np.argsort(wxyz))
 
@@ -156,6 +172,7 @@ def _quaternion(name: str, columns: tuple[str, ...], wxyz: tuple[int, ...]) -> P
         to_rotation=lambda numbers: SO3(numbers[..., jnp.array(wxyz)]).normalize(),
         from_rotation=lambda rotation: rotation.wxyz[..., jnp.array(written)],
         check=check,
+        units=units,
     )
 
 
@@ -164,8 +181,11 @@ def _angles(
     columns: tuple[str, str, str],
     to_rotation: Callable[[Array], SO3],
     from_rotation: Callable[[SO3], Array],
+    units: tuple[str, str] = _SI,
 ) -> PoseCodec:
-    return _three_and(name, columns, (3, 4, 5), to_rotation, from_rotation, lambda rows, names: [])
+    return _three_and(
+        name, columns, (3, 4, 5), to_rotation, from_rotation, lambda rows, names: [], units
+    )
 
 
 def _three_and(
@@ -175,6 +195,7 @@ def _three_and(
     to_rotation: Callable[[Array], SO3],
     from_rotation: Callable[[SO3], Array],
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
+    units: tuple[str, str],
 ) -> PoseCodec:
     """x, y, z, and then the rotation."""
     return PoseCodec(
@@ -189,10 +210,11 @@ def _three_and(
             [poses.translation(), from_rotation(poses.rotation())], axis=-1
         ),
         check=check,
+        units=units,
     )
 
 
-_RXYZ = ("rx", "ry", "rz")
+_RXYZ, _OAT = ("rx", "ry", "rz"), ("O", "A", "T")
 
 POSE_CODECS: dict[str, PoseCodec] = {
     codec.name: codec
@@ -202,17 +224,18 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _quaternion("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
         _angles("rotation_vector", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
         _angles("yaw_pitch_roll", ("yaw", "pitch", "roll"), rotation_from_ypr, ypr_from_rotation),
-        _angles("val_oat", ("O", "A", "T"), rotation_from_oat, oat_from_rotation),
-        _angles("kawasaki_oat", ("O", "A", "T"), rotation_from_zyz, zyz_from_rotation),
-        _angles("kuka_abc", ("A", "B", "C"), rotation_from_ypr, ypr_from_rotation),
+        _angles("val_oat", _OAT, rotation_from_oat, oat_from_rotation, _MM_DEG),
+        _angles("kawasaki_oat", _OAT, rotation_from_zyz, zyz_from_rotation, _MM_DEG),
+        _angles("kuka_abc", ("A", "B", "C"), rotation_from_ypr, ypr_from_rotation, _MM_DEG),
         _angles("ur", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
         _angles(
             "fanuc_wpr",
             ("W", "P", "R"),
             lambda wpr: rotation_from_ypr(wpr[..., ::-1]),
             lambda rotation: ypr_from_rotation(rotation)[..., ::-1],
+            _MM_DEG,
         ),
-        _quaternion("abb", ("q1", "q2", "q3", "q4"), wxyz=(0, 1, 2, 3)),
+        _quaternion("abb", ("q1", "q2", "q3", "q4"), (0, 1, 2, 3), ("mm", "rad")),
     )
 }
 """Every pose format, by name."""

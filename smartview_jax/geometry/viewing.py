@@ -15,6 +15,12 @@ from jaxtyping import Array, Float
 FIVE_STEP = float(np.deg2rad(9.5))
 """Angle between neighbours of the paper's five viewpoints, seen from the object (Section 5)."""
 
+FIVE_PATTERNS = {
+    "cross": ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)),
+    "L": ((0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (0.0, 1.0), (0.0, 2.0)),
+}
+"""Steps along X and along Y of five viewpoints: the paper's, and one that reaches twice as far."""
+
 
 def look_at(
     point: Float[Array, "*#views 3"] | np.ndarray | tuple[float, float, float],
@@ -75,26 +81,35 @@ def direction_of(
 
 
 def five_viewpoints(
-    point: Float[Array, "3"] | np.ndarray,
+    point: Float[Array, "*#views 3"] | np.ndarray,
     distance: float | Float[Array, "5"] | np.ndarray,
     roll: float | Float[Array, "5"] | np.ndarray = 0.0,
     step: float = FIVE_STEP,
     above: bool = True,
+    pattern: str = "cross",
 ) -> SE3:
-    """The paper's pattern of viewpoints (Fig. 6): from above, and two each towards X and Y.
+    """Return the paper's viewpoints (Fig. 6): one from above, and two each along X and Y.
 
     Without roll the hand-eye transform is poorly determined: a roll for each view is well spent.
 
     Args:
-        point: that all look at, m.
+        point: that all look at, or a point for each, m.
         distance: of the cameras from it, m.
         roll: about the optical axis, for all or for each, rad.
         step: angle between neighbours as seen from the point, rad.
         above: as in `direction_of`.
+        pattern: `"cross"`, a step to either side along X and along Y; or `"L"`, one and two steps
+            to the same side.
 
     Returns:
         `camera_from_world`, `(5)`.
+
+    Raises:
+        ValueError: a pattern that is not known.
     """
-    tilt = step * np.array([0.0, 1.0, 2.0, 1.0, 2.0])
-    azimuth = np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.5 * np.pi])
+    if pattern not in FIVE_PATTERNS:
+        known = ", ".join(FIVE_PATTERNS)
+        raise ValueError(f"pattern: expected one of {known}, found {pattern!r}")
+    x, y = np.array(FIVE_PATTERNS[pattern]).T
+    tilt, azimuth = step * np.hypot(x, y), np.arctan2(y, x)
     return look_at(point, direction_of(tilt, azimuth, above), distance, roll)

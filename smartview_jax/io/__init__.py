@@ -18,9 +18,11 @@ from .pairs import import_pairs as import_pairs
 from .pictures import from_pictures as from_pictures
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
+from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import sample_folder as sample_folder
 from .urdf import load_urdf as load_urdf
 from .viewpoints import Viewpoints as Viewpoints
+from .viewpoints import pose_columns as pose_columns
 from .viewpoints import read_viewpoints as read_viewpoints
 from .viewpoints import val_program as val_program
 from .viewpoints import write_viewpoints as write_viewpoints

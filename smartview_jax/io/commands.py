@@ -9,12 +9,10 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..dataset import Dataset
-from ..geometry import PoseCodec, pose_codec
+from ..geometry import LENGTH_UNITS, PoseCodec, pose_codec
 from ..robots import SerialArm
 from .joints import read_joints
-from .tables import duplicates, numbers, read_table
-
-_DIRECTIONS = ("base_from_tool", "tool_from_base")
+from .tables import duplicates, numbers, read_table, refuse_cut, refuse_far
 
 
 class Commands(NamedTuple):
@@ -40,7 +38,7 @@ class Commands(NamedTuple):
 
 
 def read_commands(folder: Path, content: dict[str, Any], where: Path, bad_views: str) -> Commands:
-    """The entries `poses` and `joints` of a description.
+    """Read what the entries `poses` and `joints` of a description name.
 
     Raises:
         ValueError: naming the file and the entry or view that is wrong.
@@ -49,7 +47,7 @@ def read_commands(folder: Path, content: dict[str, Any], where: Path, bad_views:
     views = poses = None
     masked: dict[str, str] = {}
     if "poses" in content:
-        views, poses, masked = _read_poses(folder, content["poses"], where, bad_views)
+        views, poses, masked = _read_poses(folder, content["poses"], bad_views)
         if "joints" not in content:
             return Commands(views, poses, masked)
     views, joints, arm = read_joints(folder, content["joints"], where, views)
@@ -59,29 +57,21 @@ def read_commands(folder: Path, content: dict[str, Any], where: Path, bad_views:
 
 
 def _read_poses(
-    folder: Path, content: dict[str, Any], where: Path, bad_views: str
+    folder: Path, content: dict[str, Any], bad_views: str
 ) -> tuple[list[str], SE3, dict[str, str]]:
     """View ids, poses, and the views whose pose is masked, with reasons."""
-    for key in ("file", "codec", "length_unit", "angle_unit", "direction"):
-        if key not in content:
-            raise ValueError(f"{where}: entry 'poses.{key}' is missing: units are never guessed")
-    if content["direction"] not in _DIRECTIONS:
-        raise ValueError(
-            f"{where}: poses.direction is one of {', '.join(_DIRECTIONS)}; "
-            f"found {content['direction']!r}"
-        )
-    path = folder / content["file"]
-    try:
-        codec = pose_codec(content["codec"])
-    except ValueError as error:
-        raise ValueError(f"{where}: poses.codec: {error}") from error
+    path, codec = folder / content["file"], pose_codec(content["codec"])
     table = read_table(path, ("view", *codec.columns))
+    refuse_cut(path, table, content.get("rows"))
     views = [row["view"] for row in table]
     if duplicates(views):
         raise ValueError(f"{path}: view {', '.join(duplicates(views))} has more than one row")
     if not views:
         raise ValueError(f"{path}: no poses")
-    rows = np.stack([numbers(path, row, codec.columns, row["view"]) for row in table])
+    # A pose of NaN is an error or a masked view, as the caller chose; see below.
+    rows = np.stack([numbers(path, row, codec.columns, row["view"], False) for row in table])
+    positions = rows[:, list(codec.lengths)] * LENGTH_UNITS[content["length_unit"]]
+    refuse_far(path, np.where(np.isfinite(positions), positions, np.nan), views)
     units = (content["length_unit"], content["angle_unit"])
     masked = _undecodable(codec, rows, units, views) if bad_views == "mask" else {}
     good = [view not in masked for view in views]

@@ -11,7 +11,13 @@
 `poses.csv` has a column `view` and the codec's columns; `{view}` in the pattern is that name, and
 `{height}` the number of the height for a board at several heights. In place of poses, or beside
 them, there may be joints (see `joints.py`). Pictures, poses and joints are paired by view, never by
-position.
+position. Where the pattern looks the same when turned, `base_from_world` (`tool_from_world` for a
+camera beside the arm) says roughly how the target stands (see `rough_pose.py`). What may stand in
+the file is said by `schemas.dataset`; an unknown key is an error.
+
+A file that was cut may look whole. So `save_dataset` states how many `rows` every table has, and
+`end_mark: true`, which promises the last line `end: smartview_dataset`; a person's own file needs
+none of these.
 """
 
 import re
@@ -22,15 +28,15 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import mount_frames
 from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
-from ..geometry import pose_codec
+from ..geometry import PoseLike, pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
-from .commands import read_commands
+from .commands import Commands, read_commands
 from .detections import DETECTIONS, read_detections, write_detections
 from .joints import write_joints
 from .pictures import from_pictures, refuse_strays
+from .rough_pose import rough_pose
 from .tables import write_table
 
 FORMAT_VERSION = 1
@@ -42,23 +48,23 @@ def load_folder(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
+    holder_from_world: PoseLike | None = None,
 ) -> Dataset:
-    """A data set from a folder with a `dataset.yaml`; see `load_dataset`."""
+    """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
+    # The validation library is imported where files are read.
+    from ..schemas.dataset import DATASET
+    from ..schemas.reading import checked
+
     where = folder / DESCRIPTION
-    content = read_yaml(where)
-    _require(content, "smartview_dataset", where)
-    if content["smartview_dataset"] != FORMAT_VERSION:
-        raise ValueError(
-            f"{where}: smartview_dataset: expected {FORMAT_VERSION}, "
-            f"found {content['smartview_dataset']!r}"
-        )
-    for key in ("camera", "target", "joints" if "joints" in content else "poses"):
-        _require(content, key, where)
-    image_size = _image_size(content["camera"], where)
-    mount = content.get("mount", "eye_in_hand")
+    read = read_yaml(where)
+    description = checked(read, DATASET, where)
+    content = {key: value for key, value in read.items() if value is not None}
+    mount = description.mount
+    width, height = description.camera.image_size
+    image_size = (width, height)
     try:
-        mount_frames(mount)
         target = target_from_dict(content["target"])
+        rough = rough_pose(description)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     commands = read_commands(folder, content, where, bad_views)
@@ -75,22 +81,39 @@ def load_folder(
             commands.masked,
             progress,
             folder / DETECTIONS if keep_detections else None,
+            rough if holder_from_world is None else holder_from_world,
         )
-        return commands.with_joints(data)
+        return _with_joints(commands, data, where)
     if not (folder / DETECTIONS).is_file():
         raise ValueError(f"{where}: entry 'pictures' is missing, and there is no {DETECTIONS}")
-    data = Dataset.from_arrays(
-        target.points,
-        read_detections(folder / DETECTIONS, commands.views, len(target.points)),
-        commands.poses,
-        image_size,
-        view_ids=commands.views,
-        mount=mount,
-        bad_views=bad_views,
-        masked_views=list(commands.masked.items()),
-        target=target,
-    )
-    return commands.with_joints(data)
+    try:
+        data = Dataset.from_arrays(
+            target.points,
+            read_detections(
+                folder / DETECTIONS,
+                commands.views,
+                len(target.points),
+                None if description.detections is None else description.detections.rows,
+            ),
+            commands.poses,
+            image_size,
+            view_ids=commands.views,
+            mount=mount,
+            bad_views=bad_views,
+            masked_views=list(commands.masked.items()),
+            target=target,
+        )
+    except ValueError as error:
+        place = "" if str(folder) in str(error) else f"{folder / DETECTIONS}: "
+        raise ValueError(f"{place}{error}") from error
+    return _with_joints(commands, data, where)
+
+
+def _with_joints(commands: Commands, data: Dataset, where: Path) -> Dataset:
+    try:
+        return commands.with_joints(data)
+    except ValueError as error:
+        raise ValueError(f"{where}: joints: {error}") from error
 
 
 def save_dataset(data: Dataset, folder: str | Path) -> None:
@@ -102,13 +125,12 @@ def save_dataset(data: Dataset, folder: str | Path) -> None:
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    write_detections(folder / DETECTIONS, data.view_ids, np.asarray(data.pixels))
-    joints = {}
+    rows = write_detections(folder / DETECTIONS, data.view_ids, np.asarray(data.pixels))
+    more: dict[str, Any] = {"detections": {"rows": rows}}
     if data.arm is not None and data.joints is not None:
-        entry = write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
-        joints = {"joints": entry}
+        more["joints"] = write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
     write_folder(
-        folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount, joints
+        folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount, more
     )
 
 
@@ -141,6 +163,8 @@ def write_folder(
     )
     description = {
         "smartview_dataset": FORMAT_VERSION,
+        # Says that the last line is an end mark; a person's own file needs neither.
+        "end_mark": True,
         "camera": {"image_size": list(image_size)},
         "target": target_to_dict(target),
         "mount": mount,
@@ -150,22 +174,12 @@ def write_folder(
             "length_unit": "m",
             "angle_unit": "rad",
             "direction": "base_from_tool",
+            "rows": len(rows),
         },
         **(more or {}),
+        "end": "smartview_dataset",
     }
     write_atomically(folder / DESCRIPTION, dump_yaml(description))
-
-
-def _require(content: dict[str, Any], key: str, where: Path) -> None:
-    if key not in content:
-        raise ValueError(f"{where}: entry {key!r} is missing")
-
-
-def _image_size(camera: dict[str, Any], where: Path) -> tuple[int, int]:
-    size = camera.get("image_size") if isinstance(camera, dict) else None
-    if not (isinstance(size, list) and len(size) == 2 and all(isinstance(n, int) for n in size)):
-        raise ValueError(f"{where}: camera.image_size: expected [width, height], found {size!r}")
-    return size[0], size[1]
 
 
 def _picture_files(
@@ -177,9 +191,7 @@ def _picture_files(
     where: Path,
 ) -> dict[str, list[Path]]:
     """The pictures of each view: one, or one a height."""
-    pattern = content.get("pattern")
-    if not isinstance(pattern, str) or "{view}" not in pattern:
-        raise ValueError(f"{where}: pictures.pattern: expected a name with {{view}} in it")
+    pattern = content["pattern"]
     heights = len(target.heights) if isinstance(target, StackedTarget) else 1
     if heights > 1 and "{height}" not in pattern:
         raise ValueError(f"{where}: pictures.pattern: {heights} heights need {{height}} in it")
@@ -187,5 +199,11 @@ def _picture_files(
         view: [folder / pattern.format(view=view, height=k) for k in range(heights)]
         for view in views
     }
-    refuse_strays(files, folder / re.sub(r"{(view|height)}", "*", pattern), poses)
+    known = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escaped(pattern)))
+    refuse_strays(files, folder / known, poses)
     return files
+
+
+def _escaped(pattern: str) -> str:
+    """Return a pattern in which no character but those of `{view}` stands for others."""
+    return re.sub(r"([*?[])", r"[\1]", pattern)

@@ -1,7 +1,7 @@
 """Samples of easy_handeye2: pairs of a robot pose and a camera pose, without pictures."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxlie import SE3
@@ -9,6 +9,9 @@ from jaxlie import SE3
 from ..calibration import mount_frames, mount_from_holder
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
+
+if TYPE_CHECKING:
+    from ..schemas.imported import TransformMessage
 
 _CODEC = pose_codec("quaternion_xyzw")
 _NUMBERS = tuple(("translation", k) for k in "xyz") + tuple(("rotation", k) for k in "xyzw")
@@ -48,12 +51,13 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
         FileNotFoundError: the file is missing.
         ValueError: no samples, or one without its transforms; named by its number from 0.
     """
+    from ..schemas.imported import SAMPLES
+    from ..schemas.reading import checked
+
     mount_frames(mount)
-    samples = read_yaml(path).get("samples")
-    if not isinstance(samples, list) or not samples:
-        raise ValueError(f"{path}: samples: expected a list, found {samples!r}")
-    robot = _decoded(path, samples, "robot")
-    tracking = _decoded(path, samples, "tracking")
+    samples = checked(read_yaml(path), SAMPLES, path).samples
+    robot = _decoded(path, "robot", [sample.robot for sample in samples])
+    tracking = _decoded(path, "tracking", [sample.tracking for sample in samples])
     # What is stored is holder_from_mount, whatever the mount.
     return PoseSamples(mount_from_holder(mount, robot.inverse()), tracking, mount)
 
@@ -66,16 +70,8 @@ def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
     write_atomically(path, dump_yaml({"samples": content}))
 
 
-def _decoded(path: str | Path, samples: list[Any], which: str) -> SE3:
-    rows = []
-    for number, sample in enumerate(samples):
-        try:
-            rows.append([float(sample[which][part][k]) for part, k in _NUMBERS])
-        except (KeyError, TypeError, ValueError):
-            raise ValueError(
-                f"{path}: sample {number}: {which}: expected translation x, y, z and rotation "
-                f"x, y, z, w"
-            ) from None
+def _decoded(path: str | Path, which: str, transforms: "list[TransformMessage]") -> SE3:
+    rows = [[getattr(getattr(one, part), k) for part, k in _NUMBERS] for one in transforms]
     try:
         return _CODEC.decode(np.array(rows))
     except ValueError as error:

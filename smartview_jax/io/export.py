@@ -5,6 +5,8 @@ right), which is what image processing expects; `optical=False` gives the body f
 REP 103 (x forward, z up) for programs that add the optical joint themselves.
 """
 
+import re
+import shlex
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,6 +16,9 @@ from jaxlie import SE3, SO3
 from ..calibration import Calibration
 from ..cameras import AbstractOpenCVLens, Camera, Fisheye, OpenCV8, Pinhole
 from ..files import dump_yaml
+from ..schemas.words import shown
+
+_FRAME = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
 
 
 class Coefficients(NamedTuple):
@@ -90,7 +95,12 @@ def mount_from_camera(calibration: Calibration, optical: bool = True) -> SE3:
 def ros_static_transform(
     calibration: Calibration, parent: str, child: str, optical: bool = True
 ) -> str:
-    """Arguments for tf2_ros: `ros2 run tf2_ros static_transform_publisher ...`."""
+    """Return a command line for tf2_ros: `ros2 run tf2_ros static_transform_publisher ...`.
+
+    Raises:
+        ValueError: a frame's name that ROS does not take; the line is made for a shell to run.
+    """
+    parent, child = _frame(parent), _frame(child)
     pose = mount_from_camera(calibration, optical)
     x, y, z = _floats(pose.translation())
     qw, qx, qy, qz = _floats(pose.rotation().wxyz)
@@ -99,6 +109,15 @@ def ros_static_transform(
         f"--x {x!r} --y {y!r} --z {z!r} --qx {qx!r} --qy {qy!r} --qz {qz!r} --qw {qw!r} "
         f"--frame-id {parent} --child-frame-id {child}\n"
     )
+
+
+def _frame(name: str) -> str:
+    if not _FRAME.fullmatch(name):
+        raise ValueError(
+            "frame: expected a name of letters, digits, '_', '/', '~', '.' and '-', beginning "
+            f"with none of the last two; found {shown(name)}"
+        )
+    return shlex.quote(name)
 
 
 def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:

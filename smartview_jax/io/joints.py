@@ -17,19 +17,22 @@ from jaxtyping import Float
 
 from ..geometry import ANGLE_UNITS, LENGTH_UNITS
 from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
-from .tables import duplicates, numbers, read_table, write_table
+from .tables import duplicates, numbers, read_table, refuse_cut, write_table
 
 JOINTS = "joints.csv"
+
+LARGEST = 100.0
+"""Of a reading, rad or m: no joint turns so often, or slides so far."""
 
 
 def read_joints(
     folder: Path, content: dict[str, Any], where: Path, views: Sequence[str] | None
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "views joints"], SerialArm]:
-    """Views, readings (rad, m) and arm of the entry `joints` of a description.
+    """Read views, readings (rad, m) and arm of the entry `joints` of a description.
 
     Args:
         folder: of the data set.
-        content: the entry.
+        content: the entry, as `schemas.dataset` has it.
         where: the description, for messages.
         views: in the order wanted; None takes them as they come.
 
@@ -37,16 +40,10 @@ def read_joints(
         ValueError: naming the file and the entry or view that is wrong.
         FileNotFoundError: the table is missing.
     """
-    for key, units in (("file", None), ("angle_unit", ANGLE_UNITS), ("length_unit", LENGTH_UNITS)):
-        if key not in content:
-            raise ValueError(f"{where}: entry 'joints.{key}' is missing: units are never guessed")
-        if units is not None and content[key] not in units:
-            raise ValueError(
-                f"{where}: joints.{key} is one of {', '.join(units)}; found {content[key]!r}"
-            )
     arm = _arm(content.get("arm"), where)
     path, columns = folder / content["file"], _columns(arm)
     rows = read_table(path, ("view", *columns))
+    refuse_cut(path, rows, content.get("rows"))
     table = {row["view"]: row for row in rows}
     if repeated := duplicates([row["view"] for row in rows]):
         raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
@@ -54,9 +51,16 @@ def read_joints(
     if set(wanted) != set(table) or not table:
         other = sorted(set(wanted) ^ set(table))
         raise ValueError(f"{path}: poses and joints are not of the same views: {', '.join(other)}")
-    readings = np.stack([numbers(path, table[view], columns, view) for view in wanted])
     length, angle = LENGTH_UNITS[content["length_unit"]], ANGLE_UNITS[content["angle_unit"]]
-    return wanted, readings * np.where(arm.prismatic, length, angle), arm
+    units = np.where(arm.prismatic, length, angle)
+    readings = np.stack([units * numbers(path, table[view], columns, view) for view in wanted])
+    for view, row in zip(wanted, readings, strict=True):
+        if (np.abs(row) > LARGEST).any():
+            k = int(np.argmax(np.abs(row) > LARGEST))
+            raise ValueError(
+                f"{path}: view {view}: {columns[k]} is {row[k]:.6g} rad or m, more than {LARGEST:g}"
+            )
+    return wanted, readings, arm
 
 
 def write_joints(
@@ -68,7 +72,13 @@ def write_joints(
     """Write the table; the entry of the description that goes with it."""
     rows = [(view, *map(float, row)) for view, row in zip(views, joints, strict=True)]
     write_table(folder / JOINTS, ("view", *_columns(arm)), rows)
-    return {"file": JOINTS, "angle_unit": "rad", "length_unit": "m", "arm": arm_to_dict(arm)}
+    return {
+        "file": JOINTS,
+        "angle_unit": "rad",
+        "length_unit": "m",
+        "arm": arm_to_dict(arm),
+        "rows": len(rows),
+    }
 
 
 def _columns(arm: SerialArm) -> tuple[str, ...]:
@@ -78,7 +88,5 @@ def _columns(arm: SerialArm) -> tuple[str, ...]:
 def _arm(content: Any, where: Path) -> SerialArm:
     try:
         return arm_from_dict(content) if isinstance(content, dict) else arm_by_name(content)
-    except KeyError as error:
-        raise ValueError(f"{where}: entry 'joints.arm.{error.args[0]}' is missing") from error
     except ValueError as error:
         raise ValueError(f"{where}: joints.arm: {error}") from error

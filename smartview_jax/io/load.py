@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..dataset import Dataset
+from ..geometry import PoseLike
 from .dataset_folder import DESCRIPTION, load_folder
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
 
@@ -14,6 +15,7 @@ def load_dataset(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
+    holder_from_world: PoseLike | None = None,
 ) -> Dataset:
     """Pictures, or detections, with the robot's poses and the target, from a folder.
 
@@ -28,6 +30,9 @@ def load_dataset(
             in which the target is not found is always kept as a masked view.
         progress: told what is being done.
         keep_detections: write what was detected beside the pictures, to be read the next time.
+        holder_from_world: where the target stands, roughly (`base_from_world`, or for a camera that
+            stands beside the arm `tool_from_world`), for patterns that look the same when turned;
+            by default as the folder says, or else the way round that is turned least.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -37,7 +42,7 @@ def load_dataset(
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if (folder / DESCRIPTION).is_file():
-        return load_folder(folder, bad_views, progress, keep_detections)
+        return load_folder(folder, bad_views, progress, keep_detections, holder_from_world)
     if (folder / DATA_FILE).is_file():
         return import_robot_cal_tools(folder, bad_views=bad_views, progress=progress)
     raise FileNotFoundError(

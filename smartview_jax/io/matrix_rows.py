@@ -8,10 +8,11 @@ import numpy as np
 from jaxlie import SE3
 
 from ..dataset import Dataset
-from ..files import write_atomically
+from ..files import read_text, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
 from .pictures import from_pictures, numbered_pictures
+from .tables import is_number, refuse_far
 
 
 def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
@@ -26,27 +27,26 @@ def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
         ValueError: a line that is not a rigid transform, named by its number from 1.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = read_text(path).splitlines()
     rows, names = [], []
     for number, line in enumerate(lines, start=1):
         fields = re.split(r"[\s,;]+", line.split("#")[0].strip())
         if fields == [""]:
             continue
-        try:
-            rows.append([float(field) for field in fields])
-        except ValueError:
-            raise ValueError(f"{path}: line {number} is not a row of numbers") from None
+        if not all(is_number(field) for field in fields):
+            raise ValueError(f"{path}: line {number} is not a row of numbers")
+        rows.append([float(field) for field in fields])
         if len(rows[-1]) != 16:
             raise ValueError(f"{path}: line {number} has {len(rows[-1])} numbers, not 16")
         names.append(str(number))
     if not rows:
         raise ValueError(f"{path}: no poses")
     try:
-        return pose_codec("matrix").decode(np.array(rows), length_unit, labels=names)
+        poses = pose_codec("matrix").decode(np.array(rows), length_unit, labels=names)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    refuse_far(path, np.asarray(poses.translation()), names)
+    return poses
 
 
 def write_matrix_rows(path: str | Path, poses: SE3, length_unit: str) -> None:

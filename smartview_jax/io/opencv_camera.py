@@ -2,33 +2,48 @@
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
 import yaml
 
 from ..cameras import AbstractLens, Camera, OpenCV4, OpenCV5, OpenCV8
+from ..files import PlainLoader, parse_yaml, read_text
+
+if TYPE_CHECKING:
+    from ..schemas.imported import OpenCVMatrix
 
 
 def read_opencv_camera(path: str | Path) -> Camera:
-    """The camera in a file of `cv2.FileStorage`: camera matrix, distortion, picture size.
+    """Read the camera in a file of `cv2.FileStorage`: camera matrix, distortion, picture size.
 
     Raises:
         ValueError: an entry is missing, or there are coefficients of no known model.
     """
-    content = _read_opencv_yaml(Path(path))
-    missing = [
-        key
-        for key in ("camera_matrix", "distortion_coefficients", "image_width", "image_height")
-        if key not in content
-    ]
-    if missing:
-        raise ValueError(f"{path}: entry {', '.join(missing)} is missing")
-    K = content["camera_matrix"]
-    lens = _opencv_lens(content["distortion_coefficients"].ravel(), str(path))
-    size = (int(content["image_width"]), int(content["image_height"]))
-    return Camera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], lens, size)
+    from ..schemas.calibration import CAMERA_NUMBERS
+    from ..schemas.imported import OPENCV_CAMERA
+    from ..schemas.reading import checked
+
+    found = checked(_read_opencv_yaml(Path(path)), OPENCV_CAMERA, path)
+    K = _array(found.camera_matrix, "camera_matrix", path)
+    if K.shape != (3, 3) or K[1, 0] or K[0, 1] or K[2].tolist() != [0.0, 0.0, 1.0]:
+        raise ValueError(
+            f"{path}: camera_matrix: expected [fx 0 cx; 0 fy cy; 0 0 1], found {K.tolist()}"
+        )
+    numbers = {"alpha_u": K[0, 0], "alpha_v": K[1, 1], "u0": K[0, 2], "v0": K[1, 2]}
+    checked({key: float(x) for key, x in numbers.items()}, CAMERA_NUMBERS, f"{path}: camera_matrix")
+    coefficients = _array(found.distortion_coefficients, "distortion_coefficients", path).ravel()
+    lens = _opencv_lens(coefficients, str(path))
+    return Camera(**numbers, lens=lens, image_size=(found.image_width, found.image_height))
+
+
+def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
+    if matrix.rows * matrix.cols != len(matrix.data):
+        raise ValueError(
+            f"{path}: {name}: {matrix.rows} x {matrix.cols}, but {len(matrix.data)} numbers"
+        )
+    return np.array(matrix.data).reshape(matrix.rows, matrix.cols)
 
 
 def _opencv_lens(numbers: np.ndarray, path: str) -> AbstractLens:
@@ -42,29 +57,20 @@ def _opencv_lens(numbers: np.ndarray, path: str) -> AbstractLens:
     raise ValueError(f"{path}: distortion_coefficients: expected 4, 5 or 8, found {len(k)}")
 
 
-class _OpenCVLoader(yaml.SafeLoader):
-    """The safe loader, which also knows OpenCV's matrices and nothing else."""
+class _OpenCVLoader(PlainLoader):
+    """The plain loader, which also knows OpenCV's matrices and nothing else."""
 
 
-def _matrix(loader: yaml.SafeLoader, node: yaml.Node) -> np.ndarray:
+def _matrix(loader: PlainLoader, node: yaml.Node) -> dict[Any, Any]:
     if not isinstance(node, yaml.MappingNode):
         raise yaml.YAMLError("an opencv-matrix is a mapping")
-    entry = loader.construct_mapping(node, deep=True)
-    return np.array(entry["data"], dtype=float).reshape(entry["rows"], entry["cols"])
+    return loader.construct_mapping(node, deep=True)
 
 
 _OpenCVLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
-def _read_opencv_yaml(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
+def _read_opencv_yaml(path: Path) -> Any:
     # OpenCV's first line, %YAML:1.0, is not YAML.
-    text = re.sub(r"\A%YAML:1\.0\s*", "", path.read_text(encoding="utf-8"))
-    try:
-        content = yaml.load(text, Loader=_OpenCVLoader)
-    except (yaml.YAMLError, KeyError, ValueError) as error:
-        raise ValueError(f"{path}: not readable as OpenCV YAML: {error}") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: expected a mapping, found {type(content).__name__}")
-    return content
+    text = re.sub(r"\A%YAML:1\.0\s*", "", read_text(path))
+    return parse_yaml(text, path, _OpenCVLoader)

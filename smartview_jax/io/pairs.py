@@ -6,7 +6,7 @@ import numpy as np
 
 from ..dataset import Dataset
 from ..geometry import pose_codec
-from .tables import duplicates, numbers, read_table
+from .tables import duplicates, numbers, read_table, refuse_far
 
 
 def import_pairs(
@@ -32,7 +32,13 @@ def import_pairs(
     views = [row["view"] for row in table]
     if duplicates(views):
         raise ValueError(f"{poses_csv}: view {', '.join(duplicates(views))} has more than one row")
-    poses = np.stack([numbers(poses_csv, row, codec.columns, row["view"]) for row in table])
+    if not views:
+        raise ValueError(f"{poses_csv}: no poses")
+    # A pose of NaN is an error or a masked view, as the caller chose.
+    rows = [numbers(poses_csv, row, codec.columns, row["view"], finite=False) for row in table]
+    poses = np.stack(rows)
+    positions = poses[:, list(codec.lengths)]
+    refuse_far(poses_csv, np.where(np.isfinite(positions), positions, np.nan), views)
 
     seen: dict[str, list[np.ndarray]] = {view: [] for view in views}
     for row in read_table(corners_csv, ("view", "X", "Y", "Z", "u", "v")):
@@ -46,13 +52,17 @@ def import_pairs(
     for k, rows in enumerate(seen.values()):
         for n, row in enumerate(rows):
             points[k, n], pixels[k, n] = row[:3], row[3:]
-    return Dataset.from_arrays(
-        points,
-        pixels,
-        poses.reshape(-1, 4, 4),
-        image_size,
-        view_ids=views,
-        mount=mount,
-        bad_views=bad_views,
-        masked_views=[(view, "no detections") for view, rows in seen.items() if not rows],
-    )
+    refuse_far(corners_csv, points.reshape(-1, 3), [view for view in views for _ in range(count)])
+    try:
+        return Dataset.from_arrays(
+            points,
+            pixels,
+            poses.reshape(-1, 4, 4),
+            image_size,
+            view_ids=views,
+            mount=mount,
+            bad_views=bad_views,
+            masked_views=[(view, "no detections") for view, rows in seen.items() if not rows],
+        )
+    except ValueError as error:
+        raise ValueError(f"{poses_csv} and {corners_csv.name}: {error}") from error

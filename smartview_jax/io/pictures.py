@@ -13,7 +13,7 @@ from ..calibration import mount_frames, mount_from_holder
 from ..dataset import Dataset
 from ..detection import Detection, consistent_ordering, detect, nothing_found, read_picture
 from ..geometry import PoseLike, as_se3
-from ..targets import AbstractTarget, StackedTarget
+from ..targets import AbstractTarget, CircleGrid, StackedTarget
 from .detections import read_stamped, write_detections
 
 
@@ -27,6 +27,7 @@ def from_pictures(
     masked: Mapping[str, str] | None = None,
     progress: Callable[[str], None] | None = None,
     cache: Path | None = None,
+    holder_from_world: PoseLike | None = None,
 ) -> Dataset:
     """A data set from pictures: the target is looked for in each.
 
@@ -40,10 +41,14 @@ def from_pictures(
         masked: views already known to be unusable, with the reason.
         progress: told what is being done.
         cache: a `detections.csv` to read if it is of these pictures, or else to write.
+        holder_from_world: where the target stands, roughly: `base_from_world`, or for a camera that
+            stands beside the arm `tool_from_world`. It says which way round a pattern is that looks
+            the same when turned; by default the one that is turned least.
 
     Raises:
         FileNotFoundError: a picture is missing.
-        ValueError: a picture cannot be read or has another size, or none of them shows the target.
+        ValueError: a picture cannot be read or has another size, none of them shows the target, or
+            a circle grid has rows or columns that none of them shows.
     """
     views, poses = list(pictures), as_se3(base_from_tool)
     mount_frames(mount)
@@ -61,9 +66,13 @@ def from_pictures(
             f"{len(views)} views ({next(iter(unseen.values()))}): is it a {target!r}?"
         )
     pixels = np.stack([found[view].pixels for view in views])
+    _refuse_unseen_rows(pixels, target, next(iter(pictures.values()))[0].parent)
+    ordered, words = _in_one_order(pixels, target, poses, mount, image_size, holder_from_world)
+    if words and progress is not None:
+        progress(words)
     return Dataset.from_arrays(
         target.points,
-        _in_one_order(pixels, target, poses, mount, image_size),
+        ordered,
         poses,
         image_size,
         view_ids=views,
@@ -72,6 +81,7 @@ def from_pictures(
         masked_views=list({**unseen, **(masked or {})}.items()),
         pictures=[pictures[view][0] for view in views],
         target=target,
+        notes=(words,) if words else (),
     )
 
 
@@ -169,18 +179,46 @@ def _detect_view(
     )
 
 
+def _refuse_unseen_rows(
+    pixels: Float[np.ndarray, "views points 2"], target: AbstractTarget, folder: Path
+) -> None:
+    """Raise a ValueError for rows of a circle grid that no view shows: it is a smaller grid.
+
+    Circles have no numbers to read: in a grid that is stated too large, all views of the whole grid
+    look like views of a part.
+    """
+    grid = target.board if isinstance(target, StackedTarget) else target
+    if not isinstance(grid, CircleGrid):
+        return
+    seen = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns).any(axis=0)
+    rows, columns = int(seen.any(axis=1).sum()), int(seen.any(axis=0).sum())
+    if (rows, columns) != (grid.rows, grid.columns):
+        raise ValueError(
+            f"{folder}: of {grid.rows} rows and {grid.columns} columns of circles, {rows} and "
+            f"{columns} are seen in any of {len(pixels)} views: is it a grid of {rows} x {columns}?"
+        )
+
+
 def _in_one_order(
     pixels: Float[np.ndarray, "views points 2"],
     target: AbstractTarget,
     poses: SE3,
     mount: str,
     image_size: tuple[int, int],
-) -> Float[np.ndarray, "views points 2"]:
-    """Points numbered alike in every picture, also where the pattern itself does not tell."""
-    board = target.board if isinstance(target, StackedTarget) else target
+    holder_from_world: PoseLike | None,
+) -> tuple[Float[np.ndarray, "views points 2"], str]:
+    """Points numbered alike in every picture, also where the pattern does not tell, and a note."""
+    stacked = isinstance(target, StackedTarget)
+    board = target.board if stacked else target
     symmetries = board.symmetries
     if len(symmetries) == 1:
-        return pixels
+        return pixels, ""
+    rough = None
+    if holder_from_world is not None:
+        rough = np.asarray(as_se3(holder_from_world).rotation().as_matrix())
+        if stacked and not board.y_up:
+            # The board is ordered in its own frame, which a stack of them has turned about x.
+            rough = rough @ np.diag([1.0, -1.0, -1.0])
     # Every picture is ordered by itself: at another height the detector may begin elsewhere.
     flat = pixels.reshape(-1, len(board.points), 2)
     turns = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
@@ -191,9 +229,11 @@ def _in_one_order(
         symmetries,
         np.repeat(turns, len(flat) // len(pixels), axis=0),
         image_size,
+        mount_frames(mount)[1],
+        rough,
     )
-    ordered = [where[symmetries[k]] for where, k in zip(flat, chosen, strict=True)]
-    return np.stack(ordered).reshape(pixels.shape)
+    ordered = [where[symmetries[k]] for where, k in zip(flat, chosen.symmetry, strict=True)]
+    return np.stack(ordered).reshape(pixels.shape), chosen.words
 
 
 def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:

@@ -5,33 +5,39 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Float
 
 from ..files import read_yaml
+from ..geometry import pose_codec
 
-_FIELDS = ("qw", "qx", "qy", "qz", "x", "y", "z")
+_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "views joints"], SE3]:
-    """Joints of the target's carrier, and `camera_from_target`, in the order of the file.
+    """Read joints of the target's carrier, and `camera_from_target`, in the order of the file.
 
     Raises:
         ValueError: an entry that lacks a number, or a camera that moves.
         FileNotFoundError: the file is missing.
     """
+    from ..schemas.imported import MEASURED
+    from ..schemas.reading import checked
+
     path = Path(path)
-    joints, rows = [], []
-    for name, entry in read_yaml(path).items():
-        try:
-            rows.append([float(entry["pose"][field]) for field in _FIELDS])
-            joints.append([float(reading) for reading in entry["target_joints"]])
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"{path}: entry {name}: {error} is missing") from error
-        if entry.get("camera_joints"):
+    measured = checked(read_yaml(path), MEASURED, path)
+    for name, entry in measured.items():
+        if entry.camera_joints:
             raise ValueError(f"{path}: entry {name}: the camera has joints; only the target may")
-    numbers = jnp.asarray(np.array(rows))
-    rotation = SO3(numbers[:, :4]).normalize()
-    return np.array(joints), SE3.from_rotation_and_translation(rotation, numbers[:, 4:])
+    joints = [entry.target_joints for entry in measured.values()]
+    if len({len(row) for row in joints}) != 1:
+        raise ValueError(f"{path}: target_joints: expected entries with equally many joints")
+    rows = [[getattr(entry.pose, key) for key in _FIELDS] for entry in measured.values()]
+    try:
+        poses = pose_codec("quaternion_wxyz").decode(
+            np.array(rows), labels=list(map(str, measured))
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return np.array(joints), poses

@@ -2,16 +2,15 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from ..dataset import Dataset
-from ..files import read_yaml
+from ..files import parse_yaml, read_text, read_yaml
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
 from .pictures import from_pictures
+from .tables import duplicates
 
 DATA_FILE = "cal_data.yaml"
 _POSE_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -38,9 +37,13 @@ def import_robot_cal_tools(
     entries = _entries(folder / DATA_FILE)
     views = [Path(image).stem for image, _ in entries]
     rows = np.stack([_pose(folder / pose) for _, pose in entries])
+    try:
+        poses = pose_codec("quaternion_xyzw").decode(rows, labels=views)
+    except ValueError as error:
+        raise ValueError(f"{folder / DATA_FILE}: {error}") from error
     return from_pictures(
         {view: [folder / image] for view, (image, _) in zip(views, entries, strict=True)},
-        pose_codec("quaternion_xyzw").decode(rows, labels=views),
+        poses,
         _target(folder / "target.yaml"),
         mount,
         bad_views=bad_views,
@@ -49,32 +52,34 @@ def import_robot_cal_tools(
 
 
 def _entries(path: Path) -> list[tuple[str, str]]:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    if not isinstance(content, list) or not content:
-        raise ValueError(f"{path}: expected a list of poses and images")
-    for entry in content:
-        if not isinstance(entry, dict) or not {"pose", "image"} <= set(entry):
-            raise ValueError(f"{path}: expected entries with 'pose' and 'image', found {entry!r}")
-    entries = [(entry["image"], entry["pose"]) for entry in content]
+    """Return the files of picture and pose of every view, in the order of the pictures' names."""
+    from ..schemas.imported import CAL_DATA
+    from ..schemas.reading import checked
+
+    entries = checked(parse_yaml(read_text(path), path), CAL_DATA, path)
+    views = duplicates([Path(entry.image).stem for entry in entries])
+    if views:
+        raise ValueError(f"{path}: view {', '.join(views)} has more than one entry")
     # Names that are numbers in the order of numbers, whatever the list's own order.
-    return sorted(entries, key=lambda e: (len(Path(e[0]).stem), e[0]))
+    return sorted(
+        ((entry.image, entry.pose) for entry in entries),
+        key=lambda files: (len(Path(files[0]).stem), files[0]),
+    )
 
 
 def _pose(path: Path) -> np.ndarray:
-    content = read_yaml(path)
-    missing = [key for key in _POSE_KEYS if key not in content]
-    if missing:
-        raise ValueError(f"{path}: entry {', '.join(missing)} is missing")
-    return np.array([float(content[key]) for key in _POSE_KEYS])
+    from ..schemas.imported import POSE
+    from ..schemas.reading import checked
+
+    pose = checked(read_yaml(path), POSE, path)
+    return np.array([getattr(pose, key) for key in _POSE_KEYS])
 
 
 def _target(path: Path) -> AbstractTarget:
-    finder: dict[str, Any] = read_yaml(path).get("target_finder", {})
-    kind = str(finder.get("type", ""))
-    if "ModifiedCircleGrid" not in kind:
-        raise ValueError(f"{path}: expected a modified circle grid, found {kind!r}")
-    return CircleGrid(
-        int(finder["rows"]), int(finder["cols"]), float(finder["spacing"]), origin_mark=True
-    )
+    from ..schemas.imported import TARGET
+    from ..schemas.reading import checked
+
+    finder = checked(read_yaml(path), TARGET, path).target_finder
+    if "ModifiedCircleGrid" not in finder.type:
+        raise ValueError(f"{path}: expected a modified circle grid, found {finder.type!r}")
+    return CircleGrid(finder.rows, finder.cols, finder.spacing, origin_mark=True)

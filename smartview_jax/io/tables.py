@@ -2,56 +2,114 @@
 
 import csv
 import io
+import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..files import write_atomically
+from ..files import read_text, write_atomically
+from ..schemas.words import shown
+
+FARTHEST = 100.0
+"""Largest coordinate of a pose, m: what is farther is in another unit."""
+
+LONGEST_NAME = 200
+"""Characters of a view's name, which is part of a file name."""
+
+_NUMBER = re.compile(
+    r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|nan|inf|infinity)", re.IGNORECASE
+)
 
 
 def read_table(path: Path, required: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a CSV file as mappings from its header.
+    """Read the rows of a CSV file as mappings from its header.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: a required column is missing, or a row has another number of fields.
+        ValueError: it is no table of text, a required column is missing, a column comes twice, or
+            a row has another number of fields.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.reader(line for line in file if line.strip() and not line.startswith("#"))
-        header = [name.strip() for name in next(reader, [])]
-        missing = [name for name in required if name not in header]
-        if missing:
+    lines = (line for line in read_text(path).splitlines() if line.strip() and line[0] != "#")
+    try:
+        table = [[field.strip() for field in fields] for fields in csv.reader(lines)]
+    except csv.Error as error:
+        raise ValueError(f"{path}: not readable as a table: {error}") from error
+    header, rows = table[0] if table else [], table[1:]
+    missing = [name for name in required if name not in header]
+    if missing:
+        raise ValueError(
+            f"{path}: expected the columns {', '.join(required)}; missing {', '.join(missing)}"
+        )
+    if repeated := duplicates(header):
+        raise ValueError(f"{path}: column {', '.join(repeated)} comes twice")
+    for number, fields in enumerate(rows, start=1):
+        if len(fields) != len(header):
             raise ValueError(
-                f"{path}: expected the columns {', '.join(required)}; missing {', '.join(missing)}"
+                f"{path}: row {number} has {len(fields)} fields, the header {len(header)}"
             )
-        rows = []
-        for number, fields in enumerate(reader, start=1):
-            if len(fields) != len(header):
-                raise ValueError(
-                    f"{path}: row {number} has {len(fields)} fields, the header {len(header)}"
-                )
-            rows.append({key: field.strip() for key, field in zip(header, fields, strict=True)})
-    return rows
+    found = [dict(zip(header, fields, strict=True)) for fields in rows]
+    for number, row in enumerate(found, start=1):
+        if not 0 < len(row.get("view", "?")) <= LONGEST_NAME:
+            words = "too long a name of a" if row["view"] else "an empty"
+            raise ValueError(f"{path}: row {number} has {words} view")
+    return found
 
 
-def numbers(path: Path, row: dict[str, str], columns: Sequence[str], view: str) -> np.ndarray:
-    """Some columns of a row as numbers.
+def refuse_cut(path: Path, rows: Sequence[object], stated: int | None) -> None:
+    """Raise a ValueError if a table has not the number of rows that its description states."""
+    if stated is not None and len(rows) != stated:
+        raise ValueError(
+            f"{path}: {len(rows)} rows, but the description says {stated}: was the file cut?"
+        )
+
+
+def numbers(
+    path: Path, row: dict[str, str], columns: Sequence[str], view: str, finite: bool = True
+) -> np.ndarray:
+    """Return some columns of a row as numbers.
+
+    Args:
+        path: of the table, for messages.
+        row: of it.
+        columns: wanted.
+        view: whose row it is, for messages.
+        finite: refuse NaN and infinity, unless whoever asks masks such a view.
 
     Raises:
         ValueError: naming the file, the view and the column of what is not a number.
     """
     values = np.empty(len(columns))
     for k, column in enumerate(columns):
-        try:
-            values[k] = float(row[column])
-        except ValueError:
-            raise ValueError(
-                f"{path}: view {view}: {column} is {row[column]!r}, not a number"
-            ) from None
+        if not is_number(row[column]):
+            raise ValueError(f"{path}: view {view}: {column} is {shown(row[column])}, not a number")
+        values[k] = float(row[column])
+        if finite and not np.isfinite(values[k]):
+            raise ValueError(f"{path}: view {view}: {column} is {row[column]}, not a finite number")
     return values
+
+
+def is_number(text: str) -> bool:
+    """Say whether a text is a number; Python's own reading takes 1_0 and other scripts' digits."""
+    return _NUMBER.fullmatch(text) is not None
+
+
+def refuse_far(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -> None:
+    """Raise a ValueError that names the first position, m, that no robot cell is large enough for.
+
+    Args:
+        path: where they are from.
+        positions: `(views, 3)`; NaN passes.
+        labels: one a position.
+    """
+    for label, position in zip(labels, positions, strict=True):
+        for axis, value in zip("xyz", position, strict=True):
+            if abs(value) > FARTHEST:
+                raise ValueError(
+                    f"{path}: view {label}: {axis} is {value:.6g} m, more than {FARTHEST:g} m from "
+                    "the origin: millimetres given as metres?"
+                )
 
 
 def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -64,5 +122,5 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[objec
 
 
 def duplicates(ids: Sequence[str]) -> list[str]:
-    """What occurs more than once, in order."""
-    return sorted({name for name in ids if list(ids).count(name) > 1})
+    """Return what occurs more than once, in order."""
+    return sorted(name for name, times in Counter(ids).items() if times > 1)

@@ -14,8 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..files import read_text
 from ..geometry import rotation_from_ypr
 from ..robots import SerialArm, arm_from_axes
+from ..schemas.words import shown
+
+LARGEST = 100.0
+"""Of an offset (m) or an angle (rad)."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -35,11 +40,14 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         ImportError: the library that parses it is not installed.
     """
     path = Path(path)
-    robot = _parsed(path.read_bytes(), path)
+    text = read_text(path)
+    if "<!ENTITY" in text:
+        raise ValueError(f"{path}: entity declarations are not accepted")
+    robot = _parsed(text.encode("utf-8"), path)
     chain = _chain(robot, base, tip, path)
     pose, points, directions, slides, limits = np.eye(4), [], [], [], []
     for joint in chain:
-        pose = pose @ _origin(joint)
+        pose = pose @ _origin(joint, path)
         if joint.type == "fixed":
             continue
         if joint.type not in _MOVING:
@@ -49,9 +57,9 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         # Without one the axis is x, by the format's definition.
         axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
         points.append(pose[:3, 3])
-        directions.append(pose[:3, :3] @ np.asarray(axis, dtype=float))
+        directions.append(pose[:3, :3] @ _vector(axis, joint, "axis", path))
         slides.append(joint.type == "prismatic")
-        limits.append(_limits(joint))
+        limits.append(_limits(joint, path))
     if not points:
         raise ValueError(f"{path}: no joint moves between the base and the tip")
     try:
@@ -109,17 +117,36 @@ def _path(above: dict[str, Any], base: str, tip: str) -> list[Any] | None:
     return chain[::-1]
 
 
-def _origin(joint: Any) -> Float[np.ndarray, "4 4"]:
+def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
     pose = np.eye(4)
     if joint.origin is not None:
-        roll, pitch, yaw = map(float, joint.origin.rpy or (0.0, 0.0, 0.0))
-        angles = jnp.array([yaw, pitch, roll])
-        pose[:3, :3] = np.asarray(rotation_from_ypr(angles).as_matrix())
-        pose[:3, 3] = joint.origin.xyz or (0.0, 0.0, 0.0)
+        nothing = (0.0, 0.0, 0.0)
+        angles = _vector(joint.origin.rpy or nothing, joint, "origin rpy", path)[::-1]
+        pose[:3, :3] = np.asarray(rotation_from_ypr(jnp.asarray(angles)).as_matrix())
+        pose[:3, 3] = _vector(joint.origin.xyz or nothing, joint, "origin xyz", path)
     return pose
 
 
-def _limits(joint: Any) -> tuple[float, float]:
+def _vector(values: Any, joint: Any, what: str, path: Path) -> np.ndarray:
+    """Return three numbers, m or rad, each within 100."""
+    try:
+        numbers = np.array([float(value) for value in values])
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    # NaN is not below anything.
+    if numbers.shape != (3,) or not (np.abs(numbers) <= LARGEST).all():
+        raise ValueError(
+            f"{path}: joint {joint.name}: {what}: expected three numbers from -{LARGEST:g} to "
+            f"{LARGEST:g}, found {shown(values)}"
+        )
+    return numbers
+
+
+def _limits(joint: Any, path: Path) -> tuple[float, float]:
     if joint.type == "continuous" or joint.limit is None:
         return -np.inf, np.inf
-    return joint.limit.lower, joint.limit.upper
+    # A limit that is not given is zero, by the format's definition.
+    lower, upper = (float(bound or 0.0) for bound in (joint.limit.lower, joint.limit.upper))
+    if not -np.inf < lower < upper < np.inf:
+        raise ValueError(f"{path}: joint {joint.name}: limits: {lower} is not below {upper}")
+    return lower, upper

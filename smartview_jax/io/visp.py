@@ -11,7 +11,7 @@ from jaxlie import SE3
 
 from ..cameras import Camera, Pinhole
 from ..dataset import Dataset
-from ..files import read_yaml, write_atomically
+from ..files import parse_yaml, read_text, read_yaml, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
 from .pictures import from_pictures, numbered_pictures
@@ -62,12 +62,12 @@ def read_visp_pose(path: str | Path) -> SE3:
         FileNotFoundError: the file is missing.
         ValueError: it does not hold six numbers.
     """
-    data = read_yaml(path).get("data")
-    try:
-        numbers = np.array(data, dtype=float).reshape(1, 6)
-    except (TypeError, ValueError):
-        raise ValueError(f"{path}: data: expected 6 numbers, found {data!r}") from None
-    pose = pose_codec("rotation_vector").decode(numbers, labels=[str(path)])
+    from ..schemas.imported import VISP_POSE
+    from ..schemas.reading import checked
+
+    data = checked(read_yaml(path), VISP_POSE, path).data
+    numbers = np.array([row[0] if isinstance(row, list) else row for row in data])
+    pose = pose_codec("rotation_vector").decode(numbers[None], labels=[str(path)])
     return SE3(pose.wxyz_xyz[0])
 
 
@@ -85,22 +85,22 @@ def read_visp_camera(path: str | Path) -> Camera:
         FileNotFoundError: the file is missing.
         ValueError: an entry is missing, or the file declares entities, which are not expanded.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    text = path.read_text(encoding="utf-8")
+    from ..schemas.imported import VISP_CAMERA, VispCameraNumbers
+    from ..schemas.reading import checked
+
+    path, text = Path(path), read_text(path)
     if "<!ENTITY" in text:
         raise ValueError(f"{path}: entity declarations are not accepted")
     try:
         camera = ElementTree.fromstring(text).find("camera")
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"{path}: not readable as XML: {error}") from error
-
-    def number(name: str) -> float:
+    found = {}
+    for name in VispCameraNumbers.model_fields:
         entry = None if camera is None else camera.find(f".//{name}")
-        if entry is None or entry.text is None:
-            raise ValueError(f"{path}: entry {name!r} is missing")
-        return float(entry.text)
-
-    size = (int(number("image_width")), int(number("image_height")))
-    return Camera(number("px"), number("py"), number("u0"), number("v0"), Pinhole(), size)
+        if entry is not None and entry.text is not None:
+            # XML has text alone; YAML's numbers are what files here have.
+            found[name] = parse_yaml(entry.text, f"{path}: entry {name}")
+    numbers = checked(found, VISP_CAMERA, path)
+    size = (numbers.image_width, numbers.image_height)
+    return Camera(numbers.px, numbers.py, numbers.u0, numbers.v0, Pinhole(), size)

@@ -140,6 +140,8 @@ def without_robot(
 
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
     """The start with another lens that begins like its own; None keeps its own."""
+    # A region is of the data that a calibration was fitted to: a start has none.
+    start = dataclasses.replace(start, region=None)
     if lens is None:
         return start
     return eqx.tree_at(lambda c: c.camera.lens, start, start_lens(lens, start.camera.lens))

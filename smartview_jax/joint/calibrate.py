@@ -1,5 +1,6 @@
 """Staged, then joint, with the best defaults: what the command line runs."""
 
+import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -92,7 +93,9 @@ def calibrate(
     trusted = _seen_only(data, staged.inliers)
     joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)
     # The report is on everything that was seen, outliers too.
-    everything = chain_residuals(joint.calibration, data.observations)
+    # Without the region, as the fits themselves compiled it.
+    bare = dataclasses.replace(joint.calibration, region=None)
+    everything = chain_residuals(bare, data.observations)
     joint = eqx.tree_at(lambda f: f.residuals, joint, everything)
     return CalibrationFit(staged, joint)
 

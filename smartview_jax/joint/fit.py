@@ -1,5 +1,6 @@
 """The joint fit: every observation through the whole chain at once."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from ..cameras import AbstractLens
 from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
 from ..robots import AbstractField, RobotPrior
-from ..staged import FitCode, FitResult
+from ..staged import FitCode, FitResult, with_region
 from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
 from .covariance import UnitColumns, covariance, own_std, robust_variance, variance_factor
@@ -227,7 +228,7 @@ def fit_joint(
         return found, equations.matrix
 
     if bad_views == "keep" or (bad_views is None and noise != "estimated"):
-        return fit(data, ())[0]
+        return _seen(fit(data, ())[0], data)
     used, apart = screened(data, start, fixed, priors, progress)
     found, matrix = fit(used, apart)
     while True:
@@ -246,7 +247,12 @@ def fit_joint(
             break
     # What was left out is predicted all the same.
     everything = chain_residuals(found.calibration, data.observations)
-    return eqx.tree_at(lambda f: f.residuals, found, everything)
+    return _seen(eqx.tree_at(lambda f: f.residuals, found, everything), used)
+
+
+def _seen(fit: JointFit, data: Dataset) -> JointFit:
+    """The fit with the region from which the target was seen in its calibration."""
+    return dataclasses.replace(fit, calibration=with_region(fit.calibration, data))
 
 
 def _settled(

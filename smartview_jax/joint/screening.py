@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, mount_from_holder
 from ..compilation import compiled
 from ..dataset import Dataset, Observations
-from ..staged import agreeing_views, locate_views
+from ..staged import agreeing_views, locate_views, median_deviation
 from .build import build_problem, without_robot
 from .covariance import robust_variance
 from .estimate import FINEST
@@ -91,7 +91,17 @@ def screened(
     }
     sound = (count >= 4) & ~np.isin(np.arange(len(count)), list(wrong))
     robot = mount_from_holder(data.mount, data.base_from_tool)
-    wrong |= agreeing_views(robot, poses, jnp.asarray(sound, dtype=float))[1]
+    wrong |= agreeing_views(
+        robot,
+        poses,
+        jnp.asarray(sound, dtype=float),
+        lambda eye, world: median_deviation(
+            Calibration(start.camera, eye, world, data.mount),
+            used.observations,
+            jnp.asarray(visible & ~outside),
+        ),
+        data.view_ids,
+    ).words
 
     outside[list(wrong)] = False
     points = tuple(

@@ -35,6 +35,7 @@ def write_page(
     halves: Repeatability | None = None,
     budget: ErrorBudget | None = None,
     notes: Sequence[str] = (),
+    run: str | None = None,
 ) -> None:
     """Write the report of a calibration.
 
@@ -48,6 +49,7 @@ def write_page(
         halves: what `repeatability` found.
         budget: what `error_budget` found.
         notes: what was asked for and could not be told, and why.
+        run: name of the run, which its other files carry, too.
     """
     say = progress or (lambda _: None)
     rows = tables.summaries(fit, data, unseen)
@@ -75,7 +77,9 @@ def write_page(
         ],
         staged=fit.staged,
         joint=fit.joint,
-        facts=_facts(fit, data, unseen) + tables.halves_agree(halves),
+        facts=_facts(fit, data, unseen)
+        + tables.halves_agree(halves)
+        + ([] if run is None else [("run", run)]),
     )
     write_atomically(path, page)
 

@@ -155,6 +155,12 @@ def _left_out(name: str, unseen: HeldOut) -> list[str]:
     if unseen.deviations.unpredicted:
         count = unseen.deviations.unpredicted
         found.append(f"{name}: {count} held-out points seen cannot be predicted at all")
+    if unseen.extrapolated:
+        count, total = len(unseen.extrapolated), sum(map(len, unseen.folds))
+        found.append(
+            f"{name}: {count} of {total} held-out views lie outside the hull of the viewpoints "
+            "that were left: extrapolated"
+        )
     found += [f"{name}: fold {k + 1} failed: {why}" for k, why in unseen.failures]
     found += [f"{name}: fold {k + 1} did not converge: {why}" for k, why in unseen.unconverged]
     return found

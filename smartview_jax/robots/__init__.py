@@ -6,6 +6,7 @@ from .arm_errors import JointRatios as JointRatios
 from .arm_errors import arm_of as arm_of
 from .axes import arm_from_axes as arm_from_axes
 from .combined import CombinedField as CombinedField
+from .command import FARTHEST as FARTHEST
 from .command import Command as Command
 from .command import CommandLike as CommandLike
 from .command import JointsLike as JointsLike

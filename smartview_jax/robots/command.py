@@ -9,6 +9,9 @@ from jaxtyping import Array, Float
 
 from ..geometry import PoseLike, as_se3
 
+FARTHEST = 10.0
+"""Of a tool's coordinate in the base's frame, m: no arm is longer; what is, is in another unit."""
+
 
 class Command(eqx.Module):
     """A pose as reported or commanded; `SerialArm.command` makes one from joint angles.

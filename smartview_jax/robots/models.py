@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..schemas.words import nearest
 from .serial_arm import SerialArm
 
 _RIGHT = 0.5 * np.pi
@@ -95,5 +96,7 @@ def arm_by_name(name: str) -> SerialArm:
         ValueError: no arm is called so.
     """
     if name not in ARMS:
-        raise ValueError(f"arm is one of {', '.join(ARMS)}, or its numbers; found {name!r}")
+        raise ValueError(
+            f"arm is one of {', '.join(ARMS)}, or its numbers; found {name!r}{nearest(name, ARMS)}"
+        )
     return ARMS[name]()

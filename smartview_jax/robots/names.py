@@ -1,5 +1,6 @@
 """Fields by the name that files and options use."""
 
+from ..schemas.words import nearest
 from .arm_errors import DHErrors, JointOffsets, JointRatios
 from .combined import CombinedField
 from .field import AbstractField
@@ -26,7 +27,9 @@ def field_by_name(name: str) -> type[AbstractField]:
         ValueError: no field is called so.
     """
     if name not in FIELDS:
-        raise ValueError(f"field is one of {', '.join(FIELDS)}; found {name!r}")
+        raise ValueError(
+            f"field is one of {', '.join(FIELDS)}; found {name!r}{nearest(name, FIELDS)}"
+        )
     return FIELDS[name]
 
 

@@ -1,12 +1,14 @@
 """A robot's error as plain numbers with their names, as files have it."""
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..geometry import transform_from_dict, transform_to_dict
+from ..schemas.words import nearest, shown
 from .field import AbstractField
 from .names import field_by_name, field_name
 from .robot_error import RobotError
@@ -45,9 +47,7 @@ def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) 
     basis = _field_from_dict(content["field"], field)
     given = content["coefficients"]
     if set(given) != set(basis.names):
-        raise ValueError(
-            f"robot_error.coefficients: expected {', '.join(basis.names)}; found {', '.join(given)}"
-        )
+        raise ValueError(f"robot_error.coefficients: {_differences(given, basis.names)}")
     return RobotError(basis, jnp.array([float(given[name]) for name in basis.names]))
 
 
@@ -55,16 +55,35 @@ def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> Ab
     parts = dict(content)
     model = parts.pop("model")
     kind = field_by_name(model) if field is None else type(field)
-    known = {part.name for part in dataclasses.fields(kind)}
-    if set(parts) != known:
-        raise ValueError(f"robot_error.field: expected {sorted(known)}, found {sorted(parts)}")
+    kinds: dict[str, Any] = {part.name: part.type for part in dataclasses.fields(kind)}
+    if set(parts) != set(kinds):
+        raise ValueError(f"robot_error.field: {_differences(parts, kinds)}")
 
     def part(name: str, value: Any) -> Any:
         if isinstance(value, dict) and "model" in value:
             return _field_from_dict(value, getattr(field, name, None))
-        return arm_from_dict(value) if name == "arm" else jnp.asarray(value, dtype=float)
+        return arm_from_dict(value) if isinstance(value, dict) else jnp.asarray(value, dtype=float)
 
-    return kind(**{name: part(name, value) for name, value in parts.items()})
+    made = {name: part(name, value) for name, value in parts.items()}
+    for name, value in made.items():
+        # jaxtyping's array types and classes alike say whether a value is one of theirs.
+        if not isinstance(value, kinds[name]):
+            raise ValueError(
+                f"robot_error.field.{name}: expected {kinds[name].__name__}, "
+                f"found {shown(parts[name])}"
+            )
+    return kind(**made)
+
+
+def _differences(found: Iterable[str], known: Iterable[str]) -> str:
+    """Say which names are missing, and which are of no use, with the nearest that is."""
+    missing = [name for name in known if name not in found]
+    unknown = [f"{shown(name)}{nearest(name, missing)}" for name in found if name not in known]
+    return "; ".join(
+        f"{words} {', '.join(names[:5])}{' and more' * (len(names) > 5)}"
+        for words, names in (("missing are", missing), ("of no use are", unknown))
+        if names
+    )
 
 
 def arm_to_dict(arm: SerialArm) -> dict[str, Any]:

@@ -11,16 +11,9 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..detection import detect
 from ..geometry import PoseLike, as_se3
-from ..targets import AbstractTarget, CircleGrid, StackedTarget
+from ..targets import AbstractTarget, StackedTarget
 from .render import render
-from .scenes import (
-    PAPER_ROTATION_NOISE,
-    PAPER_TRANSLATION_NOISE,
-    Scene,
-    paper_calibration,
-    paper_viewpoints,
-    reported_poses,
-)
+from .scenes import Scene
 
 MISTAKEN = 5.0
 """A point found so far, px, from where the truth projects it was taken for another one."""
@@ -86,28 +79,3 @@ def _as_known(
     worst = [np.nanmax(gap, initial=0.0) for gap in gaps]
     best = int(np.argmin(worst))
     return found[board.symmetries[best]] if worst[best] < MISTAKEN else np.full_like(found, np.nan)
-
-
-def paper_target() -> StackedTarget:
-    """The paper's circles of 2 mm radius, at five heights: 1050 of them over five views.
-
-    They stand 5 mm apart, so that the whole board stays in the picture.
-    """
-    return StackedTarget(CircleGrid(6, 7, 0.005, radius=0.002), (0.0, 0.005, 0.01, 0.015, 0.02))
-
-
-def paper_photographs(
-    seed: int = 0,
-    translation_noise: float = PAPER_TRANSLATION_NOISE,
-    rotation_noise: float = PAPER_ROTATION_NOISE,
-    roll: float = 0.6,
-    progress: Callable[[str], None] | None = None,
-) -> Scene:
-    """The paper's experiment with rendered pictures of its circles, and a PUMA's noise."""
-    truth, rng = paper_calibration(), np.random.default_rng((seed, 3))
-    target = paper_target()
-    # The viewpoints look at the middle of a board whose first circle is at another corner.
-    shift = SE3.from_translation(jnp.array([0.003, 0.0275, 0.0]))
-    poses = truth.command_for(paper_viewpoints(np.random.default_rng((seed, 1)), roll) @ shift)
-    reported = reported_poses(poses, rng, translation_noise, rotation_noise)
-    return photograph(truth, poses, target, reported, seed, progress, samples=2)

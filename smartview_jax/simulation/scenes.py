@@ -9,11 +9,8 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
-from ..geometry import PoseLike, as_se3, direction_of, five_viewpoints
+from ..geometry import PoseLike, as_se3, direction_of
 from ..geometry import look_at as look_along
-
-PAPER_TRANSLATION_NOISE, PAPER_ROTATION_NOISE = 1e-4, float(np.deg2rad(0.01))
-"""Of a PUMA's reported poses, per axis: m and rad."""
 
 
 class Scene(eqx.Module):
@@ -149,37 +146,6 @@ def paper_points(heights: tuple[float, ...] = (0.0, 0.005, 0.01, 0.015, 0.02)) -
     """`(7 * 6 * heights, 3)` circle centres of a board, 6 mm apart, at several heights z, m."""
     x, y, z = np.meshgrid(0.006 * np.arange(7), 0.006 * np.arange(6), heights, indexing="ij")
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
-
-
-def paper_viewpoints(rng: np.random.Generator, roll: float = 0.6) -> SE3:
-    """The paper's five views (Fig. 6): from above, and 9.5 and 19 degrees along X and along Y.
-
-    Each with a roll about the optical axis within `+-roll`; without roll the hand-eye transform
-    is poorly determined.
-    """
-    centre = np.array([0.018, 0.015, 0.01])
-    return five_viewpoints(centre, 0.2, rng.uniform(-roll, roll, 5))
-
-
-def paper_scene(
-    seed: int = 0,
-    pixel_noise: float = 0.15,
-    translation_noise: float = PAPER_TRANSLATION_NOISE,
-    rotation_noise: float = PAPER_ROTATION_NOISE,
-    roll: float = 0.6,
-) -> Scene:
-    """The paper's experiment: about 1000 circles over five viewpoints, a PUMA's noise."""
-    calibration = paper_calibration()
-    viewpoints = paper_viewpoints(np.random.default_rng((seed, 1)), roll)
-    return simulate(
-        calibration,
-        calibration.command_for(viewpoints),
-        paper_points(),
-        seed=seed,
-        pixel_noise=pixel_noise,
-        translation_noise=translation_noise,
-        rotation_noise=rotation_noise,
-    )
 
 
 def random_scene(

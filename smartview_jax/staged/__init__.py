@@ -1,12 +1,15 @@
 """The paper's staged pipeline: the baseline, and the start of the joint fit."""
 
+from .agreement import Agreement as Agreement
 from .agreement import agreeing_views as agreeing_views
+from .agreement import median_deviation as median_deviation
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
 from .closed_form import daniilidis as daniilidis
 from .closed_form import park_martin as park_martin
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz
 from .conventions import ConventionReport as ConventionReport
+from .conventions import Explanation as Explanation
 from .conventions import check_conventions as check_conventions
 from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
@@ -18,6 +21,7 @@ from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
+from .region import with_region as with_region
 from .result import FitCode as FitCode
 from .result import FitResult as FitResult
 from .weng import ViewCalibrations as ViewCalibrations

@@ -1,24 +1,40 @@
 """Do the robot's poses and the camera's poses belong together? The usual mistakes, by name.
 
 Robot and camera are bolted together, so whatever the unknown transforms are, both turn by the same
-angle between two views, and some hand-eye transform explains both motions. Where that fails, the
-mistakes that people make are tried in turn: poses given inverted, millimetres for metres, angles in
-the wrong unit or convention, pictures paired with the wrong poses.
+angle between two views, and some hand-eye transform explains both motions. Where that fails, every
+mistake that people make is undone in turn (`mistakes.py`), and the likeliest is named with what it
+leaves over, beside the next; or that several explain the data, or none that is known.
+
+Rotations alone seldom tell: inverted and transposed poses, quaternions in another order and KUKA's
+angles read as Fanuc's turn by the same angles, and about axes that some hand-eye rotation explains.
+Positions tell them apart.
 """
 
 import math
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..calibration import mount_frames, mount_from_holder
-from ..compilation import compiled
-from ..geometry import rotation_angle
-from .closed_form import motion_pairs, park_martin
+from ..calibration import mount_frames
+from ..geometry import host_matrices
+from .closure import Closure, Motion, Poses, closure, length_ratio, motion
+from .mistakes import mistakes
+
+
+class Explanation(NamedTuple):
+    """A mistake, and what is left over of the motions when it is undone.
+
+    Attributes:
+        name: of the mistake.
+        words: what was done wrong, as a clause.
+        closure: what is left over then.
+    """
+
+    name: str
+    words: str
+    closure: Closure
 
 
 class ConventionReport(NamedTuple):
@@ -30,7 +46,8 @@ class ConventionReport(NamedTuple):
         angle_mismatch: median difference of the rotation angles, rad.
         length_ratio: camera motion over robot motion; 1 where the data do not contradict it.
         misfit: median rotation and translation left over by the best hand-eye transform, rad, m.
-        misfit_inverted: the same with every pose inverted.
+        explanations: every mistake that was tried, the likeliest first; empty where the data are
+            plausible as given.
     """
 
     problems: tuple[str, ...]
@@ -38,18 +55,33 @@ class ConventionReport(NamedTuple):
     angle_mismatch: float
     length_ratio: float
     misfit: tuple[float, float]
-    misfit_inverted: tuple[float, float]
+    explanations: tuple[Explanation, ...]
 
 
 ANGLE_TOLERANCE = np.deg2rad(4.0)
-"""Rotation angles of robot and camera may differ by this much between two views (median)."""
+"""Rotation that may be left over (median), rad."""
+
+SOUND = 0.03
+"""Score of data that need no explanation: some 10 mm and a degree at half a metre."""
+
+BETTER = 0.3
+"""Of the score of the data as given, below which that without a mistake is much better."""
+
+ALIKE = 2.0
+"""Times the score of the likeliest mistake, up to which another explains the data as well."""
+
+NOTHING = 1e-4
+"""Score that is nothing: a twentieth of a millimetre at half a metre, below any robot's error."""
+
+REACH = 30.0
+"""Metres that no arm reaches and no target is away from its camera."""
 
 
 def check_conventions(
     base_from_tool: SE3,
     camera_from_world: SE3,
     mount: str,
-    weights: Float[Array, "views"] | None = None,
+    weights: Float[Array, "views"] | np.ndarray | None = None,
 ) -> ConventionReport:
     """Compare the motion of the robot with that of the camera, view by view.
 
@@ -59,83 +91,151 @@ def check_conventions(
         mount: where the camera is said to be.
         weights: zero leaves a view out.
     """
-    weights = jnp.ones(len(base_from_tool.wxyz_xyz)) if weights is None else weights
     in_hand = mount_frames(mount)[0] == "tool"
-    given = mount_from_holder(mount, base_from_tool)
-    angles, as_given, inverted = (
-        np.asarray(x) for x in _compare(given, given.inverse(), camera_from_world, weights)
-    )
-    ratio = float(as_given[2])
-    mismatch = float(np.nanmedian(angles))
-    misfit = (float(as_given[0]), float(as_given[1]))
-    misfit_inverted = (float(inverted[0]), float(inverted[1]))
-
-    problems = []
-    if mismatch > ANGLE_TOLERANCE:
-        problems.append(
-            f"between two views robot and camera turn by angles that differ by "
-            f"{np.rad2deg(mismatch):.1f} degrees (median): the poses' angles are in another unit "
-            f"(degrees?) or convention than stated, or the pictures are paired with wrong poses"
-        )
-    elif _better_inverted(misfit, misfit_inverted):
-        problems.append(
-            f"the poses fit the pictures when every one is inverted (left over "
-            f"{np.rad2deg(misfit_inverted[0]):.2f} instead of {np.rad2deg(misfit[0]):.2f} degrees, "
-            f"{1e3 * misfit_inverted[1]:.1f} instead of {1e3 * misfit[1]:.1f} mm): they "
-            f"were given as tool_from_base where base_from_tool is expected, or the camera is "
-            f"{'beside the arm (eye_to_hand)' if in_hand else 'on the hand (eye_in_hand)'}"
-        )
-    elif not 0.2 < ratio < 5.0 and np.isfinite(ratio):
-        problems.append(_length_problem(ratio))
-    else:
-        problems += _implausible(base_from_tool, camera_from_world, np.asarray(weights) > 0.0)
+    robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
+    used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0
+    used = used & np.isfinite(robot).all(axis=(1, 2)) & np.isfinite(camera).all(axis=(1, 2))
+    angles = _angle_differences(robot, camera, used)
+    mismatch = float(np.nanmedian(angles)) if used.sum() > 1 else 0.0
+    if used.sum() < 3:
+        return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
+    pairs = _motion(robot, camera, used, in_hand)
+    given, ratio = closure(pairs), length_ratio(pairs)
+    problems, explanations = (), ()
+    if given.score > SOUND or not 0.2 < ratio < 5.0:
+        explanations = _explanations(robot, camera, used, in_hand, pairs)
+        problems = _problems(given, explanations, mismatch, _turns(robot, camera, used))
+    if not problems:
+        problems = _other_lengths(ratio, robot, camera, used)
     return ConventionReport(
-        tuple(problems), _suspicious(angles), mismatch, ratio, misfit, misfit_inverted
+        problems,
+        _suspicious(angles),
+        mismatch,
+        ratio,
+        (given.rotation, given.translation),
+        explanations,
     )
 
 
-_SLACK = math.radians(0.5)
-"""By how much rotations may fit worse where translations fit far better, rad."""
+def _motion(robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool) -> Motion:
+    mount_from_holder = np.linalg.inv(robot) if in_hand else robot
+    return motion(mount_from_holder[used], camera[used])
 
 
-def _better_inverted(given: tuple[float, float], inverted: tuple[float, float]) -> bool:
-    """By rotation, or, where all turns are about nearly one axis, by translation."""
-    by_rotation = given[0] > ANGLE_TOLERANCE and inverted[0] < 0.3 * given[0]
-    by_translation = inverted[1] < 0.1 * given[1] and inverted[0] < given[0] + _SLACK
-    return by_rotation or by_translation
+_LENGTHS = {
+    1e-3: "the robot's positions look like millimetres where metres are expected",
+    1e-2: "the robot's positions look like centimetres where metres are expected",
+    0.0254: "the robot's positions look like inches where metres are expected",
+    1e2: "the target's points look like centimetres where metres are expected",
+    1e3: "the target's points look like millimetres where metres are expected",
+}
+"""What it means that the camera moves so many times as far as the robot."""
 
 
-REACH = 30.0
-"""Metres that no arm reaches and no target is away from its camera."""
+def _explanations(
+    robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, pairs: Motion
+) -> tuple[Explanation, ...]:
+    """Every mistake undone, alone and with positions in another unit, the likeliest first."""
+    found = [
+        Explanation("length", words, closure(pairs, scale)) for scale, words in _LENGTHS.items()
+    ]
+    for mistake in mistakes(in_hand, len(robot)):
+        undone = _motion(*mistake.undo(robot, camera), used, in_hand)
+        alone = Explanation(mistake.name, mistake.words, closure(undone))
+        found.append(alone)
+        for scale, words in _LENGTHS.items():
+            both = closure(undone, scale)
+            # Two mistakes at once are believed only where one of them explains next to nothing.
+            if both.rotation < ANGLE_TOLERANCE and both.score < 0.1 * alone.closure.score:
+                found.append(Explanation(mistake.name, f"{mistake.words}, and {words}", both))
+    # Of those that leave nothing over the plainest first.
+    return tuple(sorted(found, key=lambda one: max(one.closure.score, NOTHING)))
 
 
-def _implausible(base_from_tool: SE3, camera_from_world: SE3, used: np.ndarray) -> list[str]:
-    """Lengths that only another unit explains, where the motion itself does not tell."""
+def _problems(
+    given: Closure,
+    explanations: tuple[Explanation, ...],
+    mismatch: float,
+    turns: tuple[float, float],
+) -> tuple[str, ...]:
+    """The likeliest mistake with its evidence; none where the data are believable as given."""
+    best = explanations[0]
+    explained = (
+        best.closure.rotation < ANGLE_TOLERANCE and best.closure.score < BETTER * given.score
+    )
+    as_given = f"robot and camera do not move alike as given ({_left_over(given)})"
+    if not explained:
+        unbelievable = max(mismatch, given.rotation) > ANGLE_TOLERANCE
+        return (f"{as_given}: {_unexplained(best, mismatch, turns)}",) if unbelievable else ()
+    rivals = [
+        one
+        for one in explanations[1:]
+        if one.name != best.name
+        and one.closure.score < min(ALIKE * max(best.closure.score, NOTHING), BETTER * given.score)
+    ]
+    if rivals:
+        several = "; or ".join(f"{r.words} ({_left_over(r.closure)})" for r in (best, *rivals[:3]))
+        return (f"{as_given}; {1 + len(rivals)} mistakes explain it about as well: {several}",)
+    other = next(one for one in explanations[1:] if one.name != best.name)
+    return (
+        f"{as_given}, but do if {best.words} ({_left_over(best.closure)}); the next best "
+        f"explanation, that {other.words}, leaves {_left_over(other.closure, short=True)}",
+    )
+
+
+def _left_over(found: Closure, short: bool = False) -> str:
+    angle, length = np.rad2deg(found.rotation), 1e3 * found.translation
+    numbers = f"{angle:.2f} degrees and {length:.3g} mm"
+    return numbers if short else f"{numbers} left over between two views, in the median"
+
+
+def _unexplained(best: Explanation, mismatch: float, turns: tuple[float, float]) -> str:
+    """What may be wrong where no known mistake, undone, makes robot and camera move alike."""
+    robot, camera = (float(np.rad2deg(turn)) for turn in turns)
+    if mismatch < ANGLE_TOLERANCE:
+        likely = "they turn by the same angles, but about other axes"
+    elif 0.67 < robot / max(camera, 1e-9) < 1.5:
+        likely = (
+            "they turn about as far, but not between the same views: the pictures are paired with "
+            "wrong poses in no order, or the angles are in another unit (degrees?) or convention"
+        )
+    else:
+        likely = (
+            f"the robot turns by {robot:.0f} degrees between two views where the camera turns by "
+            f"{camera:.0f} (medians): the angles are in another unit (degrees?) or convention"
+        )
+    return (
+        f"{likely}; no mistake that is known explains it, the nearest being that {best.words} "
+        f"({_left_over(best.closure, short=True)})"
+    )
+
+
+def _turns(robot: Poses, camera: Poses, used: np.ndarray) -> tuple[float, float]:
+    """Median angle between two views, of the robot and of the camera, rad."""
+    upper = np.triu_indices(int(used.sum()), 1)
+    robot_turn, camera_turn = (float(np.median(_angles(p[used])[upper])) for p in (robot, camera))
+    return robot_turn, camera_turn
+
+
+def _other_lengths(ratio: float, robot: Poses, camera: Poses, used: np.ndarray) -> tuple[str, ...]:
+    """Lengths in another unit, by their ratio or by what no arm and no picture reaches."""
+    if not 0.2 < ratio < 5.0:
+        power = 10.0 ** round(math.log10(abs(ratio)))
+        different = "robot positions and target points are not in the same unit"
+        words = _LENGTHS.get(power, different) if ratio > 0.0 else different
+        return (f"{words}: the camera moved {ratio:.3g} times as far as the robot",)
     found = []
     for poses, what in (
-        (base_from_tool, "the tool is reported {:.0f} m from the base"),
-        (camera_from_world, "the target seems to be {:.0f} m from the camera"),
+        (robot, "the tool is reported {:.0f} m from the base"),
+        (camera, "the target seems to be {:.0f} m from the camera"),
     ):
-        places = np.asarray(poses.wxyz_xyz)[used, 4:]
-        distance = float(np.median(np.linalg.norm(places, axis=1)))
+        distance = float(np.median(np.linalg.norm(poses[used, :3, 3], axis=1)))
         if distance > REACH:
             found.append(f"{what.format(distance)}: millimetres where metres are expected?")
-    return found
+    return tuple(found)
 
 
-def _length_problem(ratio: float) -> str:
-    units = {
-        -3: "the robot's positions look like millimetres where metres are expected",
-        -2: "the robot's positions look like centimetres where metres are expected",
-        2: "the target's points look like centimetres where metres are expected",
-        3: "the target's points look like millimetres where metres are expected",
-    }
-    power = round(float(np.log10(abs(ratio)))) if ratio else 0
-    text = units.get(power, "robot positions and target points are not in the same unit")
-    return f"{text}: the camera moved {ratio:.3g} times as far as the robot"
-
-
-def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
+def _suspicious(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[int, str], ...]:
     """Views whose rotation disagrees with most others, where most agree among themselves."""
     used = np.isfinite(angles).any(axis=1)
     typical = np.zeros(len(angles))
@@ -151,62 +251,20 @@ def _suspicious(angles: np.ndarray) -> tuple[tuple[int, str], ...]:
     )
 
 
-@compiled
-def _compare(
-    given: SE3, inverted: SE3, camera_from_world: SE3, weights: Array
-) -> tuple[Float[Array, "views views"], Float[Array, "3"], Float[Array, "3"]]:
-    return (
-        _angle_differences(given, camera_from_world, weights),
-        *jax.vmap(lambda robot: _closure(SE3(robot), camera_from_world, weights))(
-            jnp.stack([given.wxyz_xyz, inverted.wxyz_xyz])
-        ),
-    )
+def _angle_differences(
+    robot: Poses, camera: Poses, used: np.ndarray
+) -> Float[np.ndarray, "views views"]:
+    """Difference of the angles by which robot and camera turn, rad; NaN where one is not used."""
+    gap = np.abs(_angles(np.linalg.inv(_finite(robot))) - _angles(_finite(camera)))
+    unused = np.eye(len(gap), dtype=bool) | ~np.outer(used, used)
+    return np.where(unused, np.nan, gap)
 
 
-def _angle_differences(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> Array:
-    def angles(poses):
-        R = poses.rotation().as_matrix()
-        cosine = 0.5 * (jnp.einsum("iab,jab->ij", R, R) - 1.0)
-        return jnp.arccos(jnp.clip(cosine, -1.0, 1.0))
-
-    gap = jnp.abs(angles(mount_from_holder) - angles(camera_from_world))
-    unused = jnp.eye(len(gap), dtype=bool) | (jnp.outer(weights, weights) == 0.0)
-    return jnp.where(unused, jnp.nan, gap)
+def _finite(poses: Poses) -> Poses:
+    return np.where(np.isfinite(poses).all(axis=(1, 2), keepdims=True), poses, np.eye(4))
 
 
-def _closure(mount_from_holder: SE3, camera_from_world: SE3, weights: Array) -> Float[Array, "3"]:
-    """Rotation and translation left over by the best hand-eye transform (medians), length ratio."""
-    A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
-    hand_eye, _ = park_martin(mount_from_holder, camera_from_world, weights)
-    R = hand_eye.rotation()
-    expected = R @ B.rotation() @ R.inverse()
-    angle = rotation_angle(A.rotation().inverse() @ expected)
-    gap = (A @ hand_eye).translation() - (hand_eye @ B).translation()
-    left_over = jnp.stack([angle, jnp.linalg.norm(gap, axis=-1)])
-    left_over = jnp.nanmedian(jnp.where(w[None] > 0.0, left_over, jnp.nan), axis=1)
-    # Along its own axis a screw motion advances equally far in every frame, whatever the hand-eye
-    # transform: d_A = s d_B. An orbit about the target has no advance, and then nothing is said.
-    d_A, d_B = _advance(A) * w, _advance(B) * w
-    together, squares = jnp.sum(d_A * d_B), jnp.stack([jnp.sum(d_A**2), jnp.sum(d_B**2)])
-    lengths = jnp.stack([jnp.sum((w[:, None] * m.translation()) ** 2) for m in (A, B)])
-    telling = jnp.all(squares > _TELLING**2 * lengths) & (
-        together**2 > _CORRELATED * squares[0] * squares[1]
-    )
-    ratio = jnp.abs(together) / jnp.where(telling, squares[1], 1.0)
-    return jnp.append(left_over, jnp.where(telling, ratio, 1.0))
-
-
-_CORRELATED = 0.9
-"""Squared correlation of the advances of robot and camera above which their ratio is believed."""
-
-_TELLING = 0.02
-"""Share of the motion that the advance must be; less is noise."""
-
-
-def _advance(motion: SE3) -> Float[Array, "pairs"]:
-    """Translation along the rotation axis; zero for turns too small to have an axis."""
-    vector = motion.rotation().log()
-    angle = jnp.linalg.norm(vector, axis=-1)
-    turning = angle > np.deg2rad(2.0)
-    along = jnp.sum(vector * motion.translation(), axis=-1)
-    return jnp.where(turning, along / jnp.where(turning, angle, 1.0), 0.0)
+def _angles(poses: Poses) -> Float[np.ndarray, "views views"]:
+    """Angle of `R_i R_j^T` for all views, rad."""
+    R = poses[:, :3, :3].reshape(len(poses), 9)
+    return np.arccos(np.clip(0.5 * (R @ R.T - 1.0), -1.0, 1.0))

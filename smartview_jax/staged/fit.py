@@ -12,11 +12,13 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
 from ..dataset import Dataset, Observations, chain_residuals
-from .agreement import agreeing_views
+from .agreement import agreeing_views, median_deviation
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
+from .own_fit import on_one_line, unlike_the_target
+from .region import with_region
 from .result import FitCode, FitResult
 from .weng import ViewCalibrations, calibrate_views, locate_views
 
@@ -55,7 +57,7 @@ class StagedFit(eqx.Module):
         residuals: measured minus predicted through the whole chain, px; 0 where not seen.
         inliers: the observations that Step 2 kept, of the views that were used.
         rejected: view id, point index (None for a whole view) and reason.
-        views: indices of the views that were used.
+        views: indices of the views that Step 3 used.
         conventions: how well robot and camera motion agree.
         result: whether all steps converged.
     """
@@ -80,16 +82,55 @@ class StagedFit(eqx.Module):
 
 
 def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
-    """Indices of the views that show enough points.
+    """Indices of the views that show enough points, and not only points on one line.
 
     Raises:
         ValueError: they are too few; the message says what each of the others shows.
     """
-    minimum = _least_points(camera)
-    views = data.usable_views(minimum)
-    if len(views) < 3:
-        raise ValueError(_too_few(data, views, minimum))
-    return views
+    unusable = _unusable(data, _least_points(camera))
+    _require_enough(data, unusable, _least_points(camera))
+    return np.setdiff1d(np.arange(data.view_count), list(unusable))
+
+
+def _require_enough(data: Dataset, unusable: dict[int, str], minimum: int) -> None:
+    """Raise a ValueError that says what is wrong with the views where too few are left."""
+    left = data.view_count - len(unusable)
+    if left >= 3:
+        return
+    wrong = [f"view {data.view_ids[view]}: {text}" for view, text in unusable.items()]
+    tail = f" ({'; '.join(wrong[:10])})" if wrong else ""
+    raise ValueError(
+        f"a calibration needs at least 3 views with {minimum} points each; "
+        f"{left} of {data.view_count} views have them{tail}"
+    )
+
+
+def _only_usable(
+    data: Dataset, unusable: dict[int, str]
+) -> tuple[Observations, Bool[np.ndarray, "views"]]:
+    """The observations of the other views, and which views those are.
+
+    The unusable are hidden, not cut out: a fold then has the shape that is already compiled.
+    """
+    used = np.ones(data.view_count, dtype=bool)
+    used[list(unusable)] = False
+    visible = data.visible & jnp.asarray(used)[:, None]
+    return eqx.tree_at(lambda o: o.visible, data.observations, visible), used
+
+
+def _unusable(data: Dataset, minimum: int) -> dict[int, str]:
+    """Views that no pose can be found of, with the reason."""
+    reasons, visible = dict(data.masked_views), np.asarray(data.visible)
+    seen, line = visible.sum(axis=1), on_one_line(np.asarray(data.points), visible)
+    return {
+        view: reasons.get(
+            data.view_ids[view],
+            f"{seen[view]} points seen, {minimum} needed"
+            if seen[view] < minimum
+            else f"the {seen[view]} points seen lie on one line",
+        )
+        for view in np.flatnonzero((seen < minimum) | line).tolist()
+    }
 
 
 def _least_points(camera: Camera | None) -> int:
@@ -131,19 +172,23 @@ def fit_staged(
     say = progress or (lambda _: None)
     if conventions not in ("raise", "report"):
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
-    views = views_to_use(data, camera)
-    # Unused views are hidden, not cut out: a fold then has the shape that is already compiled.
-    used = np.zeros(data.view_count, dtype=bool)
-    used[views] = True
-    weights = jnp.asarray(used.astype(float))
-    observations = eqx.tree_at(
-        lambda o: o.visible, data.observations, data.visible & jnp.asarray(used)[:, None]
-    )
-
-    say(f"Step 1: each of {len(views)} views by itself")
-    step1, start_camera, start_poses, start_inliers = _step_one(
+    views_to_use(data, camera)
+    unusable = _unusable(data, _least_points(camera))
+    say(f"Step 1: each of {data.view_count - len(unusable)} views by itself")
+    observations, used = _only_usable(data, unusable)
+    step1, start_camera, start_poses, start_inliers, rms = _step_one(
         observations, data.image_size, used, lens, camera
     )
+    unlike = unlike_the_target(rms, used, data.image_size)
+    if unlike:
+        # Once more, so that they have no say in the start of the others.
+        unusable = {**unusable, **unlike}
+        _require_enough(data, unusable, _least_points(camera))
+        observations, used = _only_usable(data, unusable)
+        step1, start_camera, start_poses, start_inliers, _ = _step_one(
+            observations, data.image_size, used, lens, camera
+        )
+    weights = jnp.asarray(used.astype(float))
     say("Step 2: one camera for all views")
     common = step2(
         observations,
@@ -160,10 +205,18 @@ def fit_staged(
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
     robot = mount_from_holder(data.mount, data.base_from_tool)
-    agreeing, doubts = agreeing_views(robot, common.camera_from_world, weights)
-    # Where the rotations alone tell, they say it more plainly.
-    plainer = dict(report.suspicious_views)
-    doubts = {view: plainer.get(view, text) for view, text in doubts.items()}
+    agreement = agreeing_views(
+        robot,
+        common.camera_from_world,
+        weights,
+        lambda eye, world: median_deviation(
+            Calibration(common.camera, eye, world, data.mount), observations, common.inliers
+        ),
+        data.view_ids,
+    )
+    agreeing, doubts = agreement.kept, agreement.words
+    for view in agreement.unsure:
+        say(f"view {data.view_ids[view]}: its points tell its pose badly; Step 3 does without it")
     step3 = solve_hand_eye(
         robot,
         common.camera_from_world,
@@ -174,16 +227,18 @@ def fit_staged(
     calibration = Calibration(
         common.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )
-    inliers = common.inliers & jnp.asarray(agreeing)[:, None]
+    sound = agreeing.copy()
+    sound[list(agreement.unsure)] = True
+    inliers = common.inliers & jnp.asarray(sound)[:, None]
     ids = data.view_ids
     return StagedFit(
-        calibration,
+        with_region(calibration, data, np.flatnonzero(agreeing)),
         step1,
         common,
         step3,
         chain_residuals(calibration, data.observations),
         inliers,
-        _rejected(data, views, np.asarray(common.inliers), _least_points(camera))
+        _rejected(data, unusable, np.asarray(common.inliers))
         + tuple((ids[view], None, text) for view, text in doubts.items()),
         tuple(int(view) for view in np.flatnonzero(agreeing)),
         report,
@@ -197,11 +252,11 @@ def _step_one(
     used: np.ndarray,
     lens: str | AbstractLens,
     camera: Camera | None,
-) -> tuple[ViewCalibrations | None, Camera, SE3, Bool[Array, "views points"]]:
-    """Per-view calibrations, and from them the point where Step 2 starts."""
+) -> tuple[ViewCalibrations | None, Camera, SE3, Bool[Array, "views points"], np.ndarray]:
+    """Per-view calibrations, from them the point where Step 2 starts, and deviations, px."""
     if camera is not None:
-        poses, _, kept = locate_views(observations, camera)
-        return None, camera, _safe(poses, used), kept
+        poses, rms, kept = locate_views(observations, camera)
+        return None, camera, _safe(poses, used), kept, np.asarray(rms)
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
     step1 = calibrate_views(observations, image_size, distortion)
     numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
@@ -209,7 +264,8 @@ def _step_one(
     # A view that took a longer lens for itself stood farther off than the common lens says.
     poses = np.array(step1.camera_from_world.wxyz_xyz)
     poses[:, 6] *= numbers[0] / np.asarray(step1.intrinsics.alpha_u)
-    return step1, common, _safe(SE3(jnp.asarray(poses)), used), step1.used
+    start = _safe(SE3(jnp.asarray(poses)), used)
+    return step1, common, start, step1.used, np.asarray(step1.rms)
 
 
 def _safe(poses: SE3, used: np.ndarray) -> SE3:
@@ -232,36 +288,14 @@ def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -
     return fit_staged(data, camera=step1.camera(chosen, data.image_size), **options)
 
 
-def _too_few(data: Dataset, views: np.ndarray, minimum: int) -> str:
-    reasons = dict(data.masked_views)
-    seen = np.asarray(data.visible).sum(axis=1)
-    missing = [
-        f"view {name}: {reasons.get(name, f'{seen[i]} points seen')}"
-        for i, name in enumerate(data.view_ids)
-        if i not in views
-    ]
-    tail = f" ({'; '.join(missing[:10])})" if missing else ""
-    return (
-        f"a calibration needs at least 3 views with {minimum} points each; "
-        f"{len(views)} of {data.view_count} views have them{tail}"
-    )
-
-
 def _rejected(
-    data: Dataset, views: np.ndarray, inliers: np.ndarray, minimum: int
+    data: Dataset, unusable: dict[int, str], inliers: np.ndarray
 ) -> tuple[tuple[str, int | None, str], ...]:
-    reasons = dict(data.masked_views)
-    visible = np.asarray(data.visible)
-    seen = visible.sum(axis=1)
-    whole = [
-        (name, None, reasons.get(name, f"{seen[i]} points seen, {minimum} needed"))
-        for i, name in enumerate(data.view_ids)
-        if i not in views
-    ]
+    whole = [(data.view_ids[view], None, text) for view, text in unusable.items()]
     points = [
         (data.view_ids[view], int(point), "outside the gate of Step 2")
-        for view, point in np.argwhere(visible & ~inliers)
-        if view in views
+        for view, point in np.argwhere(np.asarray(data.visible) & ~inliers)
+        if view not in unusable
     ]
     return tuple(whole + points)
 

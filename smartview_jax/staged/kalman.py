@@ -7,7 +7,11 @@ view, but corrects the whole state, since the camera correlates all views.
 Step 1 gives the mean only: it used these same pixels, so the start covariance is wide on purpose,
 and every further pass begins with that wide covariance again and keeps only the linearisation
 point. Otherwise the data would count twice. A pass is linear, so where the passes settle is the
-least-squares optimum; a pass that raised the cost is taken back and repeated with less freedom.
+least-squares optimum; a pass that raises the cost is not taken, and is repeated with less freedom.
+
+A view turns about the middle of what it shows. One plane seen from few sides leaves a valley in
+which focal length, distance and tilt grow together; turned about the camera, the target swings
+aside as it tilts, the valley curves, and passes that are linear creep along it without an end.
 
 Reference: Kosaka and Kak's model-based stereo, and the textbook iterated filter (Bell, Cathey 1993:
 it is Gauss-Newton).
@@ -21,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxlie import SE3
+from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
@@ -35,6 +39,16 @@ MAD_TO_SIGMA = 1.4826
 _SETTLED = 3.0
 """Movement of the state, in its own sigmas, under which the gate begins to work. Before, a whole
 view whose pose is still off would look like outliers."""
+
+_ALLOWED_RISE = 0.01
+"""Share by which a pass may raise the cost once the gate works: what a pass sets aside on its way
+is not quite what stands out at its end."""
+
+_GATED_PASSES = 25
+"""Passes with the gate at work, after which outliers that still come and go are given up."""
+
+_LEAST_FREEDOM = 1e-10
+"""Share of the wide variances under which a pass that still raises the cost is the last."""
 
 _SIGMA_FLOOR = 1e-3
 """Smallest pixel sigma that is believed, px; noise-free data would make it zero."""
@@ -74,7 +88,7 @@ def kalman_filter(
     start_inliers: Bool[Array, "views points"] | None = None,
     pixel_sigma: float | None = None,
     gate_probability: float = 0.9999,
-    maximum_passes: int = 25,
+    maximum_passes: int = 100,
     hold_camera: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> KalmanResult:
@@ -88,7 +102,7 @@ def kalman_filter(
         pixel_sigma: of u and of v, px; by default estimated, robustly, before each pass.
         gate_probability: a measurement is set aside where its innovation is larger than this
             share of good ones (chi-square with two degrees of freedom).
-        maximum_passes: over the data.
+        maximum_passes: over the data; three to ten are usual, a hundred where Step 1 was far off.
         hold_camera: the camera is known: refine the poses alone.
         progress: told what is being done.
     """
@@ -97,10 +111,14 @@ def kalman_filter(
     visible = observations.visible
     inliers = visible if start_inliers is None else visible & start_inliers
     gating = False
-    freedom, previous, message = 1.0, None, "the passes did not settle"
-    converged, passes = False, 0
+    freedom, message = 1.0, "the passes did not settle"
+    converged, passes, gated = False, 0, 0
     covariance = jnp.full((0, 0), jnp.nan)
     for passes in range(1, maximum_passes + 1):
+        gated += gating
+        if gated > _GATED_PASSES:
+            message = "the outliers kept changing"
+            break
         sigma = robust_sigma(observations, point, inliers, pixel_sigma)
         trial = _one_pass(
             observations,
@@ -112,25 +130,24 @@ def kalman_filter(
             jnp.asarray(hold_camera),
             jnp.asarray(gating),
         )
-        if previous is not None and float(trial.cost_before) > 1.5 * previous[0] + 1e-12:
-            # The last step went too far: go back, and trust the linearisation less.
-            _, point, inliers, freedom = previous[0], *previous[1:]
-            freedom = freedom * 0.03
-            previous = None
-            if freedom < 1e-6:
+        if progress is not None:
+            progress(f"pass {passes}: sigma {sigma:.3f} px, moved {trial.movement:.2g} sigma")
+        if not _lowers_the_cost(trial, float(sigma), gating):
+            # The step went too far: trust the linearisation less.
+            freedom = 0.1 * freedom
+            if freedom < _LEAST_FREEDOM:
                 message = "the passes kept raising the cost"
                 break
             continue
         moved, same = float(trial.movement), bool(jnp.all(trial.inliers == inliers))
-        previous = (float(trial.cost_before), point, inliers, freedom)
         point, inliers, covariance = trial.point, trial.inliers, trial.covariance
-        freedom = min(1.0, freedom * 10.0)
-        gating = gating or moved < _SETTLED
-        if progress is not None:
-            progress(f"pass {passes}: sigma {float(sigma):.3f} px, moved {moved:.2g} sigma")
-        if moved < 1e-3 and same and gating:
+        # A pass that was held back moves little wherever it is, and knows less than it says.
+        free = freedom == 1.0
+        gating = gating or (free and moved < _SETTLED)
+        if moved < 1e-3 and same and gating and free:
             converged, message = True, f"settled after {passes} passes"
             break
+        freedom = min(1.0, 10.0 * freedom)
     sigma = robust_sigma(observations, point, inliers, pixel_sigma)
     rms = _rms(observations, point, inliers)
     if not bool(jnp.isfinite(rms)):
@@ -143,7 +160,15 @@ class _Pass(NamedTuple):
     covariance: Array
     inliers: Array
     movement: Array  # largest change of the state, in its own standard deviations
-    cost_before: Array  # mean robust cost at the linearisation point, px
+    costs: Array  # mean squared deviation before and after, px^2, over the same observations
+
+
+def _lowers_the_cost(trial: _Pass, sigma: float, gating: bool) -> bool:
+    """Return whether a pass may be taken; one that ends in no number may not."""
+    before, after = np.asarray(trial.costs)
+    # What rounding and a step of a thousandth of a sigma change is no rise.
+    allowed = (_ALLOWED_RISE if gating else 0.0) * before + 1e-6 * sigma**2
+    return bool(after <= before + allowed)
 
 
 @compiled
@@ -218,7 +243,9 @@ def _one_pass(
     # Unit variances to begin with: lengths, angles and focal lengths become comparable.
     scale = jnp.sqrt(freedom) * jnp.concatenate([camera_sigma, pose_sigma.ravel()])
     residuals = pixel_residuals(observations, camera, poses)
+    middle = _middles(observations, poses)
     J_camera, J_pose = _jacobians(observations, numbers, rebuild, poses)
+    J_pose = jnp.einsum("vnij,vjk->vnik", J_pose, middle.adjoint())
     J_camera = J_camera * camera_sigma[None, None, None] * jnp.sqrt(freedom)
     J_pose = J_pose * pose_sigma[:, None, None] * jnp.sqrt(freedom)
 
@@ -230,19 +257,44 @@ def _one_pass(
     )
     movement = jnp.max(jnp.abs(change) / jnp.sqrt(jnp.maximum(jnp.diag(covariance), 1e-30)))
     change = change * scale
-    moved = SE3.exp(change[len(numbers) :].reshape(-1, 6)) @ poses
-    new_point = (rebuild(numbers + change[: len(numbers)]), moved)
+    shift, turn = jnp.split(change[len(numbers) :].reshape(-1, 6), 2, axis=-1)
+    # Not the exponential of both: along its screw a target that moves away swings aside too.
+    step = SE3.from_rotation_and_translation(SO3.exp(turn), shift)
+    new_point = (
+        rebuild(numbers + change[: len(numbers)]),
+        middle @ step @ middle.inverse() @ poses,
+    )
     covariance = covariance * scale[:, None] * scale[None]
 
     # What stands out after the pass is set aside before the next, and what fits is let in again.
+    before = jnp.sum(residuals**2, axis=-1)
     after = jnp.sum(pixel_residuals(observations, *new_point) ** 2, axis=-1)
     fits = observations.visible & (after <= gate * sigma**2)
     kept = jnp.where(gating, fits, inliers)
-    size = jnp.minimum(jnp.sum(residuals**2, axis=-1), 100.0 * gate)
-    cost = jnp.sum(jnp.where(observations.visible, size, 0.0)) / jnp.sum(
-        observations.visible.astype(float)
-    )
-    return _Pass(new_point, covariance, kept, movement, cost)
+    counted = jnp.where(gating, observations.visible, inliers)
+    most = jnp.where(gating, gate * sigma**2, jnp.inf)
+    costs = [jnp.sum(jnp.where(counted, jnp.minimum(r, most), 0.0)) for r in (before, after)]
+    costs = jnp.stack(costs) / jnp.maximum(jnp.sum(counted.astype(float)), 1.0)
+    return _Pass(new_point, _about_the_camera(covariance, middle), kept, movement, costs)
+
+
+def _middles(observations: Observations, poses: SE3) -> SE3:
+    """Return `(M)` shifts from the middle of what each view shows, in its camera's frame."""
+    seen = observations.visible[..., None]
+    total = jnp.sum(jnp.where(seen, transform_points(poses, observations.points), 0.0), axis=1)
+    return SE3.from_translation(total / jnp.maximum(jnp.sum(seen.astype(float), axis=1), 1.0))
+
+
+def _about_the_camera(covariance: Array, middle: SE3) -> Array:
+    """Return the covariance of poses that turn about their camera, from that about middles."""
+    blocks = middle.adjoint()
+    first = len(covariance) - 6 * len(blocks)
+
+    def moved(rows: Array) -> Array:
+        poses = rows[first:].reshape(*blocks.shape[:2], -1)
+        return jnp.concatenate([rows[:first], (blocks @ poses).reshape(-1, rows.shape[1])])
+
+    return moved(moved(covariance).T)
 
 
 def _jacobians(

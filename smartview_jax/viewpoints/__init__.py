@@ -4,6 +4,7 @@ from ..geometry import FIVE_STEP as FIVE_STEP
 from ..geometry import direction_of as direction_of
 from ..geometry import five_viewpoints as five_viewpoints
 from ..geometry import look_at as look_at
+from .checks import DANGERS as DANGERS
 from .checks import REASONS as REASONS
 from .checks import Checks as Checks
 from .checks import Limits as Limits

@@ -1,5 +1,7 @@
 """What may be wrong with a viewpoint before the robot moves: masks, and reasons in words."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -8,11 +10,16 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..geometry import transform_points
-from ..robots import Command, JointSolution
+from ..robots import FARTHEST, Command, JointSolution
 from .reach import singular, words
 
 REASONS = {
     "reach": "the arm does not get there",
+    "absurd": "the tool is {:.4g} m from the base: no arm is that long; millimetres as metres?",
+    "side": "the camera is {:.3f} m behind the target's plane: on the side that was not seen",
+    "tool_side": "the tool is {:.3f} m behind the target's plane: through what the target lies on",
+    "viewed_region": "the camera is {:.1f} times as far from the middle of the calibrated views as "
+    "the farthest of them",
     "singular": "the arm is singular there",
     "in_picture": "only {:.0%} of the target is well inside the picture",
     "near_focus": "the target is as near as {:.3f} m: too near to be sharp",
@@ -25,6 +32,9 @@ REASONS = {
 
 Of an arm that is known its own words are said instead.
 """
+
+DANGERS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
+"""Checks without which no robot should be sent anywhere, unless a person says so."""
 
 
 def _number(value: object) -> Float[Array, "..."]:
@@ -65,6 +75,8 @@ class Limits(eqx.Module):
         table: what camera and tool stay clear of; None is nothing.
         extent: how far out poses may be where the robot's error is corrected; 1 is about the edge
             of the poses that it was found from.
+        viewed: how far out cameras may stand, in multiples of the farthest of the views that the
+            calibration was fitted to, from their middle.
     """
 
     margin: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
@@ -72,6 +84,7 @@ class Limits(eqx.Module):
     focus: Float[Array, "2"] = eqx.field(converter=_number, default=(0.0, np.inf))
     table: Table | None = None
     extent: Float[Array, ""] = eqx.field(converter=_number, default=1.5)
+    viewed: Float[Array, ""] = eqx.field(converter=_number, default=2.0)
 
 
 class Checks(eqx.Module):
@@ -92,11 +105,25 @@ class Checks(eqx.Module):
         """Where nothing is wrong."""
         return jnp.all(jnp.stack(list(self.passed.values())), axis=0)
 
-    def reasons(self) -> tuple[str, ...]:
-        """What is wrong with each viewpoint, in their flat order; empty where nothing is."""
+    @property
+    def safe(self) -> Bool[Array, "*views"]:
+        """Where none of the `DANGERS` is, as far as they could be checked."""
+        masks = [mask for name, mask in self.passed.items() if name in DANGERS]
+        return jnp.all(jnp.stack(masks), axis=0)
+
+    def dangers(self) -> tuple[str, ...]:
+        """Say which of the `DANGERS` each viewpoint has, in their flat order."""
+        return self.reasons(DANGERS)
+
+    def reasons(self, among: tuple[str, ...] = tuple(REASONS)) -> tuple[str, ...]:
+        """Say what is wrong with each viewpoint, in their flat order; empty where nothing is.
+
+        Args:
+            among: the checks to speak of.
+        """
         failed = {name: ~np.ravel(mask) for name, mask in self.passed.items()}
         measured = {name: np.ravel(values) for name, values in self.measured.items()}
-        checks = [name for name in REASONS if name in failed]
+        checks = [name for name in REASONS if name in failed and name in among]
         return tuple(
             # Where the arm does not get, the other numbers mean nothing.
             self._words("reach", 0.0, k)
@@ -148,6 +175,10 @@ def check_views(
         note("near_focus", nearest, nearest >= limits.focus[0])
         note("far_focus", farthest, farthest <= limits.focus[1])
     error = calibration.robot_error
+    far = jnp.max(jnp.abs(command.base_from_tool.translation()), axis=-1)
+    note("absurd", far, far <= FARTHEST)
+    if calibration.region is not None:
+        _note_region(calibration, command, camera_from_world, limits, note)
     if limits.table is not None:
         true = command.base_from_tool if error is None else error.true_pose(command)
         camera = _camera_in_base(calibration, true)
@@ -161,6 +192,33 @@ def check_views(
         extent = error.field.extent(command)
         note("known_region", extent, extent <= limits.extent)
     return Checks(passed, measured, arm)
+
+
+def _note_region(
+    calibration: Calibration,
+    command: Command,
+    camera_from_world: SE3,
+    limits: Limits,
+    note: Callable[[str, Array, Array], None],
+) -> None:
+    """Checks against the views that the calibration was fitted to."""
+    region = calibration.region
+    assert region is not None
+    cameras = camera_from_world.inverse().translation()
+    height = region.height(cameras)
+    note("side", -height, (height > 0.0) | (region.side == 0.0))
+    if calibration.mount == "eye_in_hand":
+        world_from_holder = calibration.holder_from_world.inverse()
+        places = command.base_from_tool.translation()
+        rotation = world_from_holder.rotation().as_matrix()
+        tools = places @ rotation.T + jnp.broadcast_to(
+            world_from_holder.translation(), places.shape
+        )
+        height = region.height(tools)
+        # Beside the target the tool may have been lower than it, and may be so again.
+        note("tool_side", -height, height >= jnp.minimum(region.lowest_tool, 0.0))
+    extent = region.extent(cameras)
+    note("viewed_region", extent, extent <= limits.viewed)
 
 
 def border_distance(

@@ -1,10 +1,11 @@
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smartview_jax import held_out
+from smartview_jax import Calibration, held_out
 from smartview_jax.evaluation import (
     deviations,
     has_correction,
@@ -57,6 +58,31 @@ def test_every_view_is_predicted_by_a_fit_that_never_saw_it(scene):
         assert set(np.flatnonzero(~visible)) == set(fold)
     np.testing.assert_array_equal(np.isfinite(found.deviations.px), np.asarray(scene.data.visible))
     assert found.deviations.rms == deviations(scene.calibration, scene.data).rms
+
+
+def test_views_outside_of_what_a_predictor_knows_are_listed(scene):
+    far = np.asarray(scene.data.base_from_tool.translation())[:, 0] > 0.47
+
+    class Cautious(eqx.Module):
+        chain: Calibration
+
+        @property
+        def camera(self):
+            return self.chain.camera
+
+        def points_in_camera(self, base_from_tool, points):
+            return self.chain.points_in_camera(base_from_tool, points)
+
+        def project(self, base_from_tool, points):
+            return self.chain.project(base_from_tool, points)
+
+        def inside(self, base_from_tool):
+            return np.asarray(base_from_tool.translation())[:, 0] <= 0.47
+
+    found = held_out(scene.data, lambda _: Cautious(scene.calibration))
+    assert 0 < far.sum() < 10
+    assert sorted(found.extrapolated) == np.flatnonzero(far).tolist()
+    assert held_out(scene.data, lambda _: scene.calibration).extrapolated == ()
 
 
 def test_only_the_usable_views_are_dealt_out(scene):

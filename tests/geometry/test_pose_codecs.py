@@ -174,3 +174,13 @@ def test_unknown_names_are_answered_with_the_known_ones():
         pose_codec("ur").decode(np.zeros((1, 6)), length_unit="inch")
     with pytest.raises(ValueError, match="angle_unit is one of rad, deg; found 'grad'"):
         pose_codec("ur").encode(POSES, angle_unit="grad")
+
+
+@pytest.mark.parametrize("name", ["kuka_abc", "ur", "val_oat"])
+def test_degrees_where_radians_are_stated_are_refused(name):
+    """Once read as radians they are whatever is left of them after many turns."""
+    codec = pose_codec(name)
+    rows = np.array([[0.4, 0.1, 0.3, 12.0, -3.0, 178.0], [0.4, 0.1, 0.3, 10.0, -3.0, -170.0]])
+    with pytest.raises(ValueError, match=f"{name}: angles up to 178 where radians are stated"):
+        codec.decode(rows)
+    assert codec.decode(rows, angle_unit="deg").get_batch_axes() == (2,)

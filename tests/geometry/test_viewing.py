@@ -66,8 +66,24 @@ def test_no_direction_is_no_pose():
 
 
 @pytest.mark.parametrize("above", [True, False])
-def test_the_five_viewpoints_are_as_far_apart_as_the_paper_says(above):
+def test_the_papers_five_viewpoints_are_a_cross(above):
     views = five_viewpoints(POINT, 0.2, above=above)
+    ways = (np.asarray(views.inverse().translation()) - POINT) / 0.2
+    reach = np.sin(np.deg2rad(9.5))
+    expected = reach * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    np.testing.assert_allclose(ways[:, :2], expected, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=1), 1.0)
+    assert (ways[:, 2] > 0.0).all() == above
+
+
+def test_a_pattern_that_is_not_known_is_named():
+    with pytest.raises(ValueError, match="pattern: expected one of cross, L, found 'T'"):
+        five_viewpoints(POINT, 0.2, pattern="T")
+
+
+@pytest.mark.parametrize("above", [True, False])
+def test_five_viewpoints_in_an_l_reach_twice_as_far(above):
+    views = five_viewpoints(POINT, 0.2, above=above, pattern="L")
     ways = np.asarray(views.inverse().translation()) - POINT
     np.testing.assert_allclose(np.linalg.norm(ways, axis=1), 0.2)
     ways /= 0.2

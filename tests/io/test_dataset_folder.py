@@ -125,7 +125,28 @@ CASES = {
     "no column": ("poses.csv", "qw", "w", "missing qw"),
     "unit": ("dataset.yaml", "length_unit: m", "length_unit: inch", "length_unit is one of m, cm"),
     "no unit": ("dataset.yaml", "  angle_unit: rad\n", "", "'poses.angle_unit' is missing"),
-    "codec": ("dataset.yaml", "quaternion_xyzw", "euler", "pose format is one of matrix"),
+    "codec": ("dataset.yaml", "quaternion_xyzw", "euler", "poses.codec is one of matrix"),
+    "not seen": ("detections.csv", "0,0,", "0,x,", "view 0: point is 'x', not a number"),
+    "misspelt": ("dataset.yaml", "mount:", "moutn:", "'moutn'; did you mean 'mount'"),
+    "key twice": ("dataset.yaml", "mount:", "mount: eye_to_hand\nmount:", "'mount' comes twice"),
+    "huge grid": ("dataset.yaml", "rows: 10", "rows: 1000000000", "target.rows: expected .* 1000"),
+    "far length": ("dataset.yaml", "0.0254", "1e6", "target.spacing: expected a length in m"),
+    "millimetres": (
+        "poses.csv",
+        "\n1,0.575220",
+        "\n1,575.220",
+        "view 1: x is 575.2.* m, more than",
+    ),
+    "digits": ("poses.csv", "\n1,0.575220", "\n1,0_575220", "view 1: x is .*not a number"),
+    "name twice": ("poses.csv", "view,x", "view,view,x", "column view comes twice"),
+    "file name": (
+        "dataset.yaml",
+        "file: poses.csv",
+        'file: "a\\0b"',
+        "poses.file: expected a name",
+    ),
+    "braces": ("dataset.yaml", "{view}", "{view.__class__}", "pictures.pattern: expected a name"),
+    "bytes": ("poses.csv", "qw", "\u00e4", "not readable as UTF-8 text"),
     "direction": ("dataset.yaml", "base_from_tool", "flange", "poses.direction is one of"),
     "version": (
         "dataset.yaml",
@@ -137,7 +158,9 @@ CASES = {
     "target": ("dataset.yaml", "circle_grid", "cube", "target.kind is one of"),
     "size": ("dataset.yaml", "[640, 480]", "[640]", "camera.image_size: expected"),
     "other size": ("dataset.yaml", "[640, 480]", "[800, 600]", "expected 800 x 600 px, found 640"),
-    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 17", "found in none of 4 views"),
+    "wrong grid": ("dataset.yaml", "rows: 10", "rows: 25", "found in none of 4 views"),
+    "more rows": ("dataset.yaml", "rows: 10", "rows: 17", "is it a grid of 10 x 10?"),
+    "more columns": ("dataset.yaml", "columns: 10", "columns: 11", "is it a grid of 10 x 10?"),
     "pattern": ("dataset.yaml", "{view}", "view", "expected a name with {view}"),
 }
 
@@ -145,9 +168,60 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_wrong_is_named_with_its_file(folder, case):
     name, old, new, message = CASES[case]
+    if name == "detections.csv":
+        save_dataset(load_dataset(folder), folder)
     edit(folder / name, old, new)
+    if case == "bytes":
+        (folder / name).write_bytes((folder / name).read_text().encode("latin-1"))
     with pytest.raises(ValueError, match=message.replace("{", r"\{").replace("[", r"\[")):
         load_dataset(folder)
+
+
+@pytest.fixture
+def saved(folder, tmp_path):
+    """The same as a folder of detections, without pictures."""
+    save_dataset(load_dataset(folder, keep_detections=False), tmp_path / "saved")
+    return tmp_path / "saved"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("\n1,7,", "\n1,6,", "view 1: point 6 has more than one row"),
+        ("\n1,7,", "\n1,nan,", "view 1: point is nan, not a finite number"),
+        ("\n1,7,", "\n1,1e300,", "view 1: the target has no point 1e\\+300"),
+        ("\n1,7,", "\n1,7,nan,0,\n1,7,", "view 1: u_px is nan, not a finite number"),
+        ("\n1,7,", "\n,7,", "row 108 has an empty view"),
+        ("\n1,7,", '\n1,"' + 200_000 * "7" + '",', "not readable as a table: field larger"),
+    ],
+)
+def test_a_wrong_detection_is_named(saved, old, new, message):
+    edit(saved / "dataset.yaml", "detections: {rows: 400}\n", "")
+    edit(saved / "detections.csv", old, new)
+    with pytest.raises(ValueError, match=rf"detections\.csv: .*{message}"):
+        load_dataset(saved)
+
+
+@pytest.mark.parametrize("name", ["detections.csv", "poses.csv", "dataset.yaml"])
+def test_what_was_saved_and_then_cut_is_refused(saved, name):
+    """A table that lacks rows is as good a table as any: the description says how many it has."""
+    whole = (saved / name).read_text()
+    for end in range(1, len(whole.rstrip()), 1 + len(whole) // 23):
+        (saved / name).write_text(whole[:end])
+        with pytest.raises(ValueError, match=r"(detections|poses)\.csv|dataset\.yaml"):
+            load_dataset(saved)
+    (saved / name).write_text(whole)
+    load_dataset(saved)
+
+
+def test_kept_detections_that_were_cut_are_made_anew(folder):
+    first = load_dataset(folder)
+    lines = (folder / "detections.csv").read_text().splitlines(keepends=True)
+    (folder / "detections.csv").write_text("".join(lines[:150]))
+    messages = []
+    again = load_dataset(folder, progress=messages.append)
+    assert messages[0].startswith("looking for the target")
+    np.testing.assert_array_equal(again.pixels, first.pixels)
 
 
 def test_an_interrupted_detection_leaves_no_file(folder, monkeypatch):

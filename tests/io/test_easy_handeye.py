@@ -62,13 +62,23 @@ def test_samples_lead_to_the_hand_eye_transform(tmp_path, mount):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(samples=[]), r"samples: expected a list, found \[\]"),
-        (lambda c: c["samples"][1].pop("tracking"), "sample 1: tracking: expected translation"),
-        (lambda c: c["samples"][0]["robot"]["rotation"].update(w="x"), "sample 0: robot"),
-        (lambda c: c["samples"][1]["robot"]["rotation"].update(w=3.0), "robot: .*row 1"),
+        (
+            lambda c: c.update(samples=[]),
+            r"samples: expected a list of one .*, found \[\]",
+        ),
+        (lambda c: c["samples"][1].pop("tracking"), "entry .samples.1.tracking. is missing"),
+        (
+            lambda c: c["samples"][0]["robot"]["rotation"].update(w="x"),
+            r"samples\.0\.robot\.rotation\.w: expected .* found 'x'",
+        ),
+        (
+            lambda c: c["samples"][1]["robot"]["rotation"].update(w=3.0),
+            r"samples\.1\.robot\.rotation\.w: .* found 3\.0",
+        ),
+        (lambda c: c["samples"][1]["robot"]["rotation"].update(w=0.5), "robot: .*row 1"),
         (
             lambda c: c["samples"][1]["robot"]["translation"].update(x=float("nan")),
-            "robot: .*row 1 .*NaN",
+            r"samples\.1\.robot\.translation\.x: expected m, .* found nan",
         ),
     ],
 )

@@ -1,4 +1,5 @@
 import re
+import shlex
 
 import cv2
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from smartview_jax.io import (
     ros_static_transform,
     urdf_origin,
 )
+from smartview_jax.simulation import paper_calibration
 
 LENSES = {
     "plumb_bob": OpenCV5(0.1, -0.2, 0.001, 0.002, 0.05),
@@ -110,3 +112,20 @@ def test_urdf_and_the_body_frame():
     # The body's x looks where the optical z looks, its z up where the optical y looks down.
     np.testing.assert_allclose(turned[:, 0], expected[:3, 2], atol=1e-12)
     np.testing.assert_allclose(turned[:, 2], -expected[:3, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["tool0; rm -rf .", "tool 0", "$(date)", "", "-x", "tool\n0"])
+def test_a_frame_that_a_shell_would_run_is_refused(frame):
+    """The line is made to be pasted into a shell."""
+    with pytest.raises(ValueError, match="frame: expected a name of letters, digits"):
+        ros_static_transform(paper_calibration(), frame, "camera")
+    with pytest.raises(ValueError, match="frame: expected a name of letters, digits"):
+        ros_static_transform(paper_calibration(), "tool0", frame)
+
+
+def test_frames_of_ros_are_taken():
+    line = ros_static_transform(paper_calibration(), "robot_1/tool0", "~cam")
+    words = shlex.split(line)
+    assert words[words.index("--frame-id") + 1] == "robot_1/tool0"
+    assert words[words.index("--child-frame-id") + 1] == "~cam"
+    assert "'~cam'" in line

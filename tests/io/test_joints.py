@@ -38,7 +38,7 @@ def test_joints_alone_in_degrees_with_a_named_arm(data, folder):
     text = (folder / "dataset.yaml").read_text()
     kept = text[: text.index("poses:")]
     entry = "joints: {file: q.csv, angle_unit: deg, length_unit: m, arm: kuka_lwr4}\n"
-    (folder / "dataset.yaml").write_text(kept + entry)
+    (folder / "dataset.yaml").write_text(kept + entry + "end: smartview_dataset\n")
     rows = [
         ",".join(map(str, (view, *np.rad2deg(row))))
         for view, row in zip(data.view_ids, np.asarray(data.joints), strict=True)
@@ -81,8 +81,13 @@ CASES = {
     "number": ("joints.csv", "\n1,", "\n1,x", "view 1: q1 is 'x.*not a number"),
     "view": ("joints.csv", "\n2,", "\n7,", "not of the same views: 2, 7"),
     "twice": ("joints.csv", "\n2,", "\n1,", "view 1 has more than one row"),
-    "arm": ("dataset.yaml", "convention: standard", "convention: ours", "joints.arm: convention"),
-    "part": ("dataset.yaml", "alpha:", "beta:", "entry 'joints.arm.alpha' is missing"),
+    "arm": (
+        "dataset.yaml",
+        "convention: standard",
+        "convention: ours",
+        "joints.arm.convention is one of standard, modified",
+    ),
+    "part": ("dataset.yaml", "alpha:", "alfa:", "'alfa'; did you mean 'alpha'"),
 }
 
 
@@ -98,6 +103,6 @@ def test_an_unknown_arm_is_named(folder):
     text = (folder / "dataset.yaml").read_text()
     kept = text[: text.index("joints:")]
     entry = "joints: {file: joints.csv, angle_unit: rad, length_unit: m, arm: robby}\n"
-    (folder / "dataset.yaml").write_text(kept + entry)
+    (folder / "dataset.yaml").write_text(kept + entry + "end: smartview_dataset\n")
     with pytest.raises(ValueError, match=r"joints\.arm: arm is one of kuka_lwr4, .*'robby'"):
         load_dataset(folder)

@@ -22,7 +22,7 @@ def test_numbers_are_where_their_names_say(tmp_path):
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
-    [("qw: 0.5, ", "", "entry 1: 'qw' is missing"), ("[]", "[0.1]", "the camera has joints")],
+    [("qw: 0.5, ", "", "entry '1.pose.qw' is missing"), ("[]", "[0.1]", "the camera has joints")],
 )
 def test_wrong_entries_are_named(tmp_path, old, new, message):
     path = tmp_path / "measured.yaml"

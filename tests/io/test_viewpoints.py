@@ -6,6 +6,7 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import se3_from_xyzoat
+from smartview_jax.geometry import POSE_CODECS
 from smartview_jax.io import read_viewpoints, val_program, write_viewpoints
 from smartview_jax.simulation import paper_calibration
 from smartview_jax.viewpoints import five_viewpoints, look_at
@@ -31,6 +32,35 @@ def test_files_are_read_back_as_they_were_written(tmp_path, ending, joints):
         assert found.joints is None
     else:
         np.testing.assert_array_equal(found.joints, joints)
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+@pytest.mark.parametrize("pose_format", POSE_CODECS)
+def test_every_makers_poses_are_written_and_read_back(tmp_path, ending, pose_format):
+    path = tmp_path / f"views.{ending}"
+    write_viewpoints(path, POSES, joints=JOINTS, pose_format=pose_format)
+    found = read_viewpoints(path)
+    np.testing.assert_allclose(found.base_from_tool.as_matrix(), POSES.as_matrix(), atol=1e-12)
+    np.testing.assert_array_equal(found.joints, JOINTS)
+
+
+def test_a_makers_format_stands_in_the_file(tmp_path):
+    write_viewpoints(tmp_path / "v.csv", POSES, pose_format="ur")
+    header, first = (tmp_path / "v.csv").read_text().splitlines()[:2]
+    assert header == "view,format,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad"
+    assert first.startswith("v1,ur,")
+    write_viewpoints(tmp_path / "v.json", POSES, pose_format="abb")
+    content = json.loads((tmp_path / "v.json").read_text())
+    assert (content["format"], content["units"]["length"]) == ("abb", "mm")
+    assert content["columns"] == ["x", "y", "z", "q1", "q2", "q3", "q4"]
+    with pytest.raises(ValueError, match="pose format is one of"):
+        write_viewpoints(tmp_path / "w.csv", POSES, pose_format="kuka")
+    with pytest.raises(ValueError, match="a VAL program has val_oat poses, not ur"):
+        write_viewpoints(tmp_path / "w.val", POSES, pose_format="ur")
+    mixed = (tmp_path / "v.csv").read_text().replace("v2,ur,", "v2,abb,")
+    (tmp_path / "v.csv").write_text(mixed)
+    with pytest.raises(ValueError, match=r"v\.csv: format: expected one for all views"):
+        read_viewpoints(tmp_path / "v.csv")
 
 
 def test_units_and_version_stand_in_the_files(tmp_path):
@@ -105,3 +135,41 @@ def test_what_cannot_be_read_is_named(tmp_path):
         read_viewpoints(path)
     with pytest.raises(ValueError, match="ending in"):
         read_viewpoints(tmp_path / "v.val")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda content: content.update(format="kuka"), "format is one of .*'kuka'; did you mean"),
+        (lambda content: content.update(format="ur"), "units: expected .*'m'.* found .*'mm'"),
+        (lambda content: content.update(columns=["x", "y", "z", "W", "P", "R"]), "columns: exp"),
+        (lambda content: content["viewpoints"][1].pop("pose"), "viewpoints.1: expected either"),
+        (lambda content: content["viewpoints"][1].update(xyzoat=[0.0] * 6), "viewpoints.1: exp"),
+        (lambda content: content["viewpoints"][1]["pose"].append(0.0), "view v2: pose: expected 6"),
+        (lambda content: content["viewpoints"][1].update(pose=[0.0] * 20), "viewpoints.1.pose: "),
+        (
+            lambda content: content["viewpoints"][1].update(
+                xyzoat=content["viewpoints"][1].pop("pose")
+            ),
+            "view v2: pose: expected 6",
+        ),
+        (lambda content: content.update(viewpoints=[]), "no viewpoints"),
+    ],
+)
+def test_what_is_wrong_in_another_makers_file_is_named(tmp_path, change, message):
+    path = tmp_path / "v.json"
+    write_viewpoints(path, POSES, pose_format="kuka_abc")
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=rf"v\.json: .*{message}"):
+        read_viewpoints(path)
+
+
+def test_a_file_without_a_format_has_vals(tmp_path):
+    write_viewpoints(tmp_path / "v.json", POSES)
+    content = json.loads((tmp_path / "v.json").read_text())
+    del content["format"], content["columns"]
+    (tmp_path / "v.json").write_text(json.dumps(content))
+    found = read_viewpoints(tmp_path / "v.json").base_from_tool
+    np.testing.assert_allclose(found.as_matrix(), POSES.as_matrix(), atol=1e-12)

@@ -46,7 +46,7 @@ def test_the_mispaired_view_goes_with_its_reason(screenings):
     for _, data, _ in screenings:
         ((view, reason),) = data.masked_views
         assert view == "7"
-        assert "mispaired or moved?" in reason
+        assert "it fits the pose of no other view either: moved, or a wrong pose?" in reason
         assert not np.asarray(data.visible)[7].any()
 
 

@@ -76,6 +76,11 @@ def test_remarks_say_what_the_figures_leave_out():
         "joint: fold 2 failed: no pose",
         "joint: fold 1 did not converge: ran out of steps",
     ]
+    outside = UNSEEN._replace(unconverged=(), failures=(), extrapolated=(1,))
+    assert remarks("linear interpolation", None, Unseen(outside))[1:] == [
+        "linear interpolation: 1 of 2 held-out views lie outside the hull of the viewpoints that "
+        "were left: extrapolated"
+    ]
     assert remarks("joint", None, None, "no pose at all") == ["joint: no pose at all"]
     whole = Deviations(np.ones((1, 2)), np.ones((1, 2)))
     assert remarks("joint", whole, Unseen(HeldOut(whole, ((0,),), ()))) == []

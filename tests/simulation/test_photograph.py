@@ -1,9 +1,8 @@
 import numpy as np
-import pytest
 from jaxlie import SE3
 
 import smartview_jax as sv
-from smartview_jax.simulation import look_at, paper_calibration, paper_target, photograph
+from smartview_jax.simulation import look_at, paper_calibration, photograph
 from smartview_jax.targets import CircleGrid, StackedTarget
 
 
@@ -36,9 +35,3 @@ def test_a_board_out_of_the_picture_is_not_seen():
     turn = SE3.exp(np.array([0.0, 0.0, 0.0, np.pi, 0.0, 0.0]))
     scene = photograph(truth, truth.command_for(poses @ turn), board, samples=1)
     assert not np.asarray(scene.data.visible[0]).any()
-
-
-def test_the_papers_target_has_its_circles():
-    target = paper_target()
-    assert 5 * len(target.points) == pytest.approx(1000, rel=0.1)
-    assert target.board.radius == 0.002

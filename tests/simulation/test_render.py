@@ -8,7 +8,6 @@ from smartview_jax.io import load_dataset
 from smartview_jax.simulation import (
     look_at,
     paper_calibration,
-    paper_viewpoints,
     render,
     write_pictures,
 )
@@ -58,13 +57,15 @@ def test_from_behind_there_is_nothing_to_see():
     assert np.ptp(render(truth, behind, target, noise=0.0)) == 0
 
 
-def test_the_papers_board_at_five_heights_from_pictures_to_a_calibration(tmp_path):
+def test_a_board_at_five_heights_from_pictures_to_a_calibration(tmp_path):
     """Its grid is plain, so every height of every view may come in either order."""
     truth = paper_calibration()
     target = StackedTarget(CircleGrid(6, 7, 0.005), (0.0, 0.005, 0.01, 0.015, 0.02))
     # A board whose own y points down is turned to y up: its points lie at negative y.
     shift = SE3.from_translation(np.array([0.003, 0.0275, 0.0]))
-    poses = truth.command_for(paper_viewpoints(np.random.default_rng(1)) @ shift)
+    roll = np.random.default_rng(1).uniform(-0.6, 0.6, 5)
+    views = sv.five_viewpoints(np.array([0.018, 0.015, 0.01]), 0.2, roll, pattern="L")
+    poses = truth.command_for(views @ shift)
     folder = write_pictures(tmp_path / "paper", truth, poses, target, samples=2)
     assert len(list((folder / "images").iterdir())) == 25
     data = load_dataset(folder)

@@ -1,13 +1,17 @@
+import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3, SO3
+from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
 from smartview_jax.cameras import Camera, OpenCV4
+from smartview_jax.geometry import pose_codec
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import check_conventions
 from smartview_jax.staged.weng import locate_views
+from smartview_jax.targets import Chessboard
 
 VIEWS = 12
 
@@ -17,6 +21,21 @@ def poses():
     scene = random_scene(4, views=VIEWS, translation_noise=2e-4, rotation_noise=2e-4)
     seen = scene.calibration.camera_from_world(scene.base_from_tool)
     return scene.data.base_from_tool, seen
+
+
+def matrices(base_from_tool):
+    return np.array(base_from_tool.as_matrix())
+
+
+def with_rotations(base_from_tool, rotations):
+    changed = matrices(base_from_tool)
+    changed[:, :3, :3] = rotations.as_matrix()
+    return SE3.from_matrix(jnp.asarray(changed))
+
+
+def misread(base_from_tool, true, read):
+    """Rows that one pose format wrote and another read."""
+    return pose_codec(read).decode(pose_codec(true).encode(base_from_tool))
 
 
 def scaled(pose, factor):
@@ -80,6 +99,129 @@ def test_degrees_taken_for_radians_are_named(poses):
     wrong = SE3.from_rotation_and_translation(SO3.exp(vectors), robot.translation())
     (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
     assert "(degrees?)" in problem
+
+
+@pytest.mark.parametrize(
+    ("true", "read", "text"),
+    [
+        (
+            "kuka_abc",
+            "fanuc_wpr",
+            "the angles are kuka_abc (yaw_pitch_roll) and were read as fanuc",
+        ),
+        ("fanuc_wpr", "kuka_abc", "or the reverse (first and third angle swapped)"),
+        ("quaternion_xyzw", "quaternion_wxyz", "in the order xyzw were read as wxyz"),
+        ("abb", "quaternion_xyzw", "in the order wxyz were read as xyzw"),
+        ("ur", "yaw_pitch_roll", "are ur (rotation_vector) and were read as kuka_abc"),
+        ("kuka_abc", "rotation_vector", "are kuka_abc (yaw_pitch_roll) and were read as ur"),
+        ("val_oat", "kawasaki_oat", "the angles are val_oat and were read as kawasaki_oat"),
+        ("kawasaki_oat", "val_oat", "the angles are kawasaki_oat and were read as val_oat"),
+    ],
+)
+def test_poses_read_in_another_format_are_named_for_it(poses, true, read, text):
+    robot, seen = poses
+    (problem,) = check_conventions(misread(robot, true, read), seen, "eye_in_hand").problems
+    assert text in problem.split("next best")[0]
+    assert "mm left over between two views, in the median)" in problem
+    assert "tool_from_base" not in problem.split("next best")[0]
+
+
+def test_transposed_rotations_are_told_from_inverted_poses(poses):
+    """By rotation alone they are the same; positions tell."""
+    robot, seen = poses
+    rotations = Rotation.from_matrix(matrices(robot)[:, :3, :3])
+    report = check_conventions(with_rotations(robot, rotations.inv()), seen, "eye_in_hand")
+    (problem,) = report.problems
+    assert "but do if the rotations are transposed, the positions are not" in problem
+    scores = {one.name: one.closure for one in report.explanations[::-1]}
+    assert scores["inverted"].rotation == pytest.approx(scores["transposed"].rotation, rel=1e-6)
+    assert scores["inverted"].translation > 20.0 * scores["transposed"].translation
+
+
+def test_radians_taken_for_degrees_are_named(poses):
+    robot, seen = poses
+    rows = pose_codec("kuka_abc").encode(robot, "m", "rad")
+    wrong = pose_codec("kuka_abc").decode(rows, "m", "deg")
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    assert "kuka_abc (yaw_pitch_roll)) are in radians and were read as degrees" in problem
+
+
+def test_two_mistakes_at_once_are_both_named(poses):
+    robot, seen = poses
+    wrong = scaled(robot.inverse(), 1e3)
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    assert "tool_from_base" in problem
+    assert "and the robot's positions look like millimetres" in problem
+
+
+@pytest.mark.parametrize("column", [True, False])
+def test_mirrored_pictures_are_named(column):
+    """The poses that OpenCV finds in them: the board is seen from behind."""
+    scene = random_scene(3, VIEWS, Chessboard(6, 9, 0.006).points)
+    camera = scene.calibration.camera
+    K = np.array([[camera.alpha_u, 0.0, camera.u0], [0.0, camera.alpha_v, camera.v0], [0, 0, 1.0]])
+    width, height = camera.image_size
+    pixels = np.array(scene.data.pixels)
+    mirrored = [width - 1.0, 0.0] if column else [0.0, height - 1.0]
+    sign = [-1.0, 1.0] if column else [1.0, -1.0]
+    seen = []
+    for where, visible in zip(pixels, np.asarray(scene.data.visible), strict=True):
+        points = np.asarray(scene.data.points)[0][visible]
+        flipped = (sign * where + mirrored)[visible]
+        _, r, t = cv2.solvePnP(points, flipped, K, None, flags=cv2.SOLVEPNP_IPPE)
+        seen.append(np.block([[cv2.Rodrigues(r)[0], t], [np.zeros((1, 3)), np.ones((1, 1))]]))
+    seen = SE3.from_matrix(jnp.asarray(np.stack(seen)))
+    (problem,) = check_conventions(scene.data.base_from_tool, seen, "eye_in_hand").problems
+    assert "but do if the pictures are mirrored" in problem
+
+
+@pytest.mark.parametrize(
+    ("order", "text"),
+    [
+        (np.roll(np.arange(VIEWS), 1), "each fits the pose 1 view after its own"),
+        (np.roll(np.arange(VIEWS), -2), "each fits the pose 2 views before its own"),
+        (np.arange(VIEWS)[::-1], "they fit the poses in reverse order"),
+        (np.array(sorted(range(VIEWS), key=str)), "one of the two is sorted as words"),
+    ],
+)
+def test_pictures_paired_in_another_order_are_named(poses, order, text):
+    robot, seen = poses
+    wrong = SE3(robot.wxyz_xyz[order])
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    assert text in problem.split("next best")[0]
+
+
+def test_pictures_in_no_order_are_not_called_angles_in_another_unit_alone(poses):
+    robot, seen = poses
+    wrong = SE3(robot.wxyz_xyz[np.random.default_rng(1).permutation(VIEWS)])
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    assert "the pictures are paired with wrong poses in no order, or" in problem
+    assert "no mistake that is known explains it" in problem
+
+
+def test_where_several_mistakes_explain_the_data_all_are_named(poses):
+    """A robot that does not move its tool, turning about its origin: positions tell nothing."""
+    robot, _ = poses
+    turning = matrices(robot)
+    turning[:, :3, 3] = 0.0
+    turning = SE3.from_matrix(jnp.asarray(turning))
+    hand_eye = SE3.from_rotation_and_translation(SO3.identity(), jnp.array([0.0, 0.0, 0.3]))
+    seen = SE3(hand_eye.wxyz_xyz[None]) @ turning.inverse()
+    (problem,) = check_conventions(turning.inverse(), seen, "eye_in_hand").problems
+    assert "mistakes explain it about as well" in problem
+    assert "every pose is inverted" in problem
+    assert "the rotations are transposed" in problem
+
+
+@pytest.mark.parametrize("views", [[5], [2, 9]])
+def test_single_wrong_poses_are_not_blamed_on_all(poses, views):
+    robot, seen = poses
+    wrong = robot.wxyz_xyz
+    for k in views:
+        wrong = wrong.at[k].set(SE3.exp(jnp.array([0.2, 0.1, 0.3, 1.0, -2.0, 0.5 + k])).wxyz_xyz)
+    report = check_conventions(SE3(wrong), seen, "eye_in_hand")
+    assert report.problems == ()
+    assert [view for view, _ in report.suspicious_views] == views
 
 
 def test_a_mispaired_view_is_pointed_out(poses):

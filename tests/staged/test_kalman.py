@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from shared_data import shared_pairs
 
 from smartview_jax.cameras import Camera, Radial
-from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 from smartview_jax.staged import fit_staged, kalman_filter
 from smartview_jax.staged.kalman import _absorb, _Measurement, pixel_residuals
 
@@ -67,6 +67,23 @@ def test_without_noise_it_finds_the_truth():
         truth = float(getattr(scene.calibration.camera, name))
         assert float(getattr(found.camera, name)) == pytest.approx(truth, rel=1e-6)
     assert float(found.camera.lens.k1) == pytest.approx(0.3, rel=1e-6)
+
+
+@pytest.mark.parametrize(("seed", "off"), [(0, 0.7), (1, 1.4), (2, 2.0)])
+def test_one_plane_seen_from_few_sides_is_found_from_far_off(seed, off):
+    """Step 1 may take a longer lens from farther off: the pixels hardly tell, yet they do."""
+    flat = paper_points((0.0,)) * 3.0 - [0.054, 0.045, 0.0]
+    scene = random_scene(seed, 6, flat, tilt=np.deg2rad(20.0), distance=(0.5, 0.7), pixel_noise=0.0)
+    truth = scene.calibration.camera
+    camera = Camera(off * truth.alpha_u, off * truth.alpha_v, 320.0, 240.0, Radial(0.0), (640, 480))
+    seen = scene.calibration.camera_from_world(scene.base_from_tool)
+    poses = SE3.from_rotation_and_translation(seen.rotation(), off * seen.translation())
+    found = kalman_filter(scene.data.observations, camera, poses)
+    assert found.converged, found.message
+    for name in ("alpha_u", "alpha_v", "u0", "v0"):
+        expected = float(getattr(truth, name))
+        assert float(getattr(found.camera, name)) == pytest.approx(expected, rel=1e-6)
+    assert bool(found.inliers[scene.data.visible].all())
 
 
 def test_it_settles_at_the_least_squares_optimum_with_its_covariance(noisy):

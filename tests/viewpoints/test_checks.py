@@ -3,6 +3,8 @@
 The camera hangs 1 m above the origin and looks down; camera, tool and base agree.
 """
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.geometry import ViewedRegion
 from smartview_jax.robots import Command
 from smartview_jax.viewpoints import Limits, Table, look_at
 from smartview_jax.viewpoints.checks import check_views
@@ -62,3 +65,48 @@ def test_camera_and_tool_keep_clear_of_the_table(part):
     assert checked(table=Table(**plane, **{part: 0.39})).reasons() == ("",)
     found = checked(table=Table(**plane, **{part: 0.41}))
     assert found.reasons() == (f"the {part} is 0.400 m above the table: too low",)
+
+
+def in_region(places, **limits):
+    """Checks of cameras that look straight up or down from these places, seen from z = 1 +- 0.1."""
+    seen = np.array([[0.1, 0.0, 1.0], [-0.1, 0.0, 1.0], [0.0, 0.1, 1.1], [0.0, -0.1, 0.9]])
+    region = ViewedRegion.of(seen, np.zeros((1, 3)), seen)
+    known = dataclasses.replace(CALIBRATION, region=region)
+    places = np.asarray(places, dtype=float)
+    directions = np.zeros_like(places)
+    directions[:, 2] = -np.sign(places[:, 2])
+    floor = np.where([True, True, False], places, 0.0)
+    wanted = look_at(floor, directions, np.abs(places[:, 2]))
+    return check_views(known, Command(wanted.inverse()), wanted, None, None, Limits(**limits))
+
+
+def test_the_side_that_was_seen_and_how_far_out_are_checked():
+    reach = np.hypot(0.1, 0.1)
+    checks = in_region(
+        [[0.0, 0.0, 1.0], [1.9 * reach, 0.0, 1.0], [2.1 * reach, 0.0, 1.0], [0.0, 0.0, -0.5]]
+    )
+    fine, near, far, behind = checks.dangers()
+    assert fine == near == ""
+    assert far == (
+        "the camera is 2.1 times as far from the middle of the calibrated views as the farthest of "
+        "them"
+    )
+    assert "the camera is 0.500 m behind the target's plane" in behind
+    assert "the tool is 0.500 m behind the target's plane" in behind
+    np.testing.assert_array_equal(checks.safe, [True, True, False, False])
+    assert in_region([[2.1 * reach, 0.0, 1.0]], viewed=3.0).safe.all()
+
+
+def test_what_no_arm_reaches_is_absurd():
+    assert (
+        "the tool is 400 m from the base: no arm is that long"
+        in in_region([[0, 0, 400]]).dangers()[0]
+    )
+
+
+def test_other_faults_are_no_danger():
+    """A target that is not in the picture is said, and breaks nothing."""
+    aside = checked(np.array([[3.0, 0.0, 0.0]]))
+    assert aside.reasons() != ("",)
+    assert aside.dangers() == ("",)
+    assert bool(aside.safe[0])

@@ -1,0 +1,56 @@
+"""Where the target stands, roughly, as a person writes it: in `dataset.yaml` and on a command line.
+
+    base_from_world: {translation: [0.45, -0.1, 0.05], yaw_pitch_roll_deg: [90, 0, 180]}
+
+or with a `quaternion_wxyz`, as `calibration.yaml` has it. On a command line it is six numbers
+between commas: x, y, z in metres, yaw, pitch, roll in degrees.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxlie import SE3
+
+from ..geometry import pose_codec, transform_from_dict
+
+if TYPE_CHECKING:
+    from ..schemas.dataset import DatasetFile
+
+
+def rough_pose(description: "DatasetFile") -> SE3 | None:
+    """Return the rough `holder_from_world` of a description; None where it has none."""
+    entry = description.base_from_world or description.tool_from_world
+    if entry is None:
+        return None
+    content = entry.model_dump()
+    if "quaternion_wxyz" in content:
+        return transform_from_dict("the target's rough pose", content)
+    return _decoded(
+        "the target's rough pose", [*content["translation"], *content["yaw_pitch_roll_deg"]]
+    )
+
+
+def parse_rough_pose(option: str, words: str) -> SE3:
+    """Read x, y, z (m), yaw, pitch and roll (degrees) between commas.
+
+    Args:
+        option: the option's name, for the message.
+        words: what was given.
+
+    Raises:
+        ValueError: not six finite numbers.
+    """
+    try:
+        return _decoded(option, [float(word) for word in words.split(",")])
+    except ValueError as error:
+        raise ValueError(
+            f"{option}: expected six numbers between commas, x,y,z (m),yaw,pitch,roll (degrees), "
+            f"found {words!r}"
+        ) from error
+
+
+def _decoded(name: str, numbers: list[float]) -> SE3:
+    row = np.array(numbers, dtype=float)
+    if row.shape != (6,) or not np.isfinite(row).all():
+        raise ValueError(f"{name}: expected six finite numbers, found {numbers}")
+    return pose_codec("yaw_pitch_roll").decode(row, angle_unit="deg", labels=[name])

@@ -1,0 +1,58 @@
+"""An arm's Denavit-Hartenberg numbers in a file, and the transforms at its ends."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from .entry import Angle, Coordinate, Entry, Flag, Plain, Said
+
+_Joints = Field(min_length=1, max_length=20)
+_Lengths = Annotated[list[Coordinate], _Joints, Said("a length in m for each of 1 to 20 joints")]
+_Angles = Annotated[list[Angle], _Joints, Said("an angle in rad for each of 1 to 20 joints")]
+_Bounds = Annotated[
+    list[Plain | None],
+    Field(min_length=2, max_length=2),
+    Said("the least and the largest reading of a joint, rad or m, or null"),
+]
+_Part = Annotated[float, Field(ge=-1.0001, le=1.0001), Said("a number from -1 to 1")]
+
+
+class TransformEntry(Entry):
+    """A rigid transform: metres, and a unit quaternion with its real part first."""
+
+    translation: Annotated[
+        list[Coordinate], Field(min_length=3, max_length=3), Said("x, y, z in m: 3 numbers")
+    ]
+    quaternion_wxyz: Annotated[
+        list[_Part], Field(min_length=4, max_length=4), Said("w, x, y, z: 4 numbers")
+    ]
+
+    @model_validator(mode="after")
+    def _turns(self) -> "TransformEntry":
+        length = math.hypot(*self.quaternion_wxyz)
+        if abs(length - 1.0) > 1e-6:
+            raise ValueError(f"quaternion_wxyz: expected length 1, found {length:.8g}")
+        return self
+
+
+class ArmEntry(Entry):
+    """A serial arm, a number a joint in every row; see `robots.SerialArm`."""
+
+    convention: Literal["standard", "modified"]
+    theta: _Angles
+    d: _Lengths
+    a: _Lengths
+    alpha: _Angles
+    prismatic: list[Flag] | None = None
+    limits: list[_Bounds] | None = None
+    flange_from_tool: TransformEntry | None = None
+    base_from_first: TransformEntry | None = None
+
+    @model_validator(mode="after")
+    def _one_a_joint(self) -> "ArmEntry":
+        names = ("theta", "d", "a", "alpha", "prismatic", "limits")
+        sizes = {name: len(row) for name in names if (row := getattr(self, name)) is not None}
+        if len(set(sizes.values())) > 1:
+            raise ValueError(f"expected one number a joint in every row, found {sizes}")
+        return self

@@ -1,0 +1,151 @@
+"""`dataset.yaml`: what a data-set folder holds; see `io.dataset_folder`."""
+
+import math
+import re
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
+
+from .arm import ArmEntry, TransformEntry
+from .calibration import ImageSize
+from .entry import Coordinate, Entry, Name, Said
+from .target import TargetEntry
+
+END = "smartview_dataset"
+
+MOST_POINTS = 1_000_000
+"""Of a target at all its heights: so many fit into memory for every view."""
+
+LengthUnit = Literal["m", "cm", "mm"]
+AngleUnit = Literal["rad", "deg"]
+Codec = Literal[
+    "matrix",
+    "quaternion_xyzw",
+    "quaternion_wxyz",
+    "rotation_vector",
+    "yaw_pitch_roll",
+    "val_oat",
+    "kawasaki_oat",
+    "kuka_abc",
+    "ur",
+    "fanuc_wpr",
+    "abb",
+]
+_Rows = Annotated[int, Field(ge=0, le=10**9), Said("how many rows the file has")]
+
+
+class CameraSizeEntry(Entry):
+    """The pictures' size."""
+
+    image_size: ImageSize
+
+
+class PosesEntry(Entry):
+    """A table of poses, a row a view: its format, units and direction; none of them is guessed."""
+
+    file: Name
+    codec: Codec
+    length_unit: LengthUnit
+    angle_unit: AngleUnit
+    direction: Literal["base_from_tool", "tool_from_base"]
+    rows: _Rows | None = None
+
+
+class JointsEntry(Entry):
+    """A table of joint readings, a row a view, and the arm they are of: its name or numbers."""
+
+    file: Name
+    angle_unit: AngleUnit
+    length_unit: LengthUnit
+    arm: Annotated[
+        Annotated[Name, Tag("a name")] | Annotated[ArmEntry, Tag("numbers")],
+        Discriminator(lambda arm: "numbers" if isinstance(arm, dict) else "a name"),
+    ]
+    rows: _Rows | None = None
+
+
+def _pattern(text: str) -> str:
+    rest = text.replace("{view}", "").replace("{height}", "")
+    if "{view}" not in text or re.search("[{}]", rest) or not rest.isprintable():
+        raise ValueError
+    return text
+
+
+class PicturesEntry(Entry):
+    """The pictures' file names, as one pattern."""
+
+    pattern: Annotated[
+        str,
+        Field(max_length=200),
+        AfterValidator(_pattern),
+        Said("a name with {view} in it, {height} too if there are several, and no other braces"),
+    ]
+
+
+class DetectionsEntry(Entry):
+    """What was written to detections.csv."""
+
+    rows: _Rows
+
+
+_Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0), Said("degrees, from -3600 to 3600")]
+
+
+class AnglesEntry(Entry):
+    """A rough pose as a person writes it: metres and degrees."""
+
+    translation: Annotated[
+        list[Coordinate], Field(min_length=3, max_length=3), Said("x, y, z in m: 3 numbers")
+    ]
+    yaw_pitch_roll_deg: Annotated[
+        list[_Degrees],
+        Field(min_length=3, max_length=3),
+        Said("yaw, pitch, roll in degrees: 3 numbers"),
+    ]
+
+
+_RoughPose = Annotated[
+    Annotated[AnglesEntry, Tag("angles")] | Annotated[TransformEntry, Tag("quaternion")],
+    Discriminator(
+        lambda pose: (
+            "quaternion" if isinstance(pose, dict) and "quaternion_wxyz" in pose else "angles"
+        )
+    ),
+]
+
+
+class DatasetFile(Entry):
+    """A data-set folder's description."""
+
+    smartview_dataset: Literal[1]
+    end_mark: Literal[True] | None = None
+    camera: CameraSizeEntry
+    target: TargetEntry
+    mount: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
+    poses: PosesEntry | None = None
+    joints: JointsEntry | None = None
+    pictures: PicturesEntry | None = None
+    detections: DetectionsEntry | None = None
+    base_from_world: _RoughPose | None = None
+    tool_from_world: _RoughPose | None = None
+    end: Literal["smartview_dataset"] | None = None
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "DatasetFile":
+        if self.end_mark and self.end != END:
+            raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
+        target = self.target
+        sides = [getattr(target, name, 1) for name in ("rows", "columns", "squares_x", "squares_y")]
+        points = math.prod(sides) * len(target.heights or [0])
+        if points > MOST_POINTS:
+            raise ValueError(f"target: expected up to {MOST_POINTS} points, found {points}")
+        if self.poses is None and self.joints is None:
+            raise ValueError("entry 'poses' is missing, and so is 'joints'")
+        if self.base_from_world is not None and self.mount == "eye_to_hand":
+            raise ValueError("base_from_world: this target is on the tool: tool_from_world")
+        if self.tool_from_world is not None and self.mount == "eye_in_hand":
+            raise ValueError("tool_from_world: this target stands in the base: base_from_world")
+        return self
+
+
+DATASET = TypeAdapter(DatasetFile)

@@ -1,0 +1,99 @@
+"""From a file's plain content to a checked one, or to an error that names file and entry."""
+
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from pydantic import ValidationError
+
+from .words import nearest, shown
+
+_NAMED = 5
+"""How many wrong entries a message names."""
+
+Content = TypeVar("Content", covariant=True)
+
+
+@runtime_checkable
+class Schema(Protocol[Content]):
+    """A `pydantic.TypeAdapter`, of which the tests' type checker knows nothing."""
+
+    def validate_python(self, found: Any, /) -> Content:
+        """Return the content as its type has it, or raise a `ValidationError`."""
+        ...
+
+
+def checked(content: Any, schema: Schema[Content], where: str | os.PathLike[str] = "") -> Content:
+    """Return the content of a file as its schema has it.
+
+    Args:
+        content: as YAML or JSON was read.
+        schema: of the whole file.
+        where: the file, and the entry in it if it is one, for messages; may be empty.
+
+    Raises:
+        ValueError: naming the file, each wrong entry, what was found and what was expected.
+    """
+    try:
+        return schema.validate_python(content)
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        problems = [_sentence(problem, content) for problem in found[:_NAMED]]
+        if len(found) > _NAMED:
+            problems.append(f"and {len(found) - _NAMED} more")
+        start = f"{where}: " if str(where) else ""
+        raise ValueError(start + "; ".join(dict.fromkeys(problems))) from None
+
+
+def _sentence(problem: Any, content: Any) -> str:
+    kind, context, found = problem["type"], problem.get("ctx", {}), problem["input"]
+    path = entry_path(problem["loc"], content, keep_last=kind == "missing")
+    place = f"{path}: " if path else ""
+    if kind == "missing":
+        return f"entry {path!r} is missing"
+    if kind == "literal_error":
+        return _choice(path, context["expected"], found)
+    if kind == "union_tag_invalid":
+        key = context["discriminator"].strip("'")
+        return _choice(f"{path}.{key}".strip("."), context["expected_tags"], context["tag"])
+    if kind == "union_tag_not_found" and isinstance(found, dict):
+        key = context["discriminator"].strip("'")
+        return f"entry {f'{path}.{key}'.strip('.')!r} is missing"
+    if kind in ("model_type", "model_attributes_type", "dict_type", "union_tag_not_found"):
+        return f"{place}expected a mapping, found {shown(found)}"
+    if kind in ("unknown_entry", "other_value"):
+        return f"{place}{problem['msg']}"
+    if kind == "value_error":
+        return f"{place}{context['error']}"
+    return f"{place}{problem['msg'].replace('Input should be', 'expected')}, found {shown(found)}"
+
+
+def _choice(path: str, expected: str, found: object) -> str:
+    known = [word.strip("' ") for part in expected.split(",") for word in part.split(" or ")]
+    start = f"{path} is one of" if len(known) > 1 else f"{path}: expected"
+    end = f"; found {shown(found)}" if len(known) > 1 else f", found {shown(found)}"
+    return f"{start} {', '.join(known)}{end}{nearest(found, known)}"
+
+
+def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = False) -> str:
+    """Return the dotted path of an entry, as a person finds it in the file.
+
+    The validation library also counts the alternatives of a union as steps; those are not in the
+    file, and are left out.
+
+    Args:
+        location: of the problem.
+        content: of the file.
+        keep_last: the last step is an entry that is missing.
+    """
+    steps: list[str] = []
+    for number, step in enumerate(location, start=1):
+        if isinstance(step, str) and isinstance(content, dict) and step in content:
+            content = content[step]
+            steps.append(step)
+        elif isinstance(step, int) and isinstance(content, list) and step < len(content):
+            content = content[step]
+            steps.append(str(step))
+        elif keep_last and number == len(location):
+            steps.append(str(step))
+    return ".".join(steps)

@@ -1,0 +1,57 @@
+import dataclasses
+from typing import get_args
+
+import pytest
+
+from smartview_jax.geometry import ANGLE_UNITS, LENGTH_UNITS
+from smartview_jax.geometry.pose_codecs import POSE_CODECS
+from smartview_jax.robots.serial_arm import CONVENTIONS
+from smartview_jax.schemas import dataset
+from smartview_jax.schemas.arm import ArmEntry
+from smartview_jax.schemas.reading import checked
+from smartview_jax.schemas.target import TargetEntry
+from smartview_jax.targets.description import KINDS
+
+KNOWN = {
+    "codecs": (dataset.Codec, POSE_CODECS),
+    "lengths": (dataset.LengthUnit, LENGTH_UNITS),
+    "angles": (dataset.AngleUnit, ANGLE_UNITS),
+    "conventions": (ArmEntry.model_fields["convention"].annotation, CONVENTIONS),
+}
+
+
+@pytest.mark.parametrize("what", KNOWN)
+def test_schemas_know_the_names_that_the_library_knows(what):
+    literal, known = KNOWN[what]
+    assert get_args(literal) == tuple(known)
+
+
+def test_schemas_have_the_numbers_that_targets_have():
+    union = get_args(get_args(TargetEntry)[0])
+    entries = {get_args(entry.model_fields["kind"].annotation)[0]: entry for entry in union}
+    assert set(entries) == set(KINDS)
+    for kind, entry in entries.items():
+        fields = {field.name: field for field in dataclasses.fields(KINDS[kind])}
+        assert set(entry.model_fields) - {"kind", "heights"} == set(fields)
+        for name, field in fields.items():
+            has_default = field.default is not dataclasses.MISSING
+            assert entry.model_fields[name].is_required() != has_default
+            assert not has_default or entry.model_fields[name].default == field.default
+
+
+def test_no_more_problems_are_named_than_a_person_reads():
+    from smartview_jax.schemas.dataset import DATASET
+
+    with pytest.raises(ValueError, match=r"^where: .*; and 6 more$") as caught:
+        checked(
+            {
+                "smartview_dataset": 1,
+                "camera": {"image_size": [0, 0]},
+                "target": {"kind": "tag_grid", "rows": 0, "columns": 0, "size": 0},
+                "poses": {"file": ""},
+                "mount": "no",
+            },
+            DATASET,
+            "where",
+        )
+    assert len(str(caught.value)) < 1000

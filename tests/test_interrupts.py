@@ -1,0 +1,64 @@
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ANSWER = 2.0
+"""Promised, s; a machine that does other things besides is given as much again and more."""
+
+STUCK = """
+import hashlib, sys
+from smartview_jax.interrupts import heard_at_once
+from smartview_jax.files import written_together
+
+with heard_at_once(), written_together(sys.argv[1], ["result.yaml"]) as folder:
+    (folder / "result.yaml").write_text("half")
+    print("begun", file=sys.stderr, flush=True)
+    # One call into a library, which Python cannot interrupt, for about a minute.
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**8)
+"""
+
+CALIBRATE = "from smartview_jax.cli import app; app()"
+
+
+def interrupted(code, arguments, word, wait=0.0):
+    """Exit code, time to it, and stderr of a program interrupted after it said a word."""
+    command = [sys.executable, "-c", code, *arguments]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as program:
+        said = b""
+        try:
+            while word not in said:
+                line = program.stderr.readline()
+                assert line, said.decode()
+                said += line
+            time.sleep(wait)
+            started = time.monotonic()
+            program.send_signal(signal.SIGINT)
+            said += program.stderr.read()
+            return program.wait(60.0), time.monotonic() - started, said.decode()
+        finally:
+            program.kill()
+
+
+def test_a_library_that_does_not_listen_is_left(tmp_path):
+    (tmp_path / "result.yaml").write_text("of the last run")
+    code, took, said = interrupted(STUCK, [str(tmp_path)], b"begun")
+    assert code == 130
+    assert took < 2.0 * ANSWER
+    assert said.count("interrupted; no file is left half-written") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["result.yaml"]
+    assert (tmp_path / "result.yaml").read_text() == "of the last run"
+
+
+@pytest.mark.parametrize(("word", "wait"), [(b"view 3 ", 0.0), (b"Step 2", 0.3)])
+def test_a_calibration_ends_with_a_line_of_words(tmp_path, word, wait):
+    """While circles are looked for, and while programs are compiled."""
+    out = tmp_path / "out"
+    code, took, said = interrupted(CALIBRATE, ["calibrate", "--out", str(out)], word, wait)
+    assert code == 130, said
+    assert took < 2.0 * ANSWER
+    assert said.count("interrupted; no file is left half-written") == 1
+    assert "Traceback" not in said
+    assert not list(tmp_path.iterdir())
