@@ -11,6 +11,7 @@ and commands go by where the tool is, not by where the robot says it is.
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -280,11 +281,12 @@ class Calibration(eqx.Module):
         """
         return self.camera.project(self.points_in_camera(base_from_tool, points, corrected))
 
-    def to_dict(self, run: str | None = None) -> dict[str, Any]:
-        """Plain numbers with their names and units, as written by `save`."""
+    def to_dict(self, run: str | None = None, warnings: Sequence[str] = ()) -> dict[str, Any]:
+        """Return plain numbers with their names and units, as written by `save`."""
         content: dict[str, Any] = {
             "smartview_calibration": FORMAT_VERSION,
             **({} if run is None else {"run": run}),
+            **({"warnings": list(warnings)} if warnings else {}),
             "units": {"length": "m", "angle": "rad", "image": "px"},
             "mount": self.mount,
             "camera": camera_to_dict(self.camera),
@@ -331,14 +333,20 @@ class Calibration(eqx.Module):
             None if region is None else region_from_dict(region),
         )
 
-    def save(self, path: str | os.PathLike[str], run: str | None = None) -> None:
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        run: str | None = None,
+        warnings: Sequence[str] = (),
+    ) -> None:
         """Write a YAML file a person can read, whole or not at all.
 
         Args:
             path: of the file.
             run: name of the run that this is a result of, which all its files carry.
+            warnings: what speaks against it, such as a fit's `warnings`; read by people alone.
         """
-        write_atomically(path, dump_yaml(self.to_dict(run)))
+        write_atomically(path, dump_yaml(self.to_dict(run, warnings)))
 
     @classmethod
     def load(

@@ -137,6 +137,7 @@ def calibrate(
             data, name = _load(dataset, bad_views, say, base_from_world)
             notes = list(data.notes)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
+            notes += [f"warning: {text}" for text in fit.warnings]
             counted = without_rejected_views(data, fit)
             unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
             halves = budget = None
@@ -179,7 +180,7 @@ def _run_name() -> str:
 def _save(fit: "CalibrationFit", data: "Dataset", folder: Path, run: str) -> None:
     from .joint import best_uncorrected
 
-    fit.calibration.save(folder / "calibration.yaml", run)
+    fit.calibration.save(folder / "calibration.yaml", run, fit.warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
         bare = best_uncorrected(data, fit)

@@ -191,7 +191,7 @@ def _refuse_unseen_rows(
     if not isinstance(grid, CircleGrid):
         return
     seen = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns).any(axis=0)
-    rows, columns = int(seen.any(axis=1).sum()), int(seen.any(axis=0).sum())
+    rows, columns = (len(np.unique(places)) for places in np.nonzero(seen))
     if (rows, columns) != (grid.rows, grid.columns):
         raise ValueError(
             f"{folder}: of {grid.rows} rows and {grid.columns} columns of circles, {rows} and "

@@ -129,6 +129,7 @@ class RegionEntry(Entry):
 class _Calibration(Entry):
     smartview_calibration: Literal[1, 2]
     run: Name | None = None
+    warnings: list[str] | None = None
     units: UnitsEntry
     camera: CameraEntry
     target_scale: _Scale
