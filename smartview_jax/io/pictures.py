@@ -190,8 +190,8 @@ def _refuse_unseen_rows(
     grid = target.board if isinstance(target, StackedTarget) else target
     if not isinstance(grid, CircleGrid):
         return
-    seen = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns).any(axis=0)
-    rows, columns = int(seen.any(axis=1).sum()), int(seen.any(axis=0).sum())
+    seen = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns)
+    rows, columns = (int(np.any(seen, axis=others).sum()) for others in ((0, 2), (0, 1)))
     if (rows, columns) != (grid.rows, grid.columns):
         raise ValueError(
             f"{folder}: of {grid.rows} rows and {grid.columns} columns of circles, {rows} and "
