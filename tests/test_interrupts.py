@@ -22,10 +22,13 @@ with heard_at_once(), written_together(sys.argv[1], ["result.yaml"]) as folder:
 
 CALIBRATE = "from smartview_jax.cli import app; app()"
 
+HEARS = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+"""A shell starts what runs in its background deaf to interrupts, and so all that this starts."""
+
 
 def interrupted(code, arguments, word, wait=0.0):
     """Exit code, time to it, and stderr of a program interrupted after it said a word."""
-    command = [sys.executable, "-c", code, *arguments]
+    command = [sys.executable, "-c", HEARS + code, *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as program:
         said = b""
         try:
