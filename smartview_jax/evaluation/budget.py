@@ -8,8 +8,15 @@ import numpy as np
 from ..dataset import Dataset
 from ..joint import JointFit
 from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
-from ..robots import ImpliedArm
-from .explanations import Explanation, explanations, fit_candidate, moved, region_error
+from ..robots import AbstractField, CombinedField, ImpliedArm
+from .explanations import (
+    Explanation,
+    explanations,
+    fit_candidate,
+    moved,
+    region_error,
+    scale_found,
+)
 from .held_out import has_correction
 from .lens_misfit import lens_misfit
 from .measures import deviations
@@ -107,11 +114,14 @@ def error_budget(
         rivals = tuple(
             rival._replace(region_px=region_error(data, fit, rival.name)) for rival in rivals
         )
-    scale = _one_number(rivals)
+    scale, chain = _one_number(rivals, scale_found(fit)), None
     if scale is not None and not has_correction(fit):
         # A likely rival of a fit that found no field: the budget is of the likelier.
         fit = scale.fit
-    elif isinstance(fit.calibration.field, ImpliedArm):
+    elif scale is not None and scale_found(fit):
+        # Of the chain that knows neither of the target's size nor of the robot's errors.
+        chain = scale.fit.calibration.uncorrected
+    if _has_undescribed_arm(fit.calibration.field):
         # Lengths of an arm take from the mount what they give: its bare chain is nobody's.
         fit, own_chain = fit_candidate(data, fit, None, field_groups=4), False
     seen = np.asarray(data.visible)
@@ -120,13 +130,16 @@ def error_budget(
     lens = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
     systematic = moved(fit.calibration, data)
     # As the only systematic error it may move points farther than the field that was chosen.
-    by_scale = 0.0 if scale is None else min(scale.px, systematic)
+    by_scale = 0.0 if scale is None else scale.px
+    if chain is None:
+        by_scale = min(by_scale, systematic)
+        systematic, chain = np.sqrt(systematic**2 - by_scale**2), fit.calibration.uncorrected
     sizes = {
         PIXELS: np.sqrt(max(pixels - lens**2, 0.0)),
         LENS: lens,
         NOISE: np.sqrt(poses),
         SCALE: by_scale,
-        SYSTEMATIC: np.sqrt(systematic**2 - by_scale**2),
+        SYSTEMATIC: systematic,
         VIEWS: np.sqrt(parameters),
     }
     order = sorted(sizes, key=lambda name: -sizes[name])
@@ -136,17 +149,29 @@ def error_budget(
         Part(n, float(sizes[n]), _advice(n, fit, views, rivals) if n in worth else "")
         for n in order
     )
-    total = deviations(fit.calibration.uncorrected, data).rms
+    total = deviations(chain, data).rms
     words = _words(total, parts, culprit, own_chain)
     return ErrorBudget(total, parts, rivals, culprit, words, own_chain)
 
 
-def _one_number(rivals: tuple[Explanation, ...]) -> Explanation | None:
-    """The likelier of the rivals, where it explains most of what a field would."""
+def _one_number(rivals: tuple[Explanation, ...], found: bool) -> Explanation | None:
+    """Return the likelier of the rivals, where it explains most of what a field would.
+
+    Args:
+        rivals: with what each gains.
+        found: whether the fit found the target to be of another size, which settles it.
+    """
     if not rivals:
         return None
+    if found:
+        return next(rival for rival in rivals if rival.name == "target scale")
     best = max(rivals, key=lambda rival: rival.gain)
     return best if best.gain >= max(GAINED, MOST * best.field_gain) else None
+
+
+def _has_undescribed_arm(field: AbstractField | None) -> bool:
+    parts = (field.first, field.second) if isinstance(field, CombinedField) else (field,)
+    return any(isinstance(part, ImpliedArm) for part in parts)
 
 
 def _words(total: float, parts: tuple[Part, ...], culprit: str, own_chain: bool) -> str:
@@ -187,5 +212,6 @@ def _measure_the_board(rivals: tuple[Explanation, ...]) -> str:
         "measure the board: either the target is "
         f"{target.size:.4f} +- {target.std:.4f} of its stated size, or the robot goes "
         f"{robot.size:.4f} +- {robot.std:.4f} of the way that it reports; the likelihood cannot "
-        f"tell ({target.gain:.0f} and {robot.gain:.0f} better than neither, twice its logarithm)"
+        f"tell ({target.gain:.0f} and {robot.gain:.0f} better than neither, twice its logarithm), "
+        "but arms go their way to half a percent"
     )

@@ -16,6 +16,7 @@ from jaxtyping import Array
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..joint import JointFit, fit_joint, parameter_names
+from ..joint.alternatives import SCALE as TARGET_SCALE
 from ..robots import LinearInPose, PoseOrStretch, RobotPrior
 from .held_out import held_out
 from .measures import predict
@@ -62,12 +63,13 @@ def explanations(
     Args:
         data: what `fit` was fitted to.
         fit: with `noise="estimated"`. What it held is held; priors are not known here. Nothing is
-            compared where it knew no field, or had the target's scale free.
+            compared where it knew no field, or was asked to free the target's scale.
         progress: told what is being fitted.
     """
     say = progress or (lambda _: None)
-    if fit.estimate is None or "target_scale" in fit.parameter_names:
+    if fit.estimate is None or (TARGET_SCALE in fit.parameter_names and not scale_found(fit)):
         return ()
+    fit = _with_stated_target(fit)
     gains = {other.name: other.gain for other in fit.estimate.alternatives}
     if all(name.startswith("white") for name in gains):
         return ()
@@ -85,8 +87,14 @@ def explanations(
     return tuple(found)
 
 
+def scale_found(fit: JointFit) -> bool:
+    """Return whether a fit found that the target is not of its stated size."""
+    return fit.estimate is not None and TARGET_SCALE in fit.estimate.free
+
+
 def region_error(data: Dataset, fit: JointFit, name: str, folds: int = 5) -> float:
     """Held-out RMS by region, px, of one candidate as the only systematic error."""
+    fit = _with_stated_target(fit)
     unseen = held_out(
         data, lambda part: fit_candidate(part, fit, CANDIDATES[name]), folds, by="region"
     )
@@ -110,7 +118,7 @@ def fit_candidate(
     whole = PoseOrStretch(pose, _seen_from(start), jnp.ones(6))
     counts = [k < field_groups or name == group for k, (name, _) in enumerate(whole.groups)]
     field = dataclasses.replace(whole, counts=jnp.array(counts, dtype=float))
-    known = {"target_scale", *fit.parameter_names}
+    known = {TARGET_SCALE, *fit.parameter_names}
     held = tuple(name for name in parameter_names(start) if name not in known)
     # The candidates are told apart here: no other size of the target besides.
     prior = RobotPrior(wrong_target=0.0)
@@ -123,6 +131,14 @@ def fit_candidate(
         bad_views="keep",
         robot_prior=prior,
     )
+
+
+def _with_stated_target(fit: JointFit) -> JointFit:
+    """Return the fit from which both candidates start: the target is as it is stated to be."""
+    if not scale_found(fit):
+        return fit
+    stated = dataclasses.replace(fit.calibration, target_scale=jnp.ones(()))
+    return dataclasses.replace(fit, calibration=stated)
 
 
 def _seen_from(calibration: Calibration) -> Array:

@@ -173,13 +173,17 @@ def estimate_noise(
         )
 
     placed = data.usable_views()
-    basis = largest_field(data, len(placed)) if field is None else field or None
+    held = ROBOT_ERROR in fixed
+    if held:
+        basis, field = start.field, False
+    else:
+        basis = largest_field(data, len(placed)) if field is None else field or None
     asked = prior.wrong_target > 0.0 and not _concerns_scale((*fixed, *free, *(priors or ())))
     built = built_with(basis, asked)
     solution, equations = solve(_loose(built.problem))
     views = _Statistics(built, placed, 2.0 * float(equations.cost), asked)
     sizes_prior = size_prior(prior, basis, asked)
-    models = candidates(field, basis)
+    models = candidates(field, None if held else basis)
     guess = first_guess(sizes_prior, views.white_sigma)
     there = views.linearised(solution.z)
     tried = try_all(there, models, views.names, guess, sizes_prior, prior.wrong_target)
@@ -188,7 +192,7 @@ def estimate_noise(
             "no model explains the views: their own best poses cannot be linearised; "
             "start nearer to the truth (fit_staged), or check the poses"
         )
-    if field is not None:
+    if field:
         # Who asks for a model is given it.
         last = {list(models)[-1], f"{list(models)[-1]}, {SCALE}"}
         weights = probabilities({name: one for name, one in tried.items() if name in last})
@@ -201,7 +205,7 @@ def estimate_noise(
     weights = kept({name: w for name, w in weights.items() if tried[name].scaled == scaled})
     named = {name.removesuffix(f", {SCALE}"): weight for name, weight in weights.items()}
     say(f"errors of the robot: {', '.join(f'{n} {w:.2f}' for n, w in named.items())}")
-    smooth = field_of(basis, models, set(named))
+    smooth = basis if held else field_of(basis, models, set(named))
     ahead = _ahead(there, solution.z, averaged(tried, weights))
     before, first = built, views
     built = built_with(smooth, scaled)

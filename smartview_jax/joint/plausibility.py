@@ -54,7 +54,6 @@ def doubts(fit: "JointFit") -> tuple[str, ...]:
     found += _of_robot(fit)
     found += _of_mount(fit)
     found += [f"the data do not tell: {one.words}" for one in fit.observability.null]
-    found += [f"the data hardly tell: {one.words}" for one in fit.observability.weak]
     used = int((np.asarray(fit.inliers).sum(axis=1) > 0).sum())
     if used < MINIMUM_RELIABLE_VIEWS:
         found.append(
@@ -129,7 +128,7 @@ def _corrections(error: RobotError, seen: Observations) -> Float[Array, "views 6
 
 def _of_mount(fit: "JointFit") -> list[str]:
     mount = fit.calibration.transform_names[0]
-    found = []
+    found, vague = [], set()
     for part, limit, unit, times in (
         ("translation", COARSE_TRANSLATION, "mm", 1e3),
         ("rotation", COARSE_ROTATION, "degrees", float(np.rad2deg(1.0))),
@@ -137,12 +136,19 @@ def _of_mount(fit: "JointFit") -> list[str]:
         names = [n for n in fit.parameter_names if n.startswith(f"{mount}.{part}.")]
         widths = {name: fit.margin(name) for name in names}
         coarse = {name: width for name, width in widths.items() if not width <= limit}
+        vague |= set(coarse)
         if coarse:
             worst = max(coarse, key=lambda name: coarse[name])
             found.append(
                 f"{worst} is known to +- {times * coarse[worst]:.3g} {unit} only (95 %): "
                 f"take more views, turned about more axes"
             )
+    # Directions that are weak beside others may be known well enough all the same.
+    found += [
+        f"the data hardly tell: {one.words}"
+        for one in fit.observability.weak
+        if vague & {name for name, _ in one.components}
+    ]
     if fit.estimate is not None and fit.estimate.mount_shift is not None:
         shift = np.array(fit.estimate.mount_shift)
         names = [f"{mount}.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]

@@ -46,6 +46,8 @@ class Motion(NamedTuple):
         moved: translations of the camera's motions, m.
         gap: angle left over by the rotation, rad.
         away: median distance of the target from the camera, m.
+        second_axis: how far the camera turns about a second axis, over how far about the first; the
+            hand-eye rotation is not told where it is next to nothing.
     """
 
     left: Float[np.ndarray, "pairs 3 3"]
@@ -53,6 +55,7 @@ class Motion(NamedTuple):
     moved: Float[np.ndarray, "pairs 3"]
     gap: Float[np.ndarray, "pairs"]
     away: float
+    second_axis: float
 
 
 def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
@@ -71,7 +74,9 @@ def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
     cosine = 0.5 * (np.einsum("pab,pab->p", A[:, :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     away = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
-    return Motion(A[:, :3, :3] - np.eye(3), B[:, :3, 3] @ X.T, A[:, :3, 3], angle, away)
+    turns = np.linalg.svd(a, compute_uv=False)
+    second = float(turns[1] / max(turns[0], 1e-12))
+    return Motion(A[:, :3, :3] - np.eye(3), B[:, :3, 3] @ X.T, A[:, :3, 3], angle, away, second)
 
 
 def closure(pairs: Motion, scale: float = 1.0) -> Closure:

@@ -73,6 +73,10 @@ ALIKE = 2.0
 NOTHING = 1e-4
 """Score that is nothing: a twentieth of a millimetre at half a metre, below any robot's error."""
 
+ONE_AXIS = 0.05
+"""Turns about a second axis, as a share of those about the first, up to which motions of robot and
+camera cannot be compared: no hand-eye rotation follows from them."""
+
 REACH = 30.0
 """Metres that no arm reaches and no target is away from its camera."""
 
@@ -100,9 +104,10 @@ def check_conventions(
     if used.sum() < 3:
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
     pairs = _motion(robot, camera, used, in_hand)
-    given, ratio = closure(pairs), length_ratio(pairs)
+    comparable = pairs.second_axis > ONE_AXIS
+    given, ratio = closure(pairs), length_ratio(pairs) if comparable else 1.0
     problems, explanations = (), ()
-    if given.score > SOUND or not 0.2 < ratio < 5.0:
+    if comparable and (given.score > SOUND or not 0.2 < ratio < 5.0):
         explanations = _explanations(robot, camera, used, in_hand, pairs)
         problems = _problems(given, explanations, mismatch, _turns(robot, camera, used))
     if not problems:

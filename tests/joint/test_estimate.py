@@ -12,8 +12,13 @@ from starts import nudged
 from smartview_jax import Noise, Prior, fit_joint, fit_staged
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import deviations
-from smartview_jax.joint.alternatives import STRETCH_GAINS
-from smartview_jax.robots import LinearInPose, LinearInPosition, RobotError, Stretched
+from smartview_jax.robots import (
+    LinearInPose,
+    LinearInPosition,
+    RobotError,
+    RobotPrior,
+    Stretched,
+)
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 VIEWS = 20
@@ -89,7 +94,7 @@ def test_pixels_that_err_alone_are_weighed_as_they_scatter(white):
 
 
 def test_a_robot_with_white_noise_is_not_given_a_field():
-    """Also where one gains by chance: twice the logarithm by 4.5 and 5.0 in the first and last."""
+    """Also where one gains by chance, as in the first and last."""
     names = [fit(white_scene(seed)).estimate.name for seed in range(5)]
     assert names == ["white"] * 5
 
@@ -111,7 +116,8 @@ def crooked():
 def test_a_smooth_error_is_found_and_corrected(crooked):
     seen, unseen, found = crooked
     assert found.estimate.name == "pose"
-    assert found.estimate.alternatives[-1].gain > found.estimate.alternatives[1].gain + 50.0
+    gains = {one.name: one.gain for one in found.estimate.alternatives}
+    assert gains["pose"] > gains["white"] + 50.0
     trusting = fit_joint(seen.data, nudged(paper_calibration()), noise="trusted")
     errors = [deviations(f.calibration, unseen.data).rms for f in (found, trusting)]
     assert errors[0] < 0.5 * errors[1]
@@ -151,19 +157,7 @@ def test_with_few_views_white_noise_is_believed_where_pixels_agree():
     scene = random_scene(3, 6, POINTS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
     found = fit(scene)
     assert found.estimate.name == "white"
-    assert found.noise.pixel < 2.0 * found.noise.white_pixel
-
-
-def test_with_few_views_errors_of_the_pixels_are_not_the_robots():
-    """White noise is far likelier than none, but leaves pixels that disagree from view to view."""
-    data, _ = shared_pairs("koide_charuco", "20231006_")
-    start = fit_staged(data, "opencv4").calibration
-    found = fit_joint(data, start, noise="estimated").estimate
-    white = found.alternatives[1]
-    assert white.name == "white"
-    assert white.gain > 10.0
-    assert white.sizes.pixel > 3.0 * white.sizes.white_pixel
-    assert found.name == "trusted"
+    assert found.noise.pixel < 3.0 * found.noise.white_pixel
 
 
 def test_data_without_any_noise_are_fitted_exactly():
@@ -191,14 +185,14 @@ def test_a_field_of_given_size_needs_a_deviation_for_each_group(crooked):
         )
 
 
-def test_a_real_robot_has_a_field():
-    """rct: the chain is off by pixels, smoothly; what is left after the field is half of it."""
+def test_a_real_target_is_smaller_than_it_is_said_to_be():
+    """rct: ways of an arm are not 2 % off. What its field has left is half of the chain's error."""
     data, _ = shared_pairs("rct_circle10x10")
     staged = fit_staged(data)
     found = fit_joint(data, staged.calibration, lens="opencv4", noise="estimated")
-    gains = {other.name: other.gain for other in found.estimate.alternatives}
-    assert found.estimate.name == "implied_arm"
-    assert gains["implied_arm"] > gains["pose"] > gains["white"] + 50.0
+    scale = found.estimate.scale
+    assert scale.probability > 0.9
+    assert float(found.calibration.target_scale) == pytest.approx(0.976, abs=0.003)
     trusting = fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")
     assert found.noise.white_pixel < 0.2 < found.noise.pixel
     errors = [deviations(f.calibration, data).rms for f in (found, trusting)]
@@ -224,25 +218,25 @@ def test_with_everything_held_the_sizes_are_found_all_the_same():
     assert found.noise.translation == pytest.approx(TRANSLATION, rel=0.3)
 
 
-@pytest.mark.parametrize("share", [0.13, 0.0])
-def test_ways_that_are_too_long_are_told_from_other_errors(share):
+def test_ways_that_are_too_long_are_a_field_for_who_asks():
     """Of eight views, by a share that a field alone takes for one of eighteen numbers."""
     poses = random_scene(2, 8, POINTS).data.base_from_tool
     inner = LinearInPosition.over(poses)
     field = Stretched.over(inner, poses)
     other = np.repeat([2e-4, 4e-4], 9) * np.random.default_rng(3).normal(size=18)
-    coefficients = jnp.asarray([*other, share * float(field.reach)])
+    coefficients = jnp.asarray([*other, 0.13 * float(field.reach)])
     truth = dataclasses.replace(paper_calibration(), robot_error=RobotError(field, coefficients))
     small = {"pixel_noise": 0.1, "translation_noise": 2e-5, "rotation_noise": 4e-5}
     data = random_scene(2, 8, POINTS, truth, **small).data
+    unseen = random_scene(50, 30, POINTS, truth, pixel_noise=0.0).data
+    prior = RobotPrior(wrong_target=0.0)
+    inner, stretched = (
+        fit_joint(data, truth.uncorrected, noise="estimated", field=one, robot_prior=prior)
+        for one in (inner, field)
+    )
+    errors = [deviations(one.calibration, unseen).rms for one in (stretched, inner)]
+    assert errors[0] < 0.95 * errors[1]
+    # Arms are not like that: without a word about it the target is taken to be larger.
     found = fit_joint(data, truth.uncorrected, noise="estimated")
-    assert found.estimate.name == ("stretched position" if share else "position")
-    gains = {one.name: one.gain for one in found.estimate.alternatives}
-    assert (gains["stretched position"] - gains["position"] > STRETCH_GAINS) is bool(share)
-    if share:
-        given = fit_joint(data, truth.uncorrected, noise="estimated", field=inner)
-        unseen = random_scene(50, 30, POINTS, truth, pixel_noise=0.0).data
-        assert (
-            deviations(found.calibration, unseen).rms
-            < 0.95 * deviations(given.calibration, unseen).rms
-        )
+    assert found.estimate.scale.probability > 0.99
+    assert float(found.calibration.target_scale) == pytest.approx(1.0 / (1.0 - 0.13), abs=0.02)

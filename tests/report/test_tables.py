@@ -29,7 +29,7 @@ from smartview_jax.report import (
     verdict,
 )
 from smartview_jax.report.tables import _in_words, errors_found, models_chosen, parameter_rows
-from smartview_jax.robots import DHErrors, LinearInPosition, RobotError, six_axes
+from smartview_jax.robots import DHErrors, LinearInPosition, RobotError, RobotPrior, six_axes
 from smartview_jax.simulation import paper_points, random_scene
 
 FITTED = Deviations(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
@@ -90,18 +90,20 @@ def test_the_errors_found_are_in_the_units_people_use():
     """A field that moves every tool by 2 mm along its x: some 20 px, left out or not."""
     scene = random_scene(0, 4, pixel_noise=0.0)
     noise = Noise(0.4, 1e-4, np.deg2rad(0.02), field=(1e-3, 1e-3), white_pixel=0.1)
-    tried = (Alternative("trusted", 0.0, noise), Alternative("position", 31.4, noise))
+    tried = (Alternative("white", 0.1, 0.0, noise), Alternative("position", 0.9, 31.4, noise))
     field = LinearInPosition.over(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
     sizes, none = (0.1, 0.2, 3.0), Doubt(*(np.zeros(0) for _ in Doubt._fields))
-    estimate = NoiseEstimate("position", noise, field, bent, tried, False, sizes, (), none)
+    estimate = NoiseEstimate(
+        "position", noise, field, bent, tried, None, None, False, sizes, (), none, RobotPrior()
+    )
     trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
     assert errors_found(trusting, scene.data) == []
     joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
     lines = errors_found(joint, scene.data)
     assert lines[0][1].startswith("position (smooth, linear in the tool's position); ")
-    assert lines[0][1].endswith("trusted 0, position 31")
+    assert lines[0][1].endswith("probabilities: white 0.10, position 0.90")
     assert "0.400 px +- 10% (within a view 0.100)" in lines[1][1]
     assert "0.100 mm +- 20% and 0.0200 deg" in lines[1][1]
     # The scene was made without any error: taking the field away leaves nothing.
@@ -169,9 +171,7 @@ def test_remarks_are_on_every_measure():
 def test_what_folds_and_halves_took_the_error_for_is_counted():
     assert models_chosen(["pose", "implied_arm", "implied_arm"]).endswith("implied_arm 2, pose 1")
     assert models_chosen([]) == ""
-    assert _in_words("stretched pose").startswith(
-        "stretched pose (smooth, linear in the tool's pose; "
-    )
+    assert _in_words("pose") == "pose (smooth, linear in the tool's pose)"
     assert _in_words("Sag") == "Sag"
 
 
