@@ -67,10 +67,11 @@ def explanations(
         progress: told what is being fitted.
     """
     say = progress or (lambda _: None)
-    if fit.estimate is None or (TARGET_SCALE in fit.parameter_names and not scale_found(fit)):
+    estimate = fit.estimate
+    if estimate is None or (TARGET_SCALE in fit.parameter_names and not scale_found(fit)):
         return ()
     fit = _with_stated_target(fit)
-    gains = {other.name: other.gain for other in fit.estimate.alternatives}
+    gains = {other.name: other.gain for other in estimate.alternatives}
     if all(name.startswith("white") for name in gains):
         return ()
     groups = 4 if "pose" in gains else 2
