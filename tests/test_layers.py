@@ -11,12 +11,13 @@ import smartview_jax
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
-# From the ground floor up; `files` holds only the reading and writing of text, `compilation` how
-# programs are compiled, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a run.
+# From the ground floor up; `compilation` is how programs are compiled, `files` only the reading and
+# writing of text, `fit_result` how any fit ended, `moved` where names were before, `schemas` what
+# may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
-    files compilation schemas geometry cameras robots targets calibration dataset detection io
-    simulation staged joint evaluation viewpoints modeling localization grasping report editor
-    interrupts cli
+    compilation files fit_result moved schemas geometry cameras robots targets calibration dataset
+    detection io simulation staged joint evaluation viewpoints modeling localization grasping report
+    editor interrupts cli
 """.split()
 
 NO_OPENCV = """

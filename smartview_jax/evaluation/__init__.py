@@ -1,5 +1,6 @@
 """How good a calibration is: deviations, held-out error, methods side by side."""
 
+from ..fit_result import Rejection as Rejection
 from .bootstrap import Interval as Interval
 from .bootstrap import rms_interval as rms_interval
 from .budget import ErrorBudget as ErrorBudget
@@ -37,7 +38,6 @@ from .measures import deviations as deviations
 from .predicted import Foretold as Foretold
 from .predicted import foretold as foretold
 from .predicted import predicted_deviations as predicted_deviations
-from .rejections import Rejection as Rejection
 from .rejections import RejectionCount as RejectionCount
 from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from ..cameras import AbstractLens
 from ..dataset import Dataset
+from ..fit_result import Rejection
 from ..joint import calibrate
 from ..joint.calibrate import LENS
 from ..staged import fit_one_view_intrinsics, fit_staged
@@ -20,7 +21,7 @@ from .held_out import (
     without_correction,
 )
 from .measures import Deviations, deviations
-from .rejections import Rejection, rejected_by
+from .rejections import rejected_by
 
 UNCORRECTED = "correction left out"
 """What a row adds to its method's name where the robot's error is not corrected."""

@@ -6,21 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..dataset import Dataset
+from ..fit_result import Rejection
 from ..joint import CalibrationFit, JointFit
-
-
-class Rejection(NamedTuple):
-    """One point, or one whole view, that a fit did not use.
-
-    Attributes:
-        view: its id.
-        point: index of the point; None for the whole view.
-        reason: why.
-    """
-
-    view: str
-    point: int | None
-    reason: str
 
 
 class RejectionCount(NamedTuple):

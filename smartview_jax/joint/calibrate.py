@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, chain_residuals
+from ..fit_result import Rejection
 from ..staged import StagedFit, fit_staged, kalman_filter, views_to_use
 from .camera_fit import batch_filter
 from .fit import JointFit, fit_joint
@@ -42,7 +43,7 @@ class CalibrationFit(eqx.Module):
     joint: JointFit
 
     @property
-    def rejected(self) -> tuple[tuple[str, int | None, str], ...]:
+    def rejected(self) -> tuple[Rejection, ...]:
         """What either left out, once and with the first reason: the joint fit saw neither."""
         both = (*self.staged.rejected, *self.joint.rejected)
         return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]

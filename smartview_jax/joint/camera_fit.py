@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from ..cameras import AbstractLens, Camera
 from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
-from ..staged import FitCode, FitResult
+from ..fit_result import FitCode, FitResult
 from ..staged.kalman import pixel_residuals, robust_sigma
 from .build import without_robot
 from .fit import fit_joint

@@ -16,8 +16,9 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
+from ..fit_result import FitCode, FitResult, Rejection
 from ..robots import AbstractField, RobotPrior
-from ..staged import FitCode, FitResult, with_region
+from ..staged import with_region
 from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
 from .covariance import UnitColumns, covariance, own_std, robust_variance, variance_factor
@@ -32,7 +33,7 @@ from .plausibility import UNUSUAL, doubts
 from .priors import Prior
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, eliminate
-from .screening import Rejected, screened, without_views
+from .screening import screened, without_views
 from .sharding import solve_on
 from .solver import Solution, solve
 
@@ -99,7 +100,7 @@ class JointFit(eqx.Module):
     freedom: dict[str, float]
     noise: Noise | None = eqx.field(static=True)
     estimate: NoiseEstimate | None
-    rejected: tuple[tuple[str, int | None, str], ...] = eqx.field(static=True)
+    rejected: tuple[Rejection, ...] = eqx.field(static=True)
     observability: Observability = eqx.field(static=True)
     parameter_names: tuple[str, ...] = eqx.field(static=True)
     view_ids: tuple[str, ...] = eqx.field(static=True)
@@ -204,7 +205,7 @@ def fit_joint(
         raise ValueError(f"bad_views is one of {', '.join(BAD_VIEWS)}; found {bad_views!r}")
     say, start = progress or (lambda _: None), with_lens(start, lens)
 
-    def fit(data: Dataset, apart: Rejected) -> tuple[JointFit, BlockArrow]:
+    def fit(data: Dataset, apart: tuple[Rejection, ...]) -> tuple[JointFit, BlockArrow]:
         model, begin, smooth, estimate, opened = noise, start, field, None, tuple(free)
         if noise == "estimated":
             estimate = estimate_noise(
@@ -331,7 +332,7 @@ def _assemble(
     solution: Solution,
     equations: NormalEquations,
     estimate: NoiseEstimate | None,
-    apart: Rejected,
+    apart: tuple[Rejection, ...],
 ) -> JointFit:
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
@@ -396,10 +397,12 @@ def _variance_factor(problem: JointProblem, z: Step) -> Float[Array, ""]:
     return variance_factor(problem, problem.squares(z))
 
 
-def _rejected(data: Dataset, apart: Rejected, lost: np.ndarray) -> Rejected:
-    whole = [(view, None, reason) for view, reason in data.masked_views]
+def _rejected(
+    data: Dataset, apart: tuple[Rejection, ...], lost: np.ndarray
+) -> tuple[Rejection, ...]:
+    whole = [Rejection(view, None, reason) for view, reason in data.masked_views]
     blind = [
-        (data.view_ids[view], int(point), "cannot be projected from the start")
+        Rejection(data.view_ids[view], int(point), "cannot be projected from the start")
         for view, point in np.argwhere(lost)
     ]
     return (*whole, *apart, *blind)

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, mount_from_holder
 from ..compilation import compiled
 from ..dataset import Dataset, Observations
+from ..fit_result import Rejection
 from ..staged import agreeing_views, locate_views, median_deviation
 from .build import build_problem, without_robot
 from .covariance import robust_variance
@@ -54,8 +55,6 @@ MOST = 0.5
 ROUGHLY = StructuredLM(rtol=1e-3)
 """Poses that a thousandth of the cost would move say as well which points lie far off."""
 
-Rejected = tuple[tuple[str, int | None, str], ...]
-
 
 def screened(
     data: Dataset,
@@ -63,7 +62,7 @@ def screened(
     fixed: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     progress: Callable[[str], None] | None = None,
-) -> tuple[Dataset, Rejected]:
+) -> tuple[Dataset, tuple[Rejection, ...]]:
     """The data without gross outliers and without views that contradict the others.
 
     Args:
@@ -105,7 +104,7 @@ def screened(
 
     outside[list(wrong)] = False
     points = tuple(
-        (data.view_ids[view], int(point), _far(float(deviations[view, point]), sigma))
+        Rejection(data.view_ids[view], int(point), _far(float(deviations[view, point]), sigma))
         for view, point in np.argwhere(outside)
     )
     if progress is not None and (points or wrong or lost):

@@ -1,5 +1,6 @@
 """The paper's staged pipeline: the baseline, and the start of the joint fit."""
 
+from ..moved import moved as _moved
 from .agreement import Agreement as Agreement
 from .agreement import agreeing_views as agreeing_views
 from .agreement import median_deviation as median_deviation
@@ -22,8 +23,8 @@ from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
 from .region import with_region as with_region
-from .result import FitCode as FitCode
-from .result import FitResult as FitResult
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
 from .weng import locate_views as locate_views
+
+__getattr__ = _moved(__name__, dict.fromkeys(("FitCode", "FitResult"), "smartview_jax.fit_result"))

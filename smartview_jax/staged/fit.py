@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
 from ..dataset import Dataset, Observations, chain_residuals
+from ..fit_result import FitCode, FitResult, Rejection
 from .agreement import agreeing_views, median_deviation
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
@@ -19,7 +20,6 @@ from .interpolation import Interpolation
 from .kalman import kalman_filter
 from .own_fit import on_one_line, unlike_the_target
 from .region import with_region
-from .result import FitCode, FitResult
 from .weng import ViewCalibrations, calibrate_views, locate_views
 
 MINIMUM_POINTS = 6
@@ -68,7 +68,7 @@ class StagedFit(eqx.Module):
     step3: HandEyeResult
     residuals: Float[Array, "views points 2"]
     inliers: Bool[Array, "views points"]
-    rejected: tuple[tuple[str, int | None, str], ...] = eqx.field(static=True)
+    rejected: tuple[Rejection, ...] = eqx.field(static=True)
     views: tuple[int, ...] = eqx.field(static=True)
     conventions: ConventionReport = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
@@ -239,7 +239,7 @@ def fit_staged(
         chain_residuals(calibration, data.observations),
         inliers,
         _rejected(data, unusable, np.asarray(common.inliers))
-        + tuple((ids[view], None, text) for view, text in doubts.items()),
+        + tuple(Rejection(ids[view], None, text) for view, text in doubts.items()),
         tuple(int(view) for view in np.flatnonzero(agreeing)),
         report,
         _result(common, step3, calibration),
@@ -290,10 +290,10 @@ def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -
 
 def _rejected(
     data: Dataset, unusable: dict[int, str], inliers: np.ndarray
-) -> tuple[tuple[str, int | None, str], ...]:
-    whole = [(data.view_ids[view], None, text) for view, text in unusable.items()]
+) -> tuple[Rejection, ...]:
+    whole = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
     points = [
-        (data.view_ids[view], int(point), "outside the gate of Step 2")
+        Rejection(data.view_ids[view], int(point), "outside the gate of Step 2")
         for view, point in np.argwhere(np.asarray(data.visible) & ~inliers)
         if view not in unusable
     ]

@@ -14,9 +14,9 @@ from smartview_jax.evaluation import (
     view_folds,
     without_correction,
 )
+from smartview_jax.fit_result import FitCode, FitResult
 from smartview_jax.robots import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_points, random_scene
-from smartview_jax.staged import FitCode, FitResult
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""How a fit ended."""
+"""How a fit ended, and what it left out."""
 
 from enum import StrEnum
 from typing import NamedTuple
@@ -34,3 +34,17 @@ class FitResult(NamedTuple):
         """
         if not self.converged:
             raise RuntimeError(f"{self.code}: {self.message}")
+
+
+class Rejection(NamedTuple):
+    """One point, or one whole view, that a fit did not use.
+
+    Attributes:
+        view: its id.
+        point: index of the point; None for the whole view.
+        reason: why.
+    """
+
+    view: str
+    point: int | None
+    reason: str

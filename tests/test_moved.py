@@ -1,0 +1,27 @@
+"""Names that moved are found at their old place for one release, with a word on where they are."""
+
+import pytest
+
+import smartview_jax as sv
+
+MOVED = {"staged": {"fit_result": "FitCode FitResult"}}
+
+NAMES = [
+    (old, new, name)
+    for old, places in MOVED.items()
+    for new, names in places.items()
+    for name in names.split()
+]
+
+
+@pytest.mark.parametrize(("old", "new", "name"), NAMES)
+def test_an_old_name_still_works_and_says_where_it_is(old, new, name):
+    with pytest.warns(DeprecationWarning, match=rf"now smartview_jax\.{new}\.{name};"):
+        found = getattr(getattr(sv, old), name)
+    assert found is getattr(getattr(sv, new), name)
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_a_name_that_never_was_is_an_attribute_error(old):
+    with pytest.raises(AttributeError, match=f"'smartview_jax.{old}' has no attribute 'never'"):
+        _ = getattr(sv, old).never
