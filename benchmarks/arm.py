@@ -33,7 +33,7 @@ ROWS = (
         "zeros of joints 2 to 6, scale",
         lambda data: {
             "noise": "trusted",
-            "field": sv.robots.JointOffsets(data.arm),
+            "field": sv.robot_errors.JointOffsets(data.arm),
             "free": ("target_scale",),
             # The first joint's zero is the board's place, the last one's the camera's mount.
             "fixed": ("robot_error.joint_offset.1", "robot_error.joint_offset.7"),

@@ -15,7 +15,8 @@ from smartview_jax.files import dump_yaml, read_yaml, write_atomically
 from smartview_jax.geometry import ViewedRegion
 from smartview_jax.io import robot_cal_tools
 from smartview_jax.io.rough_pose import rough_pose
-from smartview_jax.robots import JointOffsets, LinearInPosition, RobotError, kuka_lwr4
+from smartview_jax.robot_errors import JointOffsets, LinearInPosition, RobotError
+from smartview_jax.robots import kuka_lwr4
 from smartview_jax.schemas.dataset import DATASET
 from smartview_jax.schemas.reading import checked
 from smartview_jax.simulation import paper_calibration

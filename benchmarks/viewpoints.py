@@ -13,7 +13,7 @@ import numpy as np
 from jaxlie import SE3
 
 import smartview_jax as sv
-from smartview_jax.robots import LinearInPose, RobotError
+from smartview_jax.robot_errors import LinearInPose, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, views_around
 from smartview_jax.viewpoints import predict
 

@@ -20,6 +20,7 @@ _jax.config.update("jax_enable_x64", True)
 
 from . import cameras as cameras  # noqa: E402
 from . import io as io  # noqa: E402
+from . import robot_errors as robot_errors  # noqa: E402
 from . import robots as robots  # noqa: E402
 from . import simulation as simulation  # noqa: E402
 from . import targets as targets  # noqa: E402

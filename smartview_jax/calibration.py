@@ -32,16 +32,8 @@ from .geometry import (
     transform_points,
     transform_to_dict,
 )
-from .robots import (
-    AbstractField,
-    Command,
-    CommandLike,
-    JointsLike,
-    RobotError,
-    as_command,
-    robot_error_from_dict,
-    robot_error_to_dict,
-)
+from .robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
+from .robots import Command, CommandLike, JointsLike, as_command
 
 FORMAT_VERSION = 2
 """Files of version 1 have no end mark; see `schemas.calibration` for which of them load."""

@@ -433,7 +433,8 @@ def _figure(value: float, codec: "PoseCodec", column: int) -> str:
 def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
     """The arm that is named, or whose own errors the calibration corrects."""
     from .io import load_urdf
-    from .robots import arm_by_name, arm_of
+    from .robot_errors import arm_of
+    from .robots import arm_by_name
 
     if words is not None:
         return load_urdf(words) if words.endswith(".urdf") else arm_by_name(words)

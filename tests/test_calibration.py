@@ -11,7 +11,7 @@ from text_files import edit
 from smartview_jax import Calibration
 from smartview_jax.cameras import AbstractPerspectiveLens, Camera, Pinhole, lens_by_name
 from smartview_jax.geometry import ViewedRegion
-from smartview_jax.robots import LinearInPosition, RobotError
+from smartview_jax.robot_errors import LinearInPosition, RobotError
 
 LENSES = ("pinhole", "radial", "weng", "opencv4", "opencv5", "opencv8", "fisheye")
 

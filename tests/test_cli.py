@@ -366,7 +366,8 @@ def test_a_viewpoint_in_another_makers_words(tmp_path):
 def test_a_viewpoint_in_an_arms_joints(tmp_path):
     """An arm by its name, and one whose zeros were fitted: its readings make up for them."""
     from smartview_jax.io import read_viewpoints
-    from smartview_jax.robots import JointOffsets, RobotError, joints_for_pose, puma_560
+    from smartview_jax.robot_errors import JointOffsets, RobotError
+    from smartview_jax.robots import joints_for_pose, puma_560
     from smartview_jax.simulation import paper_calibration
     from smartview_jax.viewpoints import look_at
 

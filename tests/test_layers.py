@@ -15,13 +15,14 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # writing of text, `fit_result` how any fit ended, `moved` where names were before, `schemas` what
 # may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
-    compilation files fit_result moved schemas geometry cameras robots targets calibration dataset
-    detection io simulation staged joint evaluation viewpoints modeling localization grasping report
-    editor interrupts cli
+    compilation files fit_result moved schemas geometry cameras targets robots robot_errors
+    calibration dataset detection io simulation staged joint evaluation viewpoints modeling
+    localization grasping report editor interrupts cli
 """.split()
 
 NO_OPENCV = """
-    compilation geometry cameras robots targets calibration dataset staged joint viewpoints
+    compilation geometry cameras targets robots robot_errors calibration dataset staged joint
+    viewpoints
 """.split()
 
 

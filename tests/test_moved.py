@@ -4,7 +4,16 @@ import pytest
 
 import smartview_jax as sv
 
-MOVED = {"staged": {"fit_result": "FitCode FitResult"}}
+MOVED = {
+    "robots": {
+        "robot_errors": """
+            AbstractField AbstractLinearField CombinedField DHErrors ImpliedArm JointOffsets
+            JointRatios LinearInPose LinearInPosition PoseOrStretch RobotError RobotPrior Stretched
+            arm_of field_by_name field_name robot_error_from_dict robot_error_to_dict
+        """
+    },
+    "staged": {"fit_result": "FitCode FitResult"},
+}
 
 NAMES = [
     (old, new, name)

@@ -8,7 +8,7 @@ import numpy as np
 from ..dataset import Dataset
 from ..joint import JointFit
 from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
-from ..robots import AbstractField, CombinedField, ImpliedArm
+from ..robot_errors import AbstractField, CombinedField, ImpliedArm
 from .explanations import (
     Explanation,
     explanations,

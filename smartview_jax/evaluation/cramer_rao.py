@@ -14,7 +14,7 @@ from ..joint.covariance import UnitColumns, covariance
 from ..joint.observability import observability
 from ..joint.problem import JointProblem
 from ..joint.schur import eliminate
-from ..robots import AbstractField
+from ..robot_errors import AbstractField
 
 
 class Bound(eqx.Module):

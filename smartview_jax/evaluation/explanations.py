@@ -17,7 +17,7 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..joint import JointFit, fit_joint, parameter_names
 from ..joint.alternatives import SCALE as TARGET_SCALE
-from ..robots import LinearInPose, PoseOrStretch, RobotPrior
+from ..robot_errors import LinearInPose, PoseOrStretch, RobotPrior
 from .held_out import held_out
 from .measures import predict
 

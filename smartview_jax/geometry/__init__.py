@@ -10,8 +10,6 @@ from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
 from .oat import xyzoat as xyzoat
-from .plain import transform_from_dict as transform_from_dict
-from .plain import transform_to_dict as transform_to_dict
 from .pose_codecs import ANGLE_UNITS as ANGLE_UNITS
 from .pose_codecs import LENGTH_UNITS as LENGTH_UNITS
 from .pose_codecs import POSE_CODECS as POSE_CODECS
@@ -25,6 +23,8 @@ from .rigid import mean_pose as mean_pose
 from .rigid import nearest_rotation as nearest_rotation
 from .rigid import rotation_angle as rotation_angle
 from .rigid import transform_points as transform_points
+from .serialization import transform_from_dict as transform_from_dict
+from .serialization import transform_to_dict as transform_to_dict
 from .viewed_region import ViewedRegion as ViewedRegion
 from .viewed_region import region_from_dict as region_from_dict
 from .viewed_region import region_to_dict as region_to_dict

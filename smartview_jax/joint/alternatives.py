@@ -25,7 +25,7 @@ from jaxtyping import Bool
 
 from ..compilation import optimised
 from ..dataset import Dataset
-from ..robots import (
+from ..robot_errors import (
     AbstractField,
     CombinedField,
     DHErrors,

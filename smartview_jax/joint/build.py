@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera, start_lens
 from ..dataset import Dataset
-from ..robots import AbstractField, RobotError
+from ..robot_errors import AbstractField, RobotError
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, Parameters, Step, parameter_names, select

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration
 from ..compilation import compiled
 from ..dataset import Dataset
-from ..robots import AbstractField, RobotPrior
+from ..robot_errors import AbstractField, RobotPrior
 from .alternatives import (
     SCALE,
     Candidate,
@@ -145,7 +145,7 @@ def estimate_noise(
         field: None averages over a robot with white noise, and with a field besides: linear in
             position or in the pose, or that of an arm that nobody described, or, where an arm's
             joints are known, of their zeros or of all its Denavit-Hartenberg numbers; False is
-            white noise alone; a field of `robots`, or your own, is taken as it is.
+            white noise alone; a field of `robot_errors`, or your own, is taken as it is.
         fixed: as `fit_joint` takes them, and so are `free` and `priors`.
         free: see there.
         priors: see there.

@@ -17,7 +17,7 @@ from ..cameras import AbstractLens
 from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
 from ..fit_result import FitCode, FitResult, Rejection
-from ..robots import AbstractField, RobotPrior
+from ..robot_errors import AbstractField, RobotPrior
 from ..staged import with_region
 from ..staged.agreement import FEWEST
 from .build import Built, build_problem, with_lens
@@ -179,8 +179,8 @@ def fit_joint(
         noise: `"estimated"` finds the sizes of all errors, and chooses a field, by likelihood; a
             `Noise` states them, and lets every view correct its pose under a prior; `"trusted"`
             takes the reported poses as exact.
-        field: of the robot's error: one of `robots`, or your own. None: chosen by likelihood where
-            the noise is estimated, otherwise the start's own stays as it is; False: none.
+        field: of the robot's error: one of `robot_errors`, or your own. None: chosen by likelihood
+            where the noise is estimated, otherwise the start's own stays as it is; False: none.
         loss: robust loss on the points: a name or an `AbstractLoss`. Its scale, and the weight of
             priors, are in deviations of a pixel: the noise's, or where the robot is trusted those
             that the residuals tell.

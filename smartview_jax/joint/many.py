@@ -20,7 +20,7 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import optimised
 from ..dataset import Dataset, Observations
-from ..robots import AbstractField
+from ..robot_errors import AbstractField
 from .build import build_problem, nowhere, with_field, with_lens
 from .covariance import NULL, variance_factor
 from .estimate import FINEST

@@ -22,7 +22,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..robots import RobotError
+from ..robot_errors import RobotError
 
 _AXES = ("x", "y", "z")
 CORRECTIONS = "pose_corrections"

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..compilation import compiled
 from ..dataset import Observations
-from ..robots import RobotError
+from ..robot_errors import RobotError
 from .alternatives import MINIMUM_RELIABLE_VIEWS, SCALE
 from .estimate import DECIDED
 

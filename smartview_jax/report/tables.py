@@ -25,7 +25,7 @@ from ..evaluation import (
 from ..joint import CalibrationFit, JointFit
 from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
 from ..joint.parameters import ROBOT_ERROR
-from ..robots import arm_of
+from ..robot_errors import arm_of
 
 
 class Summary(NamedTuple):

@@ -1,42 +1,40 @@
-"""Arms: forward kinematics, and how what a robot reports differs from where its tool is."""
+"""Arms: forward and inverse kinematics, limits, and what a robot is told and reports."""
 
-from .arm_errors import DHErrors as DHErrors
-from .arm_errors import JointOffsets as JointOffsets
-from .arm_errors import JointRatios as JointRatios
-from .arm_errors import arm_of as arm_of
+from ..moved import moved as _moved
 from .axes import arm_from_axes as arm_from_axes
-from .combined import CombinedField as CombinedField
 from .command import FARTHEST as FARTHEST
 from .command import Command as Command
 from .command import CommandLike as CommandLike
 from .command import JointsLike as JointsLike
 from .command import as_command as as_command
-from .field import AbstractField as AbstractField
-from .field import AbstractLinearField as AbstractLinearField
-from .implied_arm import ImpliedArm as ImpliedArm
 from .inverse_kinematics import joints_near as joints_near
 from .joint_solution import JointSolution as JointSolution
 from .joint_solution import Status as Status
-from .linear_fields import LinearInPose as LinearInPose
-from .linear_fields import LinearInPosition as LinearInPosition
 from .models import ARMS as ARMS
 from .models import arm_by_name as arm_by_name
 from .models import kuka_lwr4 as kuka_lwr4
 from .models import puma_560 as puma_560
 from .models import puma_560_lee as puma_560_lee
 from .models import six_axes as six_axes
-from .names import field_by_name as field_by_name
-from .names import field_name as field_name
-from .plain import arm_from_dict as arm_from_dict
-from .plain import arm_to_dict as arm_to_dict
-from .plain import robot_error_from_dict as robot_error_from_dict
-from .plain import robot_error_to_dict as robot_error_to_dict
+from .puma_inverse import branch_joints as branch_joints
 from .puma_inverse import is_puma_like as is_puma_like
 from .puma_inverse import nearest_puma_joints as nearest_puma_joints
 from .puma_inverse import puma_joints as puma_joints
-from .robot_error import RobotError as RobotError
-from .robot_prior import RobotPrior as RobotPrior
 from .serial_arm import SerialArm as SerialArm
+from .serial_arm import by_numbers as by_numbers
+from .serialization import arm_from_dict as arm_from_dict
+from .serialization import arm_to_dict as arm_to_dict
 from .solve_joints import joints_for_pose as joints_for_pose
-from .stretch import PoseOrStretch as PoseOrStretch
-from .stretch import Stretched as Stretched
+
+# The room above, which only a name that moved there opens.
+__getattr__ = _moved(
+    __name__,
+    dict.fromkeys(
+        """
+        AbstractField AbstractLinearField CombinedField DHErrors ImpliedArm JointOffsets JointRatios
+        LinearInPose LinearInPosition PoseOrStretch RobotError RobotPrior Stretched arm_of
+        field_by_name field_name robot_error_from_dict robot_error_to_dict
+        """.split(),
+        "smartview_jax.robot_errors",
+    ),
+)

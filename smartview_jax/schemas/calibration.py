@@ -74,7 +74,7 @@ def _part(value: Any) -> str:
 
 
 class FieldEntry(Entry):
-    """A smooth error of the robot: its model's name and parts, which `robots` knows."""
+    """A smooth error of the robot: its model's name and parts, which `robot_errors` knows."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "allow"}
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]

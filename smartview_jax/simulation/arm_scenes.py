@@ -16,7 +16,8 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 from ..cameras import Camera, OpenCV5
 from ..dataset import Dataset
-from ..robots import DHErrors, RobotError, SerialArm, joints_near, six_axes
+from ..robot_errors import DHErrors, RobotError
+from ..robots import SerialArm, joints_near, six_axes
 from .scenes import simulate, views_around
 
 ERRORS = {

@@ -21,7 +21,8 @@ from ..dataset import Dataset, Observations
 from ..geometry import look_at, transform_points
 from ..joint import JointProblem, Noise, Prior, build_problem
 from ..joint.parameters import Step
-from ..robots import AbstractField, Command, JointsLike, arm_of
+from ..robot_errors import AbstractField, arm_of
+from ..robots import Command, JointsLike
 from .checks import border_distance
 
 

@@ -8,7 +8,7 @@ from starts import nudged
 from smartview_jax import error_budget, fit_joint, fit_staged, held_out
 from smartview_jax.evaluation import deviations
 from smartview_jax.evaluation.budget import SCALE, SYSTEMATIC, VIEWS
-from smartview_jax.robots import ImpliedArm, LinearInPose, RobotError
+from smartview_jax.robot_errors import ImpliedArm, LinearInPose, RobotError
 from smartview_jax.simulation import (
     paper_calibration,
     paper_points,

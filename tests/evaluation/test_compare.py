@@ -15,7 +15,7 @@ from smartview_jax.evaluation import (
     rejected_by,
     standard_methods,
 )
-from smartview_jax.robots import LinearInPosition, RobotError
+from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_points, random_scene
 
 

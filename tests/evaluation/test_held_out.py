@@ -15,7 +15,7 @@ from smartview_jax.evaluation import (
     without_correction,
 )
 from smartview_jax.fit_result import FitCode, FitResult
-from smartview_jax.robots import LinearInPosition, RobotError
+from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_points, random_scene
 
 

@@ -7,7 +7,7 @@ from jaxlie import SE3, SO3
 
 import smartview_jax as sv
 from smartview_jax.evaluation import stylus_miss, touching
-from smartview_jax.robots import LinearInPosition, RobotError
+from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration
 
 TIP = np.array([0.01, -0.02, 0.15])

@@ -19,7 +19,7 @@ from smartview_jax.joint.alternatives import (
 from smartview_jax.joint.estimate import estimate_noise
 from smartview_jax.joint.likelihood import LEAST, Sizes, deviance
 from smartview_jax.joint.scoring import Likeliest, SizePrior, likeliest
-from smartview_jax.robots import ImpliedArm, LinearInPose
+from smartview_jax.robot_errors import ImpliedArm, LinearInPose
 from smartview_jax.simulation import paper_points, random_scene, six_axis_scene
 
 POINTS = paper_points((0.0, 0.02))[::3]

@@ -6,7 +6,8 @@ from shared_data import shared_data, shared_pairs
 
 from smartview_jax import fit_joint, fit_staged
 from smartview_jax.evaluation import deviations
-from smartview_jax.robots import JointOffsets, kuka_lwr4
+from smartview_jax.robot_errors import JointOffsets
+from smartview_jax.robots import kuka_lwr4
 
 
 @pytest.fixture(scope="module")

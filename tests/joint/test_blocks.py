@@ -13,7 +13,8 @@ from smartview_jax import Calibration, Noise, Prior
 from smartview_jax.cameras import AbstractPerspectiveLens
 from smartview_jax.joint import blocks
 from smartview_jax.joint.build import build_problem
-from smartview_jax.robots import DHErrors, LinearInPose, six_axes
+from smartview_jax.robot_errors import DHErrors, LinearInPose
+from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_points, random_scene
 
 NOISE = Noise(0.15, 1e-3, 1e-2)

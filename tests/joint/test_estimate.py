@@ -12,7 +12,7 @@ from starts import nudged
 from smartview_jax import Noise, Prior, fit_joint, fit_staged
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import deviations
-from smartview_jax.robots import (
+from smartview_jax.robot_errors import (
     LinearInPose,
     LinearInPosition,
     RobotError,

@@ -9,7 +9,7 @@ from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint, fit_many
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robots import LinearInPosition, RobotError
+from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 POINTS = paper_points((0.0, 0.02))[::6]

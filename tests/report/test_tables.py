@@ -29,7 +29,8 @@ from smartview_jax.report import (
     verdict,
 )
 from smartview_jax.report.tables import _in_words, errors_found, models_chosen, parameter_rows
-from smartview_jax.robots import DHErrors, LinearInPosition, RobotError, RobotPrior, six_axes
+from smartview_jax.robot_errors import DHErrors, LinearInPosition, RobotError, RobotPrior
+from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_points, random_scene
 
 FITTED = Deviations(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))

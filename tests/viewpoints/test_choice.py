@@ -8,7 +8,8 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import Dataset, Noise, Prior, cramer_rao, look_at, std_of
-from smartview_jax.robots import JointOffsets, RobotError, six_axes
+from smartview_jax.robot_errors import JointOffsets, RobotError
+from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_calibration, paper_points, simulate, views_around
 from smartview_jax.simulation.arm_scenes import NEAR
 from smartview_jax.viewpoints import (

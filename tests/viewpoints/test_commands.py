@@ -8,7 +8,8 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration
 from smartview_jax.geometry import se3_from_xyzoat
-from smartview_jax.robots import JointOffsets, LinearInPose, RobotError, six_axes
+from smartview_jax.robot_errors import JointOffsets, LinearInPose, RobotError
+from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_calibration, paper_points, views_around
 from smartview_jax.viewpoints import (
     Limits,

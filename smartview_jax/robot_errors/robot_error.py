@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .command import Command, CommandLike, JointsLike, as_command
+from ..robots import Command, CommandLike, JointsLike, as_command
 from .field import AbstractField
 
 

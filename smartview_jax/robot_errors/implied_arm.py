@@ -13,12 +13,10 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..robots import Command, SerialArm, branch_joints
 from .arm_errors import DHErrors
-from .command import Command
 from .field import AbstractField
 from .linear_fields import reach_of, share_of_reach
-from .puma_inverse import branch_joints
-from .serial_arm import SerialArm
 
 STRETCHED = 0.7
 """Share of its reach at which the arm is at the farthest pose."""

@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robots import (
+from smartview_jax.robot_errors import (
     AbstractField,
     AbstractLinearField,
     LinearInPose,
     LinearInPosition,
     RobotError,
-    as_command,
 )
+from smartview_jax.robots import as_command
 
 
 class Sag(AbstractLinearField):

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .command import Command
+from ..robots import Command
 from .field import AbstractField
 
 

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from smartview_jax import Calibration
-from smartview_jax.robots import (
+from smartview_jax.robot_errors import (
     AbstractField,
     CombinedField,
     ImpliedArm,
     LinearInPosition,
     RobotError,
-    as_command,
 )
+from smartview_jax.robots import as_command
 from smartview_jax.simulation import paper_calibration, random_scene
 
 

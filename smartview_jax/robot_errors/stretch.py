@@ -13,7 +13,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .command import Command
+from ..robots import Command
 from .field import AbstractField, AbstractLinearField
 from .linear_fields import LinearInPose, reach_of
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from .camera import Camera
 from .lens import AbstractLens
-from .names import lens_by_name, lens_name
+from .registry import lens_by_name, lens_name
 
 _PINHOLE = ("alpha_u", "alpha_v", "u0", "v0")
 

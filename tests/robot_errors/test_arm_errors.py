@@ -9,15 +9,8 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robots import (
-    DHErrors,
-    JointOffsets,
-    JointRatios,
-    RobotError,
-    SerialArm,
-    kuka_lwr4,
-    six_axes,
-)
+from smartview_jax.robot_errors import DHErrors, JointOffsets, JointRatios, RobotError
+from smartview_jax.robots import SerialArm, kuka_lwr4, six_axes
 
 ARMS = [six_axes(), kuka_lwr4(), SerialArm(*np.eye(4, 3), prismatic=[False, True, False])]
 

@@ -15,10 +15,8 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from .command import Command, JointsLike
+from ..robots import Command, JointsLike, SerialArm, by_numbers, joints_near
 from .field import AbstractField
-from .inverse_kinematics import joints_near
-from .serial_arm import SerialArm, by_numbers
 
 
 class AbstractArmErrors(AbstractField):

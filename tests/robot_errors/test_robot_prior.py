@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from jaxlie import SE3
 
-from smartview_jax.robots import LinearInPose, LinearInPosition, RobotPrior
+from smartview_jax.robot_errors import LinearInPose, LinearInPosition, RobotPrior
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import Calibration
-from smartview_jax.robots import (
+from smartview_jax.robot_errors import (
     AbstractField,
     ImpliedArm,
     LinearInPose,
@@ -15,8 +15,8 @@ from smartview_jax.robots import (
     PoseOrStretch,
     RobotError,
     Stretched,
-    as_command,
 )
+from smartview_jax.robots import as_command
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 SHARE = 0.03

@@ -14,7 +14,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..geometry import exp_jacobian
-from .command import Command, JointsLike
+from ..robots import Command, JointsLike
 
 INVERSION_STEPS = 8
 """Of the fixed point behind `command`; each gains the ratio of error to reach, a hundredth."""

@@ -7,8 +7,9 @@ from jaxlie import SE3, SO3
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robots import DHErrors, ImpliedArm, RobotError, puma_joints, six_axes
-from smartview_jax.robots.implied_arm import STRETCHED
+from smartview_jax.robot_errors import DHErrors, ImpliedArm, RobotError
+from smartview_jax.robot_errors.implied_arm import STRETCHED
+from smartview_jax.robots import puma_joints, six_axes
 from smartview_jax.robots.puma_inverse import BRANCHES
 from smartview_jax.simulation import six_axis_scene
 

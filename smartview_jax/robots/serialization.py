@@ -1,0 +1,64 @@
+"""An arm as plain numbers with their names, as files have it."""
+
+from typing import Any
+
+import numpy as np
+
+from ..geometry import transform_from_dict, transform_to_dict
+from .serial_arm import SerialArm
+
+_ROWS = ("theta", "d", "a", "alpha")
+
+
+def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
+    """Denavit-Hartenberg numbers, a row each, rad and m."""
+    return {
+        "convention": arm.convention,
+        "prismatic": list(arm.prismatic),
+        **{row: np.asarray(getattr(arm, row)).tolist() for row in _ROWS},
+        "flange_from_tool": transform_to_dict(arm.flange_from_tool),
+        "base_from_first": transform_to_dict(arm.base_from_first),
+        # JSON has no infinity.
+        "limits": [
+            [bound if np.isfinite(bound) else None for bound in row]
+            for row in np.asarray(arm.limits).tolist()
+        ],
+    }
+
+
+def arm_from_dict(content: dict[str, Any]) -> SerialArm:
+    """The inverse of `arm_to_dict`.
+
+    Only the numbers and their convention have to be there: by default joints turn without limits,
+    the flange is the tool, and the first axis the base's.
+
+    Raises:
+        ValueError: not an arm's numbers.
+        KeyError: an entry is missing.
+    """
+    tool, first = (
+        None if content.get(name) is None else transform_from_dict(name, content[name])
+        for name in ("flange_from_tool", "base_from_first")
+    )
+    return SerialArm(
+        **{row: np.asarray(content[row], dtype=float) for row in _ROWS},
+        convention=content["convention"],
+        prismatic=content.get("prismatic"),
+        limits=_limits_from_plain(content.get("limits")),
+        flange_from_tool=tool,
+        base_from_first=first,
+    )
+
+
+def _limits_from_plain(rows: list[list[float | None]] | None) -> np.ndarray | None:
+    """Bounds, infinite where the file has none."""
+    if rows is None:
+        return None
+    unbounded = (-np.inf, np.inf)
+    return np.array(
+        [
+            [none if bound is None else bound for bound, none in zip(row, unbounded, strict=True)]
+            for row in rows
+        ],
+        dtype=float,
+    )
