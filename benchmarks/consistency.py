@@ -24,9 +24,9 @@ from scipy.special import chdtri
 import smartview_jax as sv
 from smartview_jax.evaluation import coverage, covered, mean_nees, nees
 from smartview_jax.files import write_atomically
-from smartview_jax.joint.doubt import p_value
 from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene, simulate
+from smartview_jax.variance.doubt import p_value
 
 RESULTS = Path(__file__).parents[1] / "build" / "consistency"
 POINTS = paper_points((0.0, 0.02))[::3][:30]

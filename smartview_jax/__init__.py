@@ -25,10 +25,13 @@ from . import robots as robots  # noqa: E402
 from . import simulation as simulation  # noqa: E402
 from . import targets as targets  # noqa: E402
 from . import viewpoints as viewpoints  # noqa: E402
+from .arm_identification import fit_kinematics as fit_kinematics  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402
 from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
 from .detection import correct_circle_centres as correct_circle_centres  # noqa: E402
+from .engine import Noise as Noise  # noqa: E402
+from .engine import Prior as Prior  # noqa: E402
 from .evaluation import compare as compare  # noqa: E402
 from .evaluation import cramer_rao as cramer_rao  # noqa: E402
 from .evaluation import error_budget as error_budget  # noqa: E402
@@ -41,12 +44,9 @@ from .geometry import xyzoat as xyzoat  # noqa: E402
 from .io import load_dataset as load_dataset  # noqa: E402
 from .io import save_dataset as save_dataset  # noqa: E402
 from .joint import JointFit as JointFit  # noqa: E402
-from .joint import Noise as Noise  # noqa: E402
-from .joint import Prior as Prior  # noqa: E402
 from .joint import calibrate as calibrate  # noqa: E402
 from .joint import fit_camera as fit_camera  # noqa: E402
 from .joint import fit_joint as fit_joint  # noqa: E402
-from .joint import fit_kinematics as fit_kinematics  # noqa: E402
 from .joint import fit_many as fit_many  # noqa: E402
 from .joint import view_influence as view_influence  # noqa: E402
 from .staged import StagedFit as StagedFit  # noqa: E402

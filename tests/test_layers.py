@@ -16,13 +16,13 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
     compilation files fit_result moved schemas geometry cameras targets robots robot_errors
-    calibration dataset detection io simulation staged joint evaluation viewpoints modeling
-    localization grasping report editor interrupts cli
+    calibration dataset detection io simulation staged engine variance joint arm_identification
+    evaluation viewpoints modeling localization grasping report editor interrupts cli
 """.split()
 
 NO_OPENCV = """
-    compilation geometry cameras targets robots robot_errors calibration dataset staged joint
-    viewpoints
+    compilation geometry cameras targets robots robot_errors calibration dataset staged engine
+    variance joint arm_identification viewpoints
 """.split()
 
 

@@ -5,6 +5,14 @@ import pytest
 import smartview_jax as sv
 
 MOVED = {
+    "joint": {
+        "engine": """
+            AbstractLoss Cauchy GemanMcClure Huber JointProblem Noise Observability Prior
+            StructuredLM StudentT build_problem optimum parameter_names
+        """,
+        "variance": "Alternative NoiseEstimate estimate_noise",
+        "arm_identification": "KinematicFit fit_kinematics",
+    },
     "robots": {
         "robot_errors": """
             AbstractField AbstractLinearField CombinedField DHErrors ImpliedArm JointOffsets

@@ -12,9 +12,9 @@ import numpy as np  # noqa: E402
 
 import smartview_jax as sv  # noqa: E402
 from smartview_jax.cameras import AbstractPerspectiveLens, implicit_inverse  # noqa: E402
-from smartview_jax.joint.build import build_problem  # noqa: E402
-from smartview_jax.joint.sharding import deal_out  # noqa: E402
-from smartview_jax.joint.solver import solve  # noqa: E402
+from smartview_jax.engine.build import build_problem  # noqa: E402
+from smartview_jax.engine.sharding import deal_out  # noqa: E402
+from smartview_jax.engine.solver import solve  # noqa: E402
 
 from . import problem as peer  # noqa: E402
 from .result import report, timed  # noqa: E402

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..dataset import Dataset
 from ..joint import JointFit
-from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
 from ..robot_errors import AbstractField, CombinedField, ImpliedArm
+from ..variance import MINIMUM_RELIABLE_VIEWS
 from .explanations import (
     Explanation,
     explanations,

@@ -9,11 +9,17 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..compilation import compiled
 from ..dataset import Dataset
-from ..joint import Noise, Observability, Prior, build_problem
-from ..joint.covariance import UnitColumns, covariance
-from ..joint.observability import observability
-from ..joint.problem import JointProblem
-from ..joint.schur import eliminate
+from ..engine import (
+    JointProblem,
+    Noise,
+    Observability,
+    Prior,
+    UnitColumns,
+    build_problem,
+    covariance,
+    eliminate,
+    observability,
+)
 from ..robot_errors import AbstractField
 
 

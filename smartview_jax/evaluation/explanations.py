@@ -15,9 +15,10 @@ from jaxtyping import Array
 
 from ..calibration import Calibration
 from ..dataset import Dataset
-from ..joint import JointFit, fit_joint, parameter_names
-from ..joint.alternatives import SCALE as TARGET_SCALE
+from ..engine import parameter_names
+from ..joint import JointFit, fit_joint
 from ..robot_errors import LinearInPose, PoseOrStretch, RobotPrior
+from ..variance import SCALE as TARGET_SCALE
 from .held_out import held_out
 from .measures import predict
 

@@ -10,8 +10,7 @@ from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..compilation import compiled
-from ..joint import Observability
-from ..joint.parameters import Parameters, Step, parameter_names
+from ..engine import Observability, Parameters, Step, parameter_names
 
 
 @runtime_checkable

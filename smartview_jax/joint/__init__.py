@@ -1,32 +1,30 @@
-"""The joint fit: one least-squares problem from the arm to the pixel."""
+"""The joint fit: camera, hand-eye, world and the robot's error from all pixels at once."""
 
-from .build import build_problem as build_problem
+from ..moved import moved as _moved
 from .calibrate import CalibrationFit as CalibrationFit
 from .calibrate import best_uncorrected as best_uncorrected
 from .calibrate import calibrate as calibrate
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_filter as batch_filter
 from .camera_fit import fit_camera as fit_camera
-from .estimate import Alternative as Alternative
-from .estimate import NoiseEstimate as NoiseEstimate
-from .estimate import estimate_noise as estimate_noise
 from .fit import JointFit as JointFit
 from .fit import fit_joint as fit_joint
 from .fit import view_influence as view_influence
 from .influence import Influence as Influence
-from .kinematics import KinematicFit as KinematicFit
-from .kinematics import fit_kinematics as fit_kinematics
-from .losses import AbstractLoss as AbstractLoss
-from .losses import Cauchy as Cauchy
-from .losses import GemanMcClure as GemanMcClure
-from .losses import Huber as Huber
-from .losses import StudentT as StudentT
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
-from .noise import Noise as Noise
-from .observability import Observability as Observability
-from .parameters import parameter_names as parameter_names
-from .priors import Prior as Prior
-from .problem import JointProblem as JointProblem
-from .solver import StructuredLM as StructuredLM
-from .solver import optimum as optimum
+
+_PLACES = {
+    "engine": """
+        AbstractLoss Cauchy GemanMcClure Huber JointProblem Noise Observability Prior StructuredLM
+        StudentT build_problem optimum parameter_names
+    """,
+    "variance": "Alternative NoiseEstimate estimate_noise",
+    "arm_identification": "KinematicFit fit_kinematics",
+}
+
+# The last is above: opened only by a name that moved there.
+__getattr__ = _moved(
+    __name__,
+    {name: f"smartview_jax.{room}" for room, names in _PLACES.items() for name in names.split()},
+)

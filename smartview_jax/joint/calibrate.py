@@ -11,11 +11,11 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, chain_residuals
+from ..engine import parameter_names
 from ..fit_result import Rejection
 from ..staged import StagedFit, fit_staged, kalman_filter, views_to_use
 from .camera_fit import batch_filter
 from .fit import JointFit, fit_joint
-from .parameters import parameter_names
 from .rehearsal import rehearse
 
 LENS = "opencv4"

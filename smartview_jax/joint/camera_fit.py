@@ -17,14 +17,10 @@ from jaxtyping import Array, Bool, Float
 from ..cameras import AbstractLens, Camera
 from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
+from ..engine import AbstractLoss, Noise, Prior, Solution, without_robot
 from ..fit_result import FitCode, FitResult
 from ..staged.kalman import pixel_residuals, robust_sigma
-from .build import without_robot
 from .fit import fit_joint
-from .losses import AbstractLoss
-from .noise import Noise
-from .priors import Prior
-from .solver import Solution
 
 ROUNDS = 10
 """Fits at most, each without what the one before called outliers."""

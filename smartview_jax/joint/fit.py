@@ -16,26 +16,40 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
+from ..engine import (
+    AbstractLoss,
+    BlockArrow,
+    Built,
+    JointProblem,
+    Noise,
+    NormalEquations,
+    Observability,
+    Parameters,
+    Prior,
+    Solution,
+    Step,
+    UnitColumns,
+    build_problem,
+    covariance,
+    eliminate,
+    observability,
+    own_std,
+    parameter_names,
+    robust_variance,
+    select,
+    solve,
+    solve_on,
+    variance_factor,
+    with_lens,
+)
 from ..fit_result import FitCode, FitResult, Rejection
 from ..robot_errors import AbstractField, RobotPrior
 from ..staged import with_region
 from ..staged.agreement import FEWEST
-from .build import Built, build_problem, with_lens
-from .covariance import UnitColumns, covariance, own_std, robust_variance, variance_factor
-from .doubt import p_value
-from .estimate import FINEST, NoiseEstimate, estimate_noise
+from ..variance import FINEST, NoiseEstimate, estimate_noise, p_value
 from .influence import Influence, moves_without, pose_scores
-from .losses import AbstractLoss
-from .noise import Noise
-from .observability import Observability, observability
-from .parameters import Parameters, Step, parameter_names, select
 from .plausibility import UNUSUAL, doubts
-from .priors import Prior
-from .problem import JointProblem, NormalEquations
-from .schur import BlockArrow, eliminate
 from .screening import screened, without_views
-from .sharding import solve_on
-from .solver import Solution, solve
 
 GATE = 2.0 * np.log(1e4)
 """Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""

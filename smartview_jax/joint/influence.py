@@ -17,9 +17,7 @@ from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
 
 from ..compilation import compiled
-from .parameters import Step, select
-from .problem import JointProblem
-from .schur import BlockArrow, eliminate
+from ..engine import BlockArrow, JointProblem, Step, eliminate, select
 
 TELLING = 1e-6
 """Share of a correction's prior variance that its view must explain, to say anything about it."""

@@ -20,18 +20,28 @@ from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import optimised
 from ..dataset import Dataset, Observations
+from ..engine import (
+    MAXIMUM_STEPS,
+    NULL,
+    AbstractLoss,
+    JointProblem,
+    Noise,
+    Prior,
+    Step,
+    StructuredLM,
+    build_problem,
+    eliminate,
+    last_repeated,
+    next_to_nothing,
+    nowhere,
+    run,
+    valid_at_start,
+    variance_factor,
+    with_field,
+    with_lens,
+)
 from ..robot_errors import AbstractField
-from .build import build_problem, nowhere, with_field, with_lens
-from .covariance import NULL, variance_factor
-from .estimate import FINEST
-from .losses import AbstractLoss
-from .noise import Noise
-from .parameters import Step
-from .priors import Prior
-from .problem import JointProblem, valid_at_start
-from .schur import eliminate
-from .sharding import last_repeated
-from .solver import MAXIMUM_STEPS, StructuredLM, next_to_nothing, run
+from ..variance import FINEST
 
 OwnParts = tuple[Calibration, Observations, Any]
 """Where a fit starts, what was seen, and which of each view's own six may move."""

@@ -14,8 +14,7 @@ from jaxtyping import Array, Float
 from ..compilation import compiled
 from ..dataset import Observations
 from ..robot_errors import RobotError
-from .alternatives import MINIMUM_RELIABLE_VIEWS, SCALE
-from .estimate import DECIDED
+from ..variance import DECIDED, MINIMUM_RELIABLE_VIEWS, SCALE
 
 if TYPE_CHECKING:
     from .fit import JointFit

@@ -20,17 +20,21 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, mount_from_holder
 from ..compilation import compiled
 from ..dataset import Dataset, Observations
+from ..engine import (
+    Cauchy,
+    JointProblem,
+    Noise,
+    Prior,
+    Step,
+    StructuredLM,
+    build_problem,
+    robust_variance,
+    solve,
+    without_robot,
+)
 from ..fit_result import Rejection
 from ..staged import agreeing_views, locate_views, median_deviation
-from .build import build_problem, without_robot
-from .covariance import robust_variance
-from .estimate import FINEST
-from .losses import Cauchy
-from .noise import Noise
-from .parameters import Step
-from .priors import Prior
-from .problem import JointProblem
-from .solver import StructuredLM, solve
+from ..variance import FINEST
 
 GROSS = 144.0
 """Squared whitened deviation from a view's own best pose beyond which a point is left out.

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..dataset import Dataset
+from ..engine import ROBOT_ERROR
 from ..evaluation import (
     UNCORRECTED,
     Deviations,
@@ -23,9 +24,8 @@ from ..evaluation import (
     without_rejected_views,
 )
 from ..joint import CalibrationFit, JointFit
-from ..joint.alternatives import MINIMUM_RELIABLE_VIEWS
-from ..joint.parameters import ROBOT_ERROR
 from ..robot_errors import arm_of
+from ..variance import MINIMUM_RELIABLE_VIEWS
 
 
 class Summary(NamedTuple):

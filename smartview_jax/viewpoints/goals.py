@@ -14,7 +14,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..joint.covariance import NULL
+from ..engine import NULL
 from .survey import Survey
 
 

@@ -18,9 +18,8 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration
 from ..compilation import optimised
 from ..dataset import Dataset, Observations
+from ..engine import JointProblem, Noise, Prior, Step, build_problem
 from ..geometry import look_at, transform_points
-from ..joint import JointProblem, Noise, Prior, build_problem
-from ..joint.parameters import Step
 from ..robot_errors import AbstractField, arm_of
 from ..robots import Command, JointsLike
 from .checks import border_distance

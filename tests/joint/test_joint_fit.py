@@ -16,10 +16,11 @@ from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior, calibrate, fit_joint
 from smartview_jax.cameras import Camera, OpenCV4
+from smartview_jax.engine import StructuredLM, optimum
+from smartview_jax.engine.build import build_problem
 from smartview_jax.evaluation import cramer_rao, deviations
 from smartview_jax.fit_result import FitCode
-from smartview_jax.joint import StructuredLM, best_uncorrected, optimum
-from smartview_jax.joint.build import build_problem
+from smartview_jax.joint import best_uncorrected
 from smartview_jax.simulation import paper_points, random_scene
 
 POINTS = paper_points((0.0, 0.02))[::4]

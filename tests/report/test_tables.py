@@ -17,8 +17,7 @@ from smartview_jax.evaluation import (
     deviations,
     error_budget,
 )
-from smartview_jax.joint import Alternative, CalibrationFit, NoiseEstimate
-from smartview_jax.joint.doubt import Doubt
+from smartview_jax.joint import CalibrationFit
 from smartview_jax.report import (
     COMPARED,
     Summary,
@@ -32,6 +31,8 @@ from smartview_jax.report.tables import _in_words, errors_found, models_chosen, 
 from smartview_jax.robot_errors import DHErrors, LinearInPosition, RobotError, RobotPrior
 from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.variance import Alternative, NoiseEstimate
+from smartview_jax.variance.doubt import Doubt
 
 FITTED = Deviations(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
 UNSEEN = HeldOut(

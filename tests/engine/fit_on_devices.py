@@ -16,8 +16,8 @@ import numpy as np  # noqa: E402
 from starts import nudged  # noqa: E402
 
 import smartview_jax as sv  # noqa: E402
-from smartview_jax.joint.build import build_problem  # noqa: E402
-from smartview_jax.joint.sharding import deal_out  # noqa: E402
+from smartview_jax.engine.build import build_problem  # noqa: E402
+from smartview_jax.engine.sharding import deal_out  # noqa: E402
 from smartview_jax.simulation import paper_points, random_scene  # noqa: E402
 
 # Seven views do not go evenly into two.

@@ -11,8 +11,8 @@ from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior
 from smartview_jax.cameras import AbstractPerspectiveLens
-from smartview_jax.joint import blocks
-from smartview_jax.joint.build import build_problem
+from smartview_jax.engine import blocks
+from smartview_jax.engine.build import build_problem
 from smartview_jax.robot_errors import DHErrors, LinearInPose
 from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_points, random_scene

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from smartview_jax.joint.likelihood import LinearisedViews, Sizes
-from smartview_jax.joint.parameters import Step
-from smartview_jax.joint.schur import BlockArrow
+from smartview_jax.engine.parameters import Step
+from smartview_jax.engine.schur import BlockArrow
+from smartview_jax.variance.likelihood import LinearisedViews, Sizes
 
 CAMERA, MOUNT, FIELD, VIEWS = 3, 4, (2, 3), 30
 SHARED = CAMERA + MOUNT + sum(FIELD)

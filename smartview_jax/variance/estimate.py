@@ -12,6 +12,18 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration
 from ..compilation import compiled
 from ..dataset import Dataset
+from ..engine import (
+    CORRECTIONS,
+    ROBOT_ERROR,
+    Built,
+    JointProblem,
+    Noise,
+    NormalEquations,
+    Prior,
+    Step,
+    build_problem,
+    solve,
+)
 from ..robot_errors import AbstractField, RobotPrior
 from .alternatives import (
     SCALE,
@@ -27,15 +39,9 @@ from .alternatives import (
     size_prior,
     try_all,
 )
-from .build import Built, build_problem
 from .doubt import Doubt, doubt
 from .likelihood import LEAST, LinearisedViews, Sizes, best_step, integrate
-from .noise import Noise
-from .parameters import CORRECTIONS, ROBOT_ERROR, Step
-from .priors import Prior
-from .problem import JointProblem, NormalEquations
 from .scoring import Likeliest, SizePrior, fisher_information
-from .solver import solve
 
 ROUNDS = 6
 """Of linearising anew with the sizes found, at most."""

@@ -20,7 +20,7 @@ from linear_world import (
 )
 from scipy.stats import multivariate_normal
 
-from smartview_jax.joint.likelihood import best_step, deviance
+from smartview_jax.variance.likelihood import best_step, deviance
 
 
 @pytest.fixture(scope="module")

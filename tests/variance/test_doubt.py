@@ -6,9 +6,9 @@ import pytest
 import scipy.stats
 from linear_world import CAMERA, GROUP, MOUNT, SHARED, TRUTH, drawn, linear_world, linearised
 
-from smartview_jax.joint.doubt import doubt, p_value
-from smartview_jax.joint.likelihood import integrate
-from smartview_jax.joint.scoring import likeliest
+from smartview_jax.variance.doubt import doubt, p_value
+from smartview_jax.variance.likelihood import integrate
+from smartview_jax.variance.scoring import likeliest
 
 FITTED = np.flatnonzero(GROUP < 0)
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from smartview_jax.joint.parameters import Step
-from smartview_jax.joint.schur import BlockArrow, SchurCholesky, eliminate
+from smartview_jax.engine.parameters import Step
+from smartview_jax.engine.schur import BlockArrow, SchurCholesky, eliminate
 
 
 def arrow(views, shared=7, seed=0):

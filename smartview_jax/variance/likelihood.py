@@ -24,8 +24,7 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float, Int
 
-from .parameters import Step
-from .schur import BlockArrow, Elimination, SchurCholesky
+from ..engine import BlockArrow, Elimination, SchurCholesky, Step
 
 LEAST = 1e-8
 """Deviation, m or rad, at which an error of a robot counts as none.

@@ -8,7 +8,9 @@ from starts import nudged
 
 from smartview_jax import fit_joint, fit_staged
 from smartview_jax.evaluation import deviations
-from smartview_jax.joint.alternatives import (
+from smartview_jax.robot_errors import ImpliedArm, LinearInPose
+from smartview_jax.simulation import paper_points, random_scene, six_axis_scene
+from smartview_jax.variance.alternatives import (
     ARM_VIEWS,
     Tried,
     averaged,
@@ -16,11 +18,9 @@ from smartview_jax.joint.alternatives import (
     log_evidence,
     probabilities,
 )
-from smartview_jax.joint.estimate import estimate_noise
-from smartview_jax.joint.likelihood import LEAST, Sizes, deviance
-from smartview_jax.joint.scoring import Likeliest, SizePrior, likeliest
-from smartview_jax.robot_errors import ImpliedArm, LinearInPose
-from smartview_jax.simulation import paper_points, random_scene, six_axis_scene
+from smartview_jax.variance.estimate import estimate_noise
+from smartview_jax.variance.likelihood import LEAST, Sizes, deviance
+from smartview_jax.variance.scoring import Likeliest, SizePrior, likeliest
 
 POINTS = paper_points((0.0, 0.02))[::3]
 

@@ -15,8 +15,8 @@ from linear_world import (
     with_held,
 )
 
-from smartview_jax.joint.likelihood import LEAST, Sizes, deviance, integrate
-from smartview_jax.joint.scoring import fisher_information, likeliest
+from smartview_jax.variance.likelihood import LEAST, Sizes, deviance, integrate
+from smartview_jax.variance.scoring import fisher_information, likeliest
 
 
 @pytest.fixture(scope="module")
