@@ -26,6 +26,7 @@ from . import simulation as simulation  # noqa: E402
 from . import targets as targets  # noqa: E402
 from . import viewpoints as viewpoints  # noqa: E402
 from .arm_identification import fit_kinematics as fit_kinematics  # noqa: E402
+from .calibrate_data import calibrate as calibrate  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402
 from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
@@ -44,7 +45,6 @@ from .geometry import xyzoat as xyzoat  # noqa: E402
 from .io import load_dataset as load_dataset  # noqa: E402
 from .io import save_dataset as save_dataset  # noqa: E402
 from .joint import JointFit as JointFit  # noqa: E402
-from .joint import calibrate as calibrate  # noqa: E402
 from .joint import fit_camera as fit_camera  # noqa: E402
 from .joint import fit_joint as fit_joint  # noqa: E402
 from .joint import fit_many as fit_many  # noqa: E402

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxlie import SE3
 
+    from .calibrate_data import CalibrationFit
     from .calibration import Calibration
     from .dataset import Dataset
     from .evaluation import ErrorBudget, Repeatability, Unseen
     from .geometry import PoseCodec
-    from .joint import CalibrationFit
     from .robots import SerialArm
     from .viewpoints import ViewpointCommands
 
@@ -127,8 +127,8 @@ def calibrate(
     error is corrected, calibration_uncorrected.yaml, for programs that cannot do that.
     """
     with _errors(debug):
+        from .calibrate_data import calibrate as fit_both
         from .evaluation import without_rejected_views
-        from .joint import calibrate as fit_both
         from .report import halves_agree, summaries, write_page
 
         refuse_unwritable(out, "--out")
@@ -178,7 +178,7 @@ def _run_name() -> str:
 
 
 def _save(fit: "CalibrationFit", data: "Dataset", folder: Path, run: str) -> None:
-    from .joint import best_uncorrected
+    from .calibrate_data import best_uncorrected
 
     fit.calibration.save(folder / "calibration.yaml", run, fit.warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
@@ -499,8 +499,8 @@ def _held_out(
     notes: list[str],
 ) -> "dict[str, Unseen]":
     """Held-out error of both fits, each fold fitted once; notes why there is none."""
+    from .calibrate_data import calibrate as fit_both
     from .evaluation import unseen_errors
-    from .joint import calibrate as fit_both
 
     if len(data.usable_views()) < 4:
         notes.append("held-out error needs at least 4 usable views: left out")
@@ -522,8 +522,8 @@ def _diagnosis(
     notes: list[str],
 ) -> "tuple[Repeatability | None, ErrorBudget | None]":
     """Whether halves of the views agree, and where the error comes from; notes what is not told."""
+    from .calibrate_data import calibrate as fit_both
     from .evaluation import error_budget, repeatability
-    from .joint import calibrate as fit_both
 
     def half(part: "Dataset"):
         say("half of the views")

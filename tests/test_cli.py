@@ -206,8 +206,7 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    # The package re-exports a function of the module's own name.
-    monkeypatch.setattr(sys.modules["smartview_jax.joint.calibrate"], "fit_staged", interrupted)
+    monkeypatch.setattr("smartview_jax.calibrate_data.fit_staged", interrupted)
     run = RUNNER.invoke(app, ["calibrate", "--out", str(tmp_path / "out")])
     assert run.exit_code == 130
     assert "interrupted; no file is left half-written" in run.stderr

@@ -17,7 +17,7 @@ PACKAGE = Path(smartview_jax.__file__).parent
 FLOORS = """
     compilation files fit_result moved schemas geometry cameras targets robots robot_errors
     calibration dataset detection io simulation staged engine variance joint arm_identification
-    evaluation viewpoints modeling localization grasping report editor interrupts cli
+    calibrate_data evaluation viewpoints modeling localization grasping report editor interrupts cli
 """.split()
 
 NO_OPENCV = """

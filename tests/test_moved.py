@@ -12,6 +12,7 @@ MOVED = {
         """,
         "variance": "Alternative NoiseEstimate estimate_noise",
         "arm_identification": "KinematicFit fit_kinematics",
+        "calibrate_data": "CalibrationFit best_uncorrected calibrate",
     },
     "robots": {
         "robot_errors": """

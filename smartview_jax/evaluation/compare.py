@@ -3,11 +3,10 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from ..calibrate_data import LENS, calibrate
 from ..cameras import AbstractLens
 from ..dataset import Dataset
 from ..fit_result import Rejection
-from ..joint import calibrate
-from ..joint.calibrate import LENS
 from ..staged import fit_one_view_intrinsics, fit_staged
 from .free_poses import free_pose_deviations
 from .held_out import (

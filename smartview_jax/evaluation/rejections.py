@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..calibrate_data import CalibrationFit
 from ..dataset import Dataset
 from ..fit_result import Rejection
-from ..joint import CalibrationFit, JointFit
+from ..joint import JointFit
 
 
 class RejectionCount(NamedTuple):

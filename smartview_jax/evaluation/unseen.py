@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ..calibrate_data import CalibrationFit
 from ..dataset import Dataset
-from ..joint import CalibrationFit
 from .compare import UNCORRECTED
 from .folds import LEAST_BY_REGION
 from .free_poses import free_pose_deviations

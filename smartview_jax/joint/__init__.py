@@ -1,9 +1,6 @@
 """The joint fit: camera, hand-eye, world and the robot's error from all pixels at once."""
 
 from ..moved import moved as _moved
-from .calibrate import CalibrationFit as CalibrationFit
-from .calibrate import best_uncorrected as best_uncorrected
-from .calibrate import calibrate as calibrate
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_filter as batch_filter
 from .camera_fit import fit_camera as fit_camera
@@ -13,6 +10,7 @@ from .fit import view_influence as view_influence
 from .influence import Influence as Influence
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
+from .rehearsal import rehearse as rehearse
 
 _PLACES = {
     "engine": """
@@ -21,9 +19,10 @@ _PLACES = {
     """,
     "variance": "Alternative NoiseEstimate estimate_noise",
     "arm_identification": "KinematicFit fit_kinematics",
+    "calibrate_data": "CalibrationFit best_uncorrected calibrate",
 }
 
-# The last is above: opened only by a name that moved there.
+# The last two are above: opened only by a name that moved there.
 __getattr__ = _moved(
     __name__,
     {name: f"smartview_jax.{room}" for room, names in _PLACES.items() for name in names.split()},

@@ -10,11 +10,11 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..calibrate_data import CalibrationFit
 from ..dataset import Dataset
 from ..detection import read_picture
 from ..evaluation import ErrorBudget, Repeatability, Unseen, without_rejected_views
 from ..files import write_atomically
-from ..joint import CalibrationFit
 from . import plots, tables
 
 _TEMPLATE = jinja2.Environment(

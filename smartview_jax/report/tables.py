@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..calibrate_data import CalibrationFit
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR
@@ -23,7 +24,7 @@ from ..evaluation import (
     rejected_by,
     without_rejected_views,
 )
-from ..joint import CalibrationFit, JointFit
+from ..joint import JointFit
 from ..robot_errors import arm_of
 from ..variance import MINIMUM_RELIABLE_VIEWS
 

@@ -1,5 +1,4 @@
 import dataclasses
-import sys
 
 import equinox as eqx
 import jax
@@ -14,13 +13,12 @@ from scipy.optimize import least_squares
 from shared_data import shared_pairs
 from starts import nudged
 
-from smartview_jax import Calibration, Noise, Prior, calibrate, fit_joint
+from smartview_jax import Calibration, Noise, Prior, fit_joint
 from smartview_jax.cameras import Camera, OpenCV4
 from smartview_jax.engine import StructuredLM, optimum
 from smartview_jax.engine.build import build_problem
 from smartview_jax.evaluation import cramer_rao, deviations
 from smartview_jax.fit_result import FitCode
-from smartview_jax.joint import best_uncorrected
 from smartview_jax.simulation import paper_points, random_scene
 
 POINTS = paper_points((0.0, 0.02))[::4]
@@ -332,50 +330,6 @@ def test_noise_and_priors_must_be_positive():
         Noise(0.0, 1e-3, 1e-3)
     with pytest.raises(ValueError, match=r"Prior\.std"):
         Prior(std=-1.0)
-
-
-def test_calibrate_goes_all_the_way():
-    scene = random_scene(6, views=8, outlier_fraction=0.05)
-    messages = []
-    fit = calibrate(scene.data, progress=messages.append)
-    assert fit.result.converged
-    assert fit.staged.result.converged
-    assert any(text.startswith("joint fit") for text in messages)
-    assert not np.asarray(fit.inliers & scene.outliers).any()
-    error = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
-    assert float(jnp.linalg.norm(error[:3])) < 2e-3
-
-
-def test_what_either_fit_left_out_is_listed_once():
-    """A point that Step 2 sets aside, and a view that was moved, by too little for Step 2."""
-    scene = random_scene(3, 20, POINTS, outlier_fraction=0.02, translation_noise=2e-4)
-    poses = scene.data.base_from_tool.wxyz_xyz
-    moved = SE3(poses[6]) @ SE3.exp(jnp.array([6e-3, 0.0, 0.0, 0.0, 0.0, 0.01]))
-    data = eqx.tree_at(
-        lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[6].set(moved.wxyz_xyz)
-    )
-    fit = calibrate(data, field=False)
-    assert fit.staged.rejected
-    names = [entry[:2] for entry in fit.rejected]
-    assert len(set(names)) == len(names)
-    assert {entry[:2] for entry in fit.staged.rejected} < set(names)
-    assert ("6", None) in names
-    # The chain that corrects nothing is not fitted to that view either.
-    seen = data.visible & fit.staged.inliers & fit.joint.problem.observations.visible
-    used = eqx.tree_at(lambda d: d.visible, data.without([6]), seen)
-    without = fit_joint(used, fit.staged.calibration, noise="trusted").calibration
-    bare = best_uncorrected(data, fit)
-    gap = bare.camera_from_tool.inverse() @ without.camera_from_tool
-    assert float(jnp.linalg.norm(gap.log())) < 1e-5
-
-
-def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):
-    """Not after the rehearsal has compiled everything."""
-    module = sys.modules["smartview_jax.joint.calibrate"]
-    monkeypatch.setattr(module, "rehearse", lambda *_: pytest.fail("rehearsed"))
-    scene = random_scene(0, views=2)
-    with pytest.raises(ValueError, match="a calibration needs at least 3 views"):
-        calibrate(scene.data)
 
 
 @pytest.mark.parametrize("sigma", [0.02, 1.5])

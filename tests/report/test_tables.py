@@ -7,6 +7,7 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import Noise, calibrate, fit_joint
+from smartview_jax.calibrate_data import CalibrationFit
 from smartview_jax.evaluation import (
     Deviations,
     Foretold,
@@ -17,7 +18,6 @@ from smartview_jax.evaluation import (
     deviations,
     error_budget,
 )
-from smartview_jax.joint import CalibrationFit
 from smartview_jax.report import (
     COMPARED,
     Summary,

@@ -8,15 +8,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool
 
-from ..calibration import Calibration
-from ..cameras import AbstractLens, Camera
-from ..dataset import Dataset, chain_residuals
-from ..engine import parameter_names
-from ..fit_result import Rejection
-from ..staged import StagedFit, fit_staged, kalman_filter, views_to_use
-from .camera_fit import batch_filter
-from .fit import JointFit, fit_joint
-from .rehearsal import rehearse
+from .calibration import Calibration
+from .cameras import AbstractLens, Camera
+from .dataset import Dataset, chain_residuals
+from .engine import parameter_names
+from .fit_result import Rejection
+from .joint import JointFit, batch_filter, fit_joint, rehearse
+from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
 
 LENS = "opencv4"
 """By default: it predicts unseen views of real sets best (`python -m benchmarks defaults`).
