@@ -10,7 +10,7 @@ import jax
 
 import smartview_jax as sv
 from smartview_jax.evaluation import ErrorBudget
-from smartview_jax.evaluation.budget import NOISE, SCALE, SYSTEMATIC, VIEWS
+from smartview_jax.evaluation.diagnosis.budget import NOISE, SCALE, SYSTEMATIC, VIEWS
 
 from .real_sets import LENS, load, present
 

@@ -14,14 +14,14 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..calibration import Calibration
-from ..compilation import compiled
-from ..dataset import Dataset
-from ..joint import JointFit
-from ..robots import Command
+from ...calibration import Calibration
+from ...compilation import compiled
+from ...dataset import Dataset
+from ...joint import JointFit
+from ...robots import Command
+from ..measures import Deviations, at_target, predict
+from ..uncertainty import std_of, sum_of_squares
 from .held_out import HeldOut, Refit, pooled, score, whole
-from .measures import Deviations, at_target, predict
-from .uncertainty import std_of, sum_of_squares
 
 
 class Foretold(NamedTuple):

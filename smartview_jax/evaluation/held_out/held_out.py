@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import Calibration
-from ..dataset import Dataset
+from ...calibration import Calibration
+from ...dataset import Dataset
+from ..measures import Deviations, Predictor, deviations
 from .bootstrap import Interval, rms_interval
 from .folds import split_views
-from .measures import Deviations, Predictor, deviations
 
 
 class Refit(NamedTuple):

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ..calibrate_data import CalibrationFit
-from ..dataset import Dataset
+from ...calibrate_data import CalibrationFit
+from ...dataset import Dataset
+from ..free_poses import free_pose_deviations
 from .compare import UNCORRECTED
 from .folds import LEAST_BY_REGION
-from .free_poses import free_pose_deviations
 from .held_out import HeldOut, Refit, has_correction, refit, score, without_correction
 from .predicted import Foretold, foretold
 

@@ -13,14 +13,14 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array
 
-from ..calibration import Calibration
-from ..dataset import Dataset
-from ..engine import parameter_names
-from ..joint import JointFit, fit_joint
-from ..robot_errors import LinearInPose, PoseOrStretch, RobotPrior
-from ..variance import SCALE as TARGET_SCALE
-from .held_out import held_out
-from .measures import predict
+from ...calibration import Calibration
+from ...dataset import Dataset
+from ...engine import parameter_names
+from ...joint import JointFit, fit_joint
+from ...robot_errors import LinearInPose, PoseOrStretch, RobotPrior
+from ...variance import SCALE as TARGET_SCALE
+from ..held_out import held_out
+from ..measures import predict
 
 CANDIDATES: Mapping[str, str] = {
     "target scale": PoseOrStretch.SCALE,

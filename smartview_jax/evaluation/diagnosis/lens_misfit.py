@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..calibration import Calibration
-from ..dataset import Dataset
-from .free_poses import free_pose_predictions
+from ...calibration import Calibration
+from ...dataset import Dataset
+from ..free_poses import free_pose_predictions
 
 DEGREE = 5
 """Of the polynomials in u and v that describe the pattern: those of common lenses and one more."""

@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration
-from ..compilation import compiled
-from ..dataset import Dataset
-from ..engine import (
+from ...calibration import Calibration
+from ...compilation import compiled
+from ...dataset import Dataset
+from ...engine import (
     JointProblem,
     Noise,
     Observability,
@@ -20,7 +20,7 @@ from ..engine import (
     eliminate,
     observability,
 )
-from ..robot_errors import AbstractField
+from ...robot_errors import AbstractField
 
 
 class Bound(eqx.Module):

@@ -8,12 +8,7 @@ from jaxlie import SE3
 from starts import nudged
 
 from smartview_jax import Noise, fit_joint
-from smartview_jax.evaluation import (
-    deviations,
-    foretold,
-    predicted_deviations,
-    refit,
-)
+from smartview_jax.evaluation import deviations, foretold, predicted_deviations, refit
 from smartview_jax.simulation import paper_points, random_scene, simulate
 
 NOISE = Noise(pixel=0.15, translation=2e-4, rotation=5e-4)

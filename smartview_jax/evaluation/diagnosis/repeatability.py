@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration
-from ..dataset import Dataset
-from .held_out import predictor_of
+from ...calibration import Calibration
+from ...dataset import Dataset
+from ..held_out import predictor_of
 
 
 class Repeatability(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .measures import Deviations
+from ..measures import Deviations
 
 RESAMPLES = 5000
 """Sets of views that are drawn; the ends of a 95 % interval are then good to some 2 % of it."""

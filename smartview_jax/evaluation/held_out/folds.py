@@ -7,7 +7,7 @@ interpolates. A hidden region makes the fit predict where the robot has not been
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..dataset import Dataset
+from ...dataset import Dataset
 
 LEAVE_ONE_OUT_BELOW = 8
 """Views below which every view is its own fold."""

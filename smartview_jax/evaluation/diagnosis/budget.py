@@ -5,23 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..dataset import Dataset
-from ..joint import JointFit
-from ..robot_errors import AbstractField, CombinedField, ImpliedArm
-from ..variance import MINIMUM_RELIABLE_VIEWS
-from .explanations import (
-    Explanation,
-    explanations,
-    fit_candidate,
-    moved,
-    region_error,
-    scale_found,
-)
-from .held_out import has_correction
+from ...dataset import Dataset
+from ...joint import JointFit
+from ...robot_errors import AbstractField, CombinedField, ImpliedArm
+from ...variance import MINIMUM_RELIABLE_VIEWS
+from ..held_out import expected_squares, has_correction
+from ..measures import deviations
+from ..rejections import without_rejected_views
+from .explanations import Explanation, explanations, fit_candidate, moved, region_error, scale_found
 from .lens_misfit import lens_misfit
-from .measures import deviations
-from .predicted import expected_squares
-from .rejections import without_rejected_views
 
 PIXELS = "pixel noise"
 LENS = "lens"

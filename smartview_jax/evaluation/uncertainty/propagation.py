@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..calibration import Calibration
-from ..compilation import compiled
-from ..engine import Observability, Parameters, Step, parameter_names
+from ...calibration import Calibration
+from ...compilation import compiled
+from ...engine import Observability, Parameters, Step, parameter_names
 
 
 @runtime_checkable

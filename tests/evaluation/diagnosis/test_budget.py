@@ -7,14 +7,9 @@ from starts import nudged
 
 from smartview_jax import error_budget, fit_joint, fit_staged, held_out
 from smartview_jax.evaluation import deviations
-from smartview_jax.evaluation.budget import SCALE, SYSTEMATIC, VIEWS
+from smartview_jax.evaluation.diagnosis.budget import SCALE, SYSTEMATIC, VIEWS
 from smartview_jax.robot_errors import ImpliedArm, LinearInPose, RobotError
-from smartview_jax.simulation import (
-    paper_calibration,
-    paper_points,
-    random_scene,
-    six_axis_scene,
-)
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene, six_axis_scene
 
 VIEWS_TAKEN = 16
 POINTS = paper_points((0.0, 0.02))[::4]

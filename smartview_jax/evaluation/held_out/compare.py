@@ -3,12 +3,14 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from ..calibrate_data import LENS, calibrate
-from ..cameras import AbstractLens
-from ..dataset import Dataset
-from ..fit_result import Rejection
-from ..staged import fit_one_view_intrinsics, fit_staged
-from .free_poses import free_pose_deviations
+from ...calibrate_data import LENS, calibrate
+from ...cameras import AbstractLens
+from ...dataset import Dataset
+from ...fit_result import Rejection
+from ...staged import fit_one_view_intrinsics, fit_staged
+from ..free_poses import free_pose_deviations
+from ..measures import Deviations, deviations
+from ..rejections import rejected_by
 from .held_out import (
     HeldOut,
     Refit,
@@ -19,8 +21,6 @@ from .held_out import (
     whole,
     without_correction,
 )
-from .measures import Deviations, deviations
-from .rejections import rejected_by
 
 UNCORRECTED = "correction left out"
 """What a row adds to its method's name where the robot's error is not corrected."""
