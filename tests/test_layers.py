@@ -1,8 +1,13 @@
-"""The rooms of the package import only from rooms below them."""
+"""The rooms of the package import only from rooms below them, and only what these show.
+
+A room is a package, or a file, directly in `smartview_jax`.
+"""
 
 import ast
+import graphlib
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -17,7 +22,8 @@ PACKAGE = Path(smartview_jax.__file__).parent
 FLOORS = """
     compilation files fit_result moved schemas geometry cameras targets robots robot_errors
     calibration dataset detection io simulation staged engine variance joint arm_identification
-    calibrate_data evaluation viewpoints modeling localization grasping report editor interrupts cli
+    calibrate_data evaluation viewpoints features modeling localization grasping report editor
+    interrupts cli
 """.split()
 
 NO_OPENCV = """
@@ -25,30 +31,89 @@ NO_OPENCV = """
     variance joint arm_identification viewpoints
 """.split()
 
+NO_FACE = {"schemas"}
+"""Its files import pydantic, each only where a file of its kind is read; one face would always."""
+
+LARGEST_SHARE = 0.15
+"""Of the package's lines in one room: beyond it a room is two that nobody told apart."""
+
 
 def room_of(file: Path) -> str:
     return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def imports_of(file: Path) -> set[str]:
-    """Full names of everything a file imports, at its top or inside a function."""
+def modules_of(file: Path, annotated: bool = True) -> list[tuple[str, list[str]]]:
+    """Full name of every module that a file imports, at its top or inside a function, and what.
+
+    Args:
+        file: to be read.
+        annotated: whether what is imported for annotations alone counts too.
+    """
     folder = file.relative_to(PACKAGE.parent).parts[:-1]
-    found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    never_run = {
+        inner
+        for node in nodes
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = []
+    for node in nodes if annotated else [n for n in nodes if n not in never_run]:
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            found += [(alias.name, []) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = folder[: len(folder) - node.level + 1] if node.level else ()
             module = ".".join([*base, *([node.module] if node.module else [])])
-            found |= {f"{module}.{alias.name}" for alias in node.names}
+            found.append((module, [alias.name for alias in node.names]))
     return found
+
+
+def imports_of(file: Path) -> set[str]:
+    """Full names of everything a file imports."""
+    return {
+        name
+        for module, names in modules_of(file)
+        for name in ([f"{module}.{part}" for part in names] or [module])
+    }
 
 
 def rooms_in(names: set[str]) -> set[str]:
     return {name.split(".")[1] for name in names if name.startswith("smartview_jax.")}
 
 
-FILES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+def files() -> list[Path]:
+    return sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+
+
+FILES = files()
+
+
+def place_of(module: str) -> Path:
+    """Where a module would be, if it were a package."""
+    return PACKAGE.parent.joinpath(*module.split("."))
+
+
+def file_of(module: str) -> Path | None:
+    """The file that a module is in; None where no module is called so."""
+    place = place_of(module)
+    return next((p for p in (place / "__init__.py", place.with_suffix(".py")) if p.exists()), None)
+
+
+def needed_by(file: Path) -> set[Path]:
+    """Files that have to be run before this one: of its own room files, of others their faces."""
+    found = set()
+    for module, names in modules_of(file, annotated=False):
+        own = place_of(module) in file.parents
+        parts = [file_of(f"{module}.{name}") for name in names] if own else []
+        found |= {part or file_of(module) for part in parts or [None]}
+    return found - {None, file}
+
+
+def shares() -> dict[str, float]:
+    lines = Counter()
+    for file in files():
+        lines[room_of(file)] += len(file.read_text(encoding="utf-8").splitlines())
+    return {room: count / lines.total() for room, count in lines.most_common()}
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
@@ -63,20 +128,87 @@ def test_a_room_imports_only_from_rooms_below(file):
     assert not above, f"{room} is below {above}"
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_a_room_imports_from_another_by_its_face(file):
+    """Within a room likewise from one of its sub-packages to another."""
+    ours = [name for name, _ in modules_of(file) if name.startswith("smartview_jax.")]
+    past = {
+        name
+        for name in ours
+        if place_of(name).parent not in file.parents and not rooms_in({name}) <= NO_FACE
+    }
+    assert not past, f"{file.name} reaches past a face: {past}"
+
+
+def test_no_files_import_one_another_in_a_circle():
+    graphlib.TopologicalSorter({file: needed_by(file) for file in files()}).prepare()
+
+
+def test_no_room_outgrows_the_others():
+    large = {room: share for room, share in shares().items() if share > LARGEST_SHARE}
+    words = [f"{room} {share:.0%}" for room, share in large.items()]
+    assert not large, f"rooms too large: {words}"
+
+
 @pytest.mark.parametrize("room", NO_OPENCV)
 def test_numerical_rooms_do_not_import_opencv(room):
     names = {name for file in FILES if room_of(file) == room for name in imports_of(file)}
     assert not {name for name in names if name.split(".")[0] == "cv2"}
 
 
-def test_the_test_sees_an_upward_import(tmp_path, monkeypatch):
-    """A check that cannot fail is no check: feed it a wrong file."""
+@pytest.fixture
+def other_package(tmp_path, monkeypatch):
+    """Writes files of a package that the checks then look at: one that cannot fail is no check."""
     monkeypatch.setattr("test_layers.PACKAGE", tmp_path / "smartview_jax")
-    wrong = tmp_path / "smartview_jax" / "geometry" / "wrong.py"
-    wrong.parent.mkdir(parents=True)
-    wrong.write_text("def f():\n    from ..joint.fit import fit_joint\n")
+
+    def write(name, text):
+        file = tmp_path / "smartview_jax" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        return file
+
+    return write
+
+
+def test_the_test_sees_an_upward_import(other_package):
+    wrong = other_package("geometry/wrong.py", "def f():\n    from ..joint.fit import fit_joint\n")
     with pytest.raises(AssertionError, match="geometry is below"):
         test_a_room_imports_only_from_rooms_below(wrong)
+    typed = "if TYPE_CHECKING:\n    from ..joint import JointFit\n"
+    with pytest.raises(AssertionError, match="geometry is below"):
+        test_a_room_imports_only_from_rooms_below(other_package("geometry/typed.py", typed))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("joint/wrong.py", "from ..engine.solver import solve\n"),
+        ("joint/inner/wrong.py", "from ...engine.solver import solve\n"),
+        ("evaluation/diagnosis/wrong.py", "from ..held_out.folds import view_folds\n"),
+        ("cli.py", "def f():\n    import smartview_jax.engine.solver\n"),
+    ],
+)
+def test_the_test_sees_an_import_past_a_face(other_package, name, text):
+    with pytest.raises(AssertionError, match="reaches past a face"):
+        test_a_room_imports_from_another_by_its_face(other_package(name, text))
+
+
+@pytest.mark.parametrize("back", ["from .one import a\n", "from . import one\n"])
+def test_the_test_sees_a_circle(other_package, back):
+    other_package("joint/__init__.py", "from .one import a\n")
+    other_package("joint/one.py", "def a():\n    from .two import b\n")
+    other_package("joint/two.py", back)
+    with pytest.raises(graphlib.CycleError):
+        test_no_files_import_one_another_in_a_circle()
+
+
+def test_the_test_sees_a_room_that_outgrew_the_others(other_package):
+    for room in FLOORS[:8]:
+        other_package(f"{room}.py", "1\n" * 10)
+    test_no_room_outgrows_the_others()
+    other_package("cli.py", "1\n" * 15)
+    with pytest.raises(AssertionError, match="cli 16%"):
+        test_no_room_outgrows_the_others()
 
 
 def test_importing_starts_no_device():

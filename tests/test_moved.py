@@ -1,6 +1,7 @@
 """Names that moved are found at their old place for one release, with a word on where they are."""
 
 import pytest
+from test_layers import FILES, imports_of
 
 import smartview_jax as sv
 
@@ -43,3 +44,9 @@ def test_an_old_name_still_works_and_says_where_it_is(old, new, name):
 def test_a_name_that_never_was_is_an_attribute_error(old):
     with pytest.raises(AttributeError, match=f"'smartview_jax.{old}' has no attribute 'never'"):
         _ = getattr(sv, old).never
+
+
+def test_the_package_itself_asks_for_no_old_name():
+    """A name that points upwards would else hide an import from a room above."""
+    old_names = {f"smartview_jax.{old}.{name}" for old, _, name in NAMES}
+    assert not old_names & {name for file in FILES for name in imports_of(file)}

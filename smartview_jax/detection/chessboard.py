@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ..targets import Chessboard
-from ..targets.target import grid_rotations
+from ..targets import Chessboard, grid_rotations
 from .detection import Detection, found, nothing_found
 
 

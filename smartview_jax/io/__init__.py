@@ -1,6 +1,7 @@
 """Data sets and calibrations on disk: folders, importers, exporters."""
 
 from .dataset_folder import save_dataset as save_dataset
+from .dataset_folder import write_folder as write_folder
 from .easy_handeye import PoseSamples as PoseSamples
 from .easy_handeye import read_easy_handeye as read_easy_handeye
 from .easy_handeye import write_easy_handeye as write_easy_handeye

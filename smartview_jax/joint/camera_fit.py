@@ -19,7 +19,7 @@ from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
 from ..engine import AbstractLoss, Noise, Prior, Solution, without_robot
 from ..fit_result import FitCode, FitResult
-from ..staged.kalman import pixel_residuals, robust_sigma
+from ..staged import pixel_residuals, robust_sigma
 from .fit import fit_joint
 
 ROUNDS = 10

@@ -44,8 +44,7 @@ from ..engine import (
 )
 from ..fit_result import FitCode, FitResult, Rejection
 from ..robot_errors import AbstractField, RobotPrior
-from ..staged import with_region
-from ..staged.agreement import FEWEST
+from ..staged import FEWEST, with_region
 from ..variance import FINEST, NoiseEstimate, estimate_noise, p_value
 from .influence import Influence, moves_without, pose_scores
 from .plausibility import UNUSUAL, doubts

@@ -39,7 +39,7 @@ class ImpliedArm(AbstractField):
 
     Attributes:
         arm: of the shape that `puma_joints` solves, reaching from the base that poses are in.
-        branch: signs of shoulder, elbow and wrist, as in `puma_inverse.BRANCHES`.
+        branch: signs of shoulder, elbow and wrist, as in `robots.puma_inverse.BRANCHES`.
         centre: position of the tool in the middle of the views it was made for, m.
         reach: distance from there that counts as one unit, m.
     """

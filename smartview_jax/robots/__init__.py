@@ -8,6 +8,8 @@ from .command import CommandLike as CommandLike
 from .command import JointsLike as JointsLike
 from .command import as_command as as_command
 from .inverse_kinematics import joints_near as joints_near
+from .joint_solution import NO_ANSWER as NO_ANSWER
+from .joint_solution import SLACK as SLACK
 from .joint_solution import JointSolution as JointSolution
 from .joint_solution import Status as Status
 from .models import ARMS as ARMS

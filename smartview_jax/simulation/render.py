@@ -18,7 +18,7 @@ from ..cameras import Camera
 from ..compilation import optimised
 from ..files import write_atomically
 from ..geometry import PoseLike, as_se3
-from ..io.dataset_folder import write_folder
+from ..io import write_folder
 from ..targets import AbstractTarget, StackedTarget
 from .patterns import dark_places
 

@@ -1,6 +1,7 @@
 """The paper's staged pipeline: the baseline, and the start of the joint fit."""
 
 from ..moved import moved as _moved
+from .agreement import FEWEST as FEWEST
 from .agreement import Agreement as Agreement
 from .agreement import agreeing_views as agreeing_views
 from .agreement import median_deviation as median_deviation
@@ -22,6 +23,8 @@ from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
+from .kalman import pixel_residuals as pixel_residuals
+from .kalman import robust_sigma as robust_sigma
 from .region import with_region as with_region
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views

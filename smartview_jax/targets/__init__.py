@@ -8,3 +8,4 @@ from .description import target_to_dict as target_to_dict
 from .stacked import StackedTarget as StackedTarget
 from .tag_grid import TagGrid as TagGrid
 from .target import AbstractTarget as AbstractTarget
+from .target import grid_rotations as grid_rotations

@@ -4,8 +4,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from ..robots import Command, JointsLike, JointSolution, SerialArm, Status, joints_for_pose
-from ..robots.joint_solution import NO_ANSWER, SLACK
+from ..robots import (
+    NO_ANSWER,
+    SLACK,
+    Command,
+    JointsLike,
+    JointSolution,
+    SerialArm,
+    Status,
+    joints_for_pose,
+)
 
 
 def reach(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
