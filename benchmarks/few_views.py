@@ -5,8 +5,8 @@ of it; here it stands beside the staged fit, the joint fit that trusts the robot
 that knows of white noise alone, on 5 to 15 simulated views of a robot with white noise and of a 6R
 arm with errors of its own, and on random fives, sixes and eights of real sets, judged on all
 views that were not drawn. Printed are RMS over seeds, the default's ratio to the best of the three,
-and its worst run over the worst run of the one of the three that strays least. Draws from which none
-of the three predicts within `HOPELESS` pixels are left out, and counted.
+and its worst run over the worst run of the one of the three that strays least. Draws from which
+none of the three predicts within `HOPELESS` pixels are left out, and counted.
 
     python -m benchmarks few_views                   # 40 seeds, an hour
     python -m benchmarks.few_views --seeds 10
