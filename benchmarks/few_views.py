@@ -5,8 +5,8 @@ of it; here it stands beside the staged fit, the joint fit that trusts the robot
 that knows of white noise alone, on 5 to 15 simulated views of a robot with white noise and of a 6R
 arm with errors of its own, and on random fives, sixes and eights of real sets, judged on all
 views that were not drawn. Printed are RMS over seeds, the default's ratio to the best of the three,
-and how much farther off than the best of the three the worst single run is. Draws from which none
-of the three predicts within `HOPELESS` pixels are left out, and counted.
+and its worst run over the worst run of the one of the three that strays least. Draws from which
+none of the three predicts within `HOPELESS` pixels are left out, and counted.
 
     python -m benchmarks few_views                   # 40 seeds, an hour
     python -m benchmarks.few_views --seeds 10
@@ -50,7 +50,7 @@ REAL = (
 """Sets and numbers of views that are drawn of each, of which at least one is left to judge on."""
 
 PIXELS, MILLIMETRES, SINGLE = 1.05, 1.15, 2.0
-"""Times the best of the simple fits, at most: RMS of px and of mm over runs, and any one run."""
+"""Times the best of the simple fits, at most: RMS of px, RMS of mm, and the worst run of either."""
 
 HOPELESS = 50.0
 """Error on unseen views, px, of the best of the simple fits beyond which a draw tells nothing."""
@@ -85,7 +85,8 @@ def _row(name: str, once: Callable[[int], Figures], seeds: int, most: float = PI
     found, left_out = found[told], int((~told).sum())
     rms = np.sqrt(np.mean(found**2, axis=0))
     ratio = rms[3] / rms[:3].min(axis=0)
-    worst = (found[:, 3] / found[:, :3].min(axis=1)).max(axis=0)
+    # Run by run the best of three is near the truth by luck; what counts is how far each strays.
+    worst = found[:, 3].max(axis=0) / found[:, :3].max(axis=0).min(axis=0)
     known = not np.isnan(found[:, 0, 1]).any()
     cells = "".join(f"{f'{px:.3f} px' + (f', {mm:.2f} mm' if known else ''):>24}" for px, mm in rms)
     good = ratio[0] <= most and worst[0] <= SINGLE

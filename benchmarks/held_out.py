@@ -20,7 +20,7 @@ BOUNDS = {
     ("rct_circle10x10", ""): 1.25,
     ("tampere_kuka_2", ""): 0.95,
     ("visp_franka_eih", ""): 5.0,
-    ("koide_charuco", "20231006_"): 1.45,
+    ("koide_charuco", "20231006_"): 1.7,
     ("tampere_synthetic", "cs3_"): 0.034,
     ("lwr4_joint", ""): 3.1,
 }

@@ -137,19 +137,21 @@ def calibrate(
             data, name = _load(dataset, bad_views, say, base_from_world)
             notes = list(data.notes)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
-            notes += [f"warning: {text}" for text in fit.warnings]
+            warnings = fit.warnings
             counted = without_rejected_views(data, fit)
             unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
             halves = budget = None
             if diagnose:
                 halves, budget = _diagnosis(fit, counted, lens, noise, say, notes)
+                warnings += () if halves is None else halves.warnings
+        notes += [f"warning: {text}" for text in warnings]
         _print_result(summaries(fit, data, unseen), fit, data)
         for text in (*notes, *(f"even and odd views: {text}" for _, text in halves_agree(halves))):
             typer.echo(text)
         if budget is not None:
             _print_budget(budget)
         with _progress() as say, written_together(out, tuple(_RESULTS)) as folder:
-            _save(fit, data, folder, run)
+            _save(fit, data, folder, run, warnings)
             title, page = f"Calibration of {name}", folder / "report.html"
             write_page(page, fit, data, unseen, title, say, halves, budget, notes, run)
         for file, words in _RESULTS.items():
@@ -177,10 +179,12 @@ def _run_name() -> str:
     return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
 
 
-def _save(fit: "CalibrationFit", data: "Dataset", folder: Path, run: str) -> None:
+def _save(
+    fit: "CalibrationFit", data: "Dataset", folder: Path, run: str, warnings: tuple[str, ...]
+) -> None:
     from .calibrate_data import best_uncorrected
 
-    fit.calibration.save(folder / "calibration.yaml", run, fit.warnings)
+    fit.calibration.save(folder / "calibration.yaml", run, warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
         bare = best_uncorrected(data, fit)

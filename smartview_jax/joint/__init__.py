@@ -10,6 +10,8 @@ from .fit import view_influence as view_influence
 from .influence import Influence as Influence
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
+from .plausibility import COARSE_ROTATION as COARSE_ROTATION
+from .plausibility import COARSE_TRANSLATION as COARSE_TRANSLATION
 from .rehearsal import rehearse as rehearse
 
 _PLACES = {

@@ -12,7 +12,11 @@ from jaxtyping import Float
 
 from ...calibration import Calibration
 from ...dataset import Dataset
+from ...joint import COARSE_ROTATION, COARSE_TRANSLATION
 from ..held_out import predictor_of
+
+DISAGREEING = 3.0
+"""Stated standard deviations, the largest of six, that halves are apart by in one set of fifty."""
 
 
 class Repeatability(NamedTuple):
@@ -38,6 +42,21 @@ class Repeatability(NamedTuple):
         if self.in_std is None:
             return text
         return f"{text}, {np.max(self.in_std):.1f} stated std at most"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the halves say against the fit to all views, a sentence each."""
+        if self.translation > COARSE_TRANSLATION or self.rotation > COARSE_ROTATION:
+            return (
+                f"even and odd views put the camera {self.words}: more than most uses bear; take "
+                f"more views, turned about more axes",
+            )
+        if self.in_std is not None and np.max(self.in_std) > DISAGREEING:
+            return (
+                f"even and odd views put the camera {self.words}: it is known less well than "
+                f"stated",
+            )
+        return ()
 
 
 def repeatability(data: Dataset, fitter: Callable[[Dataset], Any]) -> Repeatability:

@@ -54,6 +54,11 @@ def test_the_difference_is_that_of_the_halves_and_in_what_they_state(scene):
     root = np.sqrt(2.0)
     np.testing.assert_allclose(found.in_std, [3 / root, 4 / root, 0, 0, 0, 0], atol=1e-9)
     assert found.words == "0.573 deg and 5.00 mm apart, 2.8 stated std at most"
+    # Half a degree is more than a hand-eye transform may be off by.
+    assert found.warnings[0].startswith("even and odd views put the camera 0.573 deg and 5.00 mm")
+    assert found._replace(rotation=0.001, translation=1e-3).warnings == ()
+    close = found._replace(rotation=0.001, translation=1e-3, in_std=np.full(6, 3.5))
+    assert "less well than stated" in close.warnings[0]
 
 
 def test_fits_without_stated_std_are_compared_all_the_same(scene):
@@ -61,6 +66,7 @@ def test_fits_without_stated_std_are_compared_all_the_same(scene):
     found = repeatability(scene.data, lambda _: truth)
     assert (found.rotation, found.translation, found.in_std) == (0.0, 0.0, None)
     assert found.words == "0.000 deg and 0.00 mm apart"
+    assert found.warnings == ()
 
 
 def test_halves_of_data_whose_model_is_true_agree_within_what_they_state():
