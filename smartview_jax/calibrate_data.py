@@ -1,4 +1,6 @@
-"""Staged, then joint, with the best defaults: what the command line runs."""
+"""Calibrate by the staged pipeline and then by the joint fit, with the defaults of the command
+line.
+"""
 
 import dataclasses
 from collections.abc import Callable
@@ -17,23 +19,27 @@ from .joint import JointFit, batch_filter, fit_joint, rehearse
 from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
 
 LENS = "opencv4"
-"""By default: it predicts unseen views of real sets best (`python -m benchmarks defaults`).
+"""The default lens model: it predicts unseen views of real data sets best.
 
-One that does not decentre hides on some of them what the arm does.
+The command `python -m benchmarks defaults` shows it. On some of these data sets a lens without
+decentring distortion conceals errors of the arm.
 """
 
 WORSE_THAN_STAGED, MUCH_WORSE_THAN_STAGED = 1.5, 5.0
-"""Residuals over the staged fit's that are remarkable: of the whole fit, and of the bare chain."""
+"""The ratios of joint to staged residual RMS above which a warning is given.
+
+The first applies to the whole joint fit, the second to its chain without the robot correction.
+"""
 
 STEP2 = {"kalman": kalman_filter, "batch": batch_filter}
-"""Ways of fitting one camera to all views."""
+"""The methods, by name, that fit one camera to all views."""
 
 
 class CalibrationFit(eqx.Module):
-    """A staged fit and the joint fit that it started; the joint one's answers are this one's.
+    """A staged fit and the joint fit started from it; other attributes are those of the joint fit.
 
     Attributes:
-        staged: the paper's pipeline.
+        staged: the fit by the paper's pipeline.
         joint: the joint fit.
     """
 
@@ -42,13 +48,18 @@ class CalibrationFit(eqx.Module):
 
     @property
     def rejected(self) -> tuple[Rejection, ...]:
-        """What either left out, once and with the first reason: the joint fit saw neither."""
+        """The observations that either fit left out, each once and with the first reason.
+
+        The joint fit did not use what the staged fit had left out.
+        """
         both = (*self.staged.rejected, *self.joint.rejected)
         return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against the answer: the joint fit's own doubts, and the staged fit's say."""
+        """The reasons to doubt the answer: the joint fit's own, and from comparing it with the
+        staged fit.
+        """
         return (*self.joint.warnings, *_beside_staged(self))
 
     def __getattr__(self, name: str):
@@ -66,14 +77,14 @@ def calibrate(
     progress: Callable[[str], None] | None = None,
     **joint_options,
 ) -> CalibrationFit:
-    """Calibrate by the staged pipeline, then by the joint fit without its outliers.
+    """Calibrate by the staged pipeline, then by the joint fit without the staged fit's outliers.
 
     Args:
         data: at least three views with six visible points each.
-        lens: of both fits; the paper's is `"radial"`.
-        camera: a camera that is known and held in both.
+        lens: the lens model of both fits; the paper's is `"radial"`.
+        camera: a known camera, which both fits then hold.
         step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
-        progress: told what is being done.
+        progress: called with a line of text for each stage.
         joint_options: passed on to `fit_joint`.
 
     Raises:
@@ -83,16 +94,18 @@ def calibrate(
         raise ValueError(f"step2 is one of {', '.join(STEP2)}; found {step2!r}")
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
-    # What is wrong with the data is said before the rehearsal, which cannot be interrupted.
+    # Errors in the data are raised before the rehearsal, which cannot be interrupted.
     views_to_use(data, camera)
     with ThreadPoolExecutor(max_workers=1) as background:
         rehearsal = background.submit(rehearse, data, lens, camera, joint_options)
         staged = fit_staged(data, lens, camera=camera, step2=STEP2[step2], progress=progress)
-        rehearsal.exception()  # waits; what is wrong with the data the real run will say
+        # Wait for the rehearsal. Its own errors are ignored: the real fit below raises the same
+        # ones.
+        rehearsal.exception()
     trusted = _seen_only(data, staged.inliers)
     joint = fit_joint(trusted, staged.calibration, progress=progress, **joint_options)
-    # The report is on everything that was seen, outliers too.
-    # Without the region, as the fits themselves compiled it.
+    # Residuals are reported for every observation, outliers too. The region is left out so that the
+    # calibration has the structure for which the fits have already compiled `chain_residuals`.
     bare = dataclasses.replace(joint.calibration, region=None)
     everything = chain_residuals(bare, data.observations)
     joint = eqx.tree_at(lambda f: f.residuals, joint, everything)
@@ -100,15 +113,16 @@ def calibrate(
 
 
 def best_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
-    """The chain that predicts best where nothing corrects the robot's error.
+    """Fit the chain that predicts best where the robot's error is not corrected.
 
-    For programs that know transforms alone. It takes the robot's poses as exact, and bends the
-    camera and the mount to what the robot does: its hand-eye transform is not where the camera is.
-    What the fit left out is left out, and what it held is held; priors are not known here.
+    It is for programs that use transforms only. The fit takes the robot's poses as exact, so its
+    camera and hand-eye transform absorb the robot's error: this hand-eye transform is not the best
+    estimate of the camera's mount. Rejected observations stay out and held parameters stay held;
+    priors are not known here.
 
     Args:
-        data: what the fit was fitted to.
-        fit: to correct nothing in.
+        data: the data set that `fit` was fitted to.
+        fit: the calibration to refit without a correction.
     """
     start, moved = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
     held = tuple(name for name in parameter_names(start) if name not in moved)
@@ -118,7 +132,9 @@ def best_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
 
 
 def _beside_staged(fit: CalibrationFit) -> tuple[str, ...]:
-    """Return what the staged fit says against the joint one."""
+    """Return the warnings that follow from comparing the joint fit's residuals with the staged
+    fit's.
+    """
     joint = fit.joint
     seen = np.asarray(joint.inliers)
 
@@ -140,4 +156,5 @@ def _beside_staged(fit: CalibrationFit) -> tuple[str, ...]:
 
 
 def _seen_only(data: Dataset, these: Bool[Array, "views points"]) -> Dataset:
+    """Return the data with only these of the visible observations."""
     return eqx.tree_at(lambda d: d.visible, data, data.visible & these)

@@ -1,11 +1,12 @@
-"""The kinematics of an arm from measured poses of a target on it: a tracker's, or a camera's.
+"""Fit the kinematics of an arm to measured poses of a target on it, from a tracker or a camera.
 
     camera_from_target = camera_from_base @ arm.base_from_tool(ratios * joints) @ flange_from_target
 
-Every joint is an axis in space, wherever it may be, and the fit moves these lines: Denavit and
-Hartenberg's numbers jump where axes come to be parallel, lines do not. The numbers are read off the
-answer. Two freedoms are no one's to know and are settled by them: the base's z axis is the first
-joint's, with its origin and x axis taken from the camera's frame, and the flange is on the last.
+Every joint is an axis in space, and the fit adjusts these lines directly, because
+Denavit-Hartenberg parameters are discontinuous where neighbouring axes become parallel and lines
+are not. The Denavit-Hartenberg parameters are computed from the fitted lines. Two freedoms that no
+data determine are fixed by convention: the base's z axis is the first joint's, with its origin and
+x axis taken from the camera's frame, and the flange is on the last axis.
 """
 
 from collections.abc import Sequence
@@ -24,25 +25,27 @@ from ..robots import JointsLike, SerialArm, arm_from_axes
 from .axes_start import Axes, axes_of_arm, axes_of_motions
 
 STEPS = 200
-"""Of Levenberg-Marquardt, at most."""
+"""The largest number of Levenberg-Marquardt steps."""
 
 UNSEEN = 1e-9
-"""Singular value, as a share of the largest, below which data say nothing of a direction."""
+"""The fraction of the largest singular value below which a direction counts as not observable."""
 
 
 class KinematicFit(eqx.Module):
-    """An arm as poses of a target on it show it to be.
+    """The result of fitting an arm's kinematics to poses of a target on it.
 
     Attributes:
-        arm: with `standard` numbers, from its first axis to its flange.
-        ratios: how far each joint goes per unit of its reading.
-        camera_from_base: where the arm's base is, in the frame that poses were measured in.
-        flange_from_target: where the target is on it.
-        residuals: measured less fitted, m in the camera's frame, then rad at the target.
-        std: of the fitted numbers by name: `axis_tilt.k`, `axis_shift.k` (two directions across
-            axis k), `joint_ratio.k`, `target`; infinite for what the data do not tell.
-        unseen: what that is: the numbers that each such direction moves.
-        result: how the solver ended.
+        arm: the arm with `standard` Denavit-Hartenberg numbers, from its first axis to its flange.
+        ratios: true joint motion per unit of its reading.
+        camera_from_base: the pose of the arm's base in the frame that poses were measured in.
+        flange_from_target: the pose of the target on the flange.
+        residuals: measured minus fitted: translation in the camera's frame, m, then rotation at the
+            target, rad.
+        std: standard deviations of the fitted numbers by name: `axis_tilt.k`, `axis_shift.k` (two
+            directions across axis k), `joint_ratio.k`, `target`; infinite for parameters that the
+            data do not determine.
+        unseen: the directions that the data do not determine, each as the names of its parameters.
+        result: the solver's exit status.
     """
 
     arm: SerialArm
@@ -55,7 +58,7 @@ class KinematicFit(eqx.Module):
     result: optx.RESULTS
 
     def camera_from_target(self, joints: JointsLike) -> SE3:
-        """Where the target is at given readings, `(*views)`."""
+        """Return the target's pose in the camera's frame at given readings, `(*views)`."""
         joints = jnp.asarray(joints, dtype=float)
         poses = self.arm.base_from_tool(joints * jnp.broadcast_to(self.ratios, joints.shape))
         ends = (self.camera_from_base, self.flange_from_target)
@@ -65,12 +68,14 @@ class KinematicFit(eqx.Module):
 
     @property
     def rms_mm(self) -> float:
-        """Root of the mean squared distance between measured and fitted origins, mm."""
+        """The root mean square distance between measured and fitted origins of the target, mm."""
         return 1e3 * _rms(self.residuals[:, :3])
 
     @property
     def rms_degrees(self) -> float:
-        """Root of the mean squared angle between measured and fitted orientations, degrees."""
+        """The root mean square angle between measured and fitted orientations of the target,
+        degrees.
+        """
         return float(np.rad2deg(_rms(self.residuals[:, 3:])))
 
 
@@ -83,20 +88,22 @@ def fit_kinematics(
     prismatic: Sequence[bool] | None = None,
     metres_per_radian: float = 1.0,
 ) -> KinematicFit:
-    """Fit the axes of an arm, the ratios of its joints and its two ends to measured poses.
+    """Fit an arm's joint axes and ratios, its base pose and the target's pose on it to measured
+    poses.
 
     Args:
         joints: readings, `(views, joints)`, rad or m.
-        camera_from_target: measured, `(views)`.
-        start: the arm as it is believed to be. Without it each axis is found from views between
-            which no later joint moves.
-        free_ratios: whether a joint may go further than it reads; the sign of its axis is free.
-        prismatic: which joints slide; by default those of `start`, or none.
-        metres_per_radian: weight of orientations: an error of 1 rad counts as so many metres.
+        camera_from_target: measured poses, `(views)`.
+        start: the nominal arm. Without it each axis is initialised from views between which no
+            later joint moves.
+        free_ratios: whether the joint ratios are fitted; if not, they are one, and the direction of
+            each axis gives the sign of its motion.
+        prismatic: which joints are prismatic; by default those of `start`, or none.
+        metres_per_radian: weight of orientations: an error of 1 rad counts as this many metres.
 
     Raises:
-        ValueError: shapes that do not fit, fewer numbers measured than fitted, or no start given
-            and none found; the message names the joint.
+        ValueError: shapes that do not match, fewer measured numbers than free ones, or no start
+            given and none found; the message names the joint.
     """
     joints, poses = np.asarray(joints, dtype=float), as_se3(camera_from_target)
     if joints.ndim != 2 or poses.get_batch_axes() != joints.shape[:1]:
@@ -132,9 +139,10 @@ def fit_kinematics(
 
 
 def _numbers(slides: tuple[bool, ...], free_ratios: bool) -> tuple[list[str], Int[np.ndarray, "n"]]:
-    """Names of the free numbers, and their places among five a joint and six of the target.
+    """Return the names of the free numbers and their indices among five per joint and six of the
+    target.
 
-    Of a sliding joint's axis only the direction matters.
+    Of a prismatic joint's axis only the direction is free: its position has no effect.
     """
     names, free = [], []
     for k, slide in enumerate(slides):
@@ -156,17 +164,26 @@ def _solve(
     slides: tuple[bool, ...],
     metres_per_radian: float,
 ) -> tuple[Axes, Float[Array, "views 6"], Float[Array, "views 6 n"], optx.RESULTS]:
+    """Minimise the weighted pose residuals by Levenberg-Marquardt.
+
+    Returns:
+        Fitted axes, unweighted residuals (m, rad), Jacobian of the weighted residuals, and the
+        solver's exit status.
+    """
     size = 5 * len(slides) + 6
 
     def moved(step: Float[Array, "n"]) -> Axes:
         return axes.moved(jnp.zeros(size).at[free].set(step))
 
     def residuals(step: Float[Array, "n"], _: None = None) -> Float[Array, "views 6"]:
+        # r = (t_measured - t_predicted, w log(R_predicted^-1 R_measured)), w in metres per radian.
         predicted = moved(step).camera_from_target(joints, slides)
         shift = poses.translation() - predicted.translation()
         turn = (predicted.rotation().inverse() @ poses.rotation()).log()
         return jnp.concatenate([shift, metres_per_radian * turn], axis=-1)
 
+    # Each step solves (J^T J + lambda I) step = -J^T r; the damping lambda falls where the cost
+    # does. Dense, since an arm has some forty numbers.
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-12)
     first = jnp.zeros(len(free))
     found = optx.least_squares(residuals, solver, first, max_steps=STEPS, throw=False)
@@ -180,14 +197,18 @@ def _uncertainty(
     names: list[str],
     metres_per_radian: float,
 ) -> tuple[dict[str, Float[np.ndarray, "numbers"]], tuple[str, ...]]:
-    """Deviations by name, and what cannot be told.
+    """Return standard deviations by name, and the directions that the data do not determine.
 
-    The weights are not the noise's: translations and rotations each have their own, found from the
-    residuals, and the covariance is that of the weighted estimate under it.
+    The weights are not the inverse noise variances. Translations and rotations each have their own
+    variance, estimated from the residuals, and the covariance is that of the weighted estimate
+    under this noise: `J^+ S J^+^T`, with `J^+` the pseudo-inverse of the weighted Jacobian and S
+    the noise covariance of the weighted residuals.
     """
     rows = jacobian.reshape(-1, len(names))
     U, values, Vt = np.linalg.svd(rows, full_matrices=False)
+    # J = U diag(s) V^T; directions with a singular value of about zero are left out of J^+.
     seen = values > UNSEEN * values[0]
+    # 1 - leverage, each residual's degrees of freedom: sigma^2 = sum(r^2) / sum(1 - leverage).
     share = 1.0 - np.sum(U[:, seen] ** 2, axis=1).reshape(residuals.shape)
     noise = np.repeat(
         [
@@ -196,8 +217,10 @@ def _uncertainty(
         ],
         3,
     ) * np.repeat([1.0, metres_per_radian**2], 3)
+    # Diagonal of J^+ S J^+^T, with S = diag(noise).
     inverse = (Vt[seen].T / values[seen]) @ U[:, seen].T
     variance = np.sum(inverse**2 * np.tile(noise, len(residuals)), axis=1)
+    # A parameter with any component in an unobservable direction has no finite variance.
     lost = np.sum(Vt[~seen] ** 2, axis=0) > 1e-6
     deviations = np.where(lost, np.inf, np.sqrt(variance))
     std = {
@@ -219,6 +242,7 @@ def _as_fit(
     unseen: tuple[str, ...],
     result: optx.RESULTS,
 ) -> KinematicFit:
+    """Return the result with the axes expressed as Denavit-Hartenberg numbers."""
     frames = np.asarray(axes.frames.as_matrix())
     whole = arm_from_axes(
         frames[:, :3, 3], frames[:, :3, 2], np.asarray(axes.home.as_matrix()), slides
@@ -231,4 +255,5 @@ def _as_fit(
 
 
 def _rms(errors: Float[Array, "views 3"]) -> float:
+    """Return the root mean square length of error vectors."""
     return float(jnp.sqrt(jnp.mean(jnp.sum(errors**2, axis=-1))))
