@@ -1,7 +1,8 @@
-"""How programs are compiled: quickly where little is computed, well where much is.
+"""Compile functions with JAX, with little optimisation for small inputs and more for large ones.
 
-XLA's time is most of what a first answer takes. Its fusion emitters for the CPU take nearly half of
-it and gain next to nothing in a fit; optimising by LLVM costs as much as a thousand small fits.
+Compilation by XLA takes most of the time to a first result. XLA's fusion emitters for the CPU need
+nearly half of that time and hardly speed up a fit; optimisation by LLVM costs as much time as a
+thousand small fits.
 """
 
 import functools
@@ -13,20 +14,27 @@ import jax
 from jax.core import Tracer
 
 MUCH = 30_000
-"""Numbers in the arguments from which a program is optimised: some five thousand observations."""
+"""Smallest number of array elements in the arguments for which a program is compiled optimised.
+
+It corresponds to some five thousand observations.
+"""
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """`eqx.filter_jit`, optimised or not by how much the function is given."""
+    """Compile a function with `eqx.filter_jit`, optimised only if its arguments are large.
+
+    Two programs are prepared. A call with fewer than `MUCH` array elements on a CPU runs the one that
+    compiles quickly; every other call runs the optimised one.
+    """
     quickly, well = _compiled(function, 0), _compiled(function, 2)
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         given = sum(x.size for x in jax.tree.leaves((args, kwargs)) if hasattr(x, "size"))
-        # What it costs and gains was measured on CPUs.
+        # The cost and gain of optimisation were measured on CPUs only, so other backends always get it.
         little = given < MUCH and jax.default_backend() == "cpu"
         return (quickly if little else well)(*args, **kwargs)
 
@@ -34,18 +42,20 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """`eqx.filter_jit`, for what computes much from little: long loops, many views of few points.
+    """Compile a function with `eqx.filter_jit`, always optimised.
 
-    At the third of LLVM's levels, XLA's own choice, the linearisation of many points takes twice as
-    long as at the second.
+    Use it for functions that compute much from small arguments: long loops, or many views of few
+    points. LLVM's level 2 is used: at level 3, XLA's own default, the linearisation of many points
+    takes twice as long as at level 2.
     """
     return _compiled(function, 2)
 
 
 def _compiled(function: Callable[_P, _R], level: int) -> Callable[_P, _R]:
+    """Compile a function with `eqx.filter_jit` at an LLVM optimisation level, without fusion emitters."""
     options = {"xla_backend_optimization_level": level, "xla_cpu_use_fusion_emitters": False}
     alone = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
-    # Inside another program that one's options hold, and JAX takes no others.
+    # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
     inside = eqx.filter_jit(function)
 
     @functools.wraps(function)

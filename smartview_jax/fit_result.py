@@ -1,11 +1,11 @@
-"""How a fit ended, and what it left out."""
+"""The outcome of a fit: whether it converged, and which points and views it left out."""
 
 from enum import StrEnum
 from typing import NamedTuple
 
 
 class FitCode(StrEnum):
-    """In one word."""
+    """The outcome of a fit as one word."""
 
     CONVERGED = "converged"
     STOPPED_EARLY = "stopped_early"
@@ -13,9 +13,13 @@ class FitCode(StrEnum):
 
 
 class FitResult(NamedTuple):
-    """How a fit ended, and in words what happened and what may help.
+    """The outcome of a fit as a code and a message.
 
-    A fit that failed never raises by itself; `require` does, for who wants it to.
+    A fit that failed does not raise by itself; call `require` to raise.
+
+    Attributes:
+        code: the outcome as one word.
+        message: what happened, and what may help.
     """
 
     code: FitCode
@@ -23,26 +27,26 @@ class FitResult(NamedTuple):
 
     @property
     def converged(self) -> bool:
-        """Whether the answer is the optimum."""
+        """Whether the result is the optimum."""
         return self.code is FitCode.CONVERGED
 
     def require(self) -> None:
         """Raise unless the fit converged.
 
         Raises:
-            RuntimeError: with the message.
+            RuntimeError: the fit did not converge; with the code and the message.
         """
         if not self.converged:
             raise RuntimeError(f"{self.code}: {self.message}")
 
 
 class Rejection(NamedTuple):
-    """One point, or one whole view, that a fit did not use.
+    """A point, or a whole view, that a fit did not use.
 
     Attributes:
-        view: its id.
+        view: identifier of the view.
         point: index of the point; None for the whole view.
-        reason: why.
+        reason: why it was left out.
     """
 
     view: str

@@ -1,8 +1,8 @@
-"""Names that moved to another room: found where they were for one more release, with a warning.
+"""Deprecated import paths that keep working, with a warning, for one more release.
 
-The place is a text, which a room's `__getattr__` imports when somebody asks for the name, and never
-before. So a room may point to one above it, which else would be a circle; nothing in the package
-asks for an old name (`tests/test_moved.py`).
+The new location is stored as text and imported only when somebody asks for the old name. A package
+can therefore refer to a package above it without a circular import; nothing in the library itself
+uses an old name (`tests/test_moved.py`).
 """
 
 import importlib
@@ -12,14 +12,15 @@ from typing import Any
 
 
 def moved(room: str, places: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a room whose names moved.
+    """Return the module-level `__getattr__` of a package whose names have a new location.
 
     Args:
-        room: its full name, as in `__name__`.
-        places: full name of the module that has it, by name.
+        room: full name of the package, as in `__name__`.
+        places: full name of the module that now defines each name, keyed by that name.
     """
 
     def find(name: str) -> Any:
+        """Import a name from its new location, with a deprecation warning."""
         if name not in places:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
         warnings.warn(

@@ -1,4 +1,4 @@
-"""The least-squares problem from the arm to the pixel, and its structured solver."""
+"""The least-squares problem of the joint calibration, and the solver that uses its structure."""
 
 from .build import Built as Built
 from .build import build_problem as build_problem

@@ -1,4 +1,4 @@
-"""Covariance of the fitted parameters, from the normal equations at the optimum."""
+"""Covariance matrix of the fitted parameters, from the normal equations at the optimum."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,24 +7,31 @@ from jaxtyping import Array, Bool, Float
 from .problem import JointProblem
 
 NULL = 3e-7
-"""Singular value, of a Jacobian with unit columns, under which a direction is not seen at all.
+"""Singular value, of the Jacobian with unit columns, below which a direction is unobservable.
 
 Normal equations in double precision resolve singular values down to about 1e-8.
 """
 
 
 class UnitColumns:
-    """The Jacobian of the shared parameters, with unit columns, by its singular values.
+    """The singular value decomposition of the shared parameters' Jacobian, scaled to unit columns.
 
     Attributes:
-        lengths: of the columns; one where a column is zero.
-        singular: values, largest first; 1 is as good as it gets.
-        directions: a row each.
+        lengths: lengths of the columns before scaling; one where a column is zero.
+        singular: singular values, largest first; 1 is the best possible.
+        directions: right singular vectors, one per row.
     """
 
     def __init__(self, reduced: Float[np.ndarray, "n n"], lengths: Float[np.ndarray, "n"]):
-        """From `J^T J` with the views' own numbers eliminated, and its columns' lengths before."""
+        """Decompose the reduced normal equations.
+
+        Args:
+            reduced: `J^T J` with the views' own parameters eliminated.
+            lengths: lengths of the Jacobian's columns before that elimination.
+        """
         self.lengths = np.where(lengths > 0.0, lengths, 1.0)
+        # D^-1 (J^T J) D^-1 = V diag(s^2) V^T, with D the lengths: s and V are the singular values and the
+        # right singular vectors of J D^-1.
         values, vectors = np.linalg.eigh(reduced / np.outer(self.lengths, self.lengths))
         self.singular = np.sqrt(np.maximum(values, 0.0))[::-1]
         self.directions = vectors.T[::-1]
@@ -33,17 +40,20 @@ class UnitColumns:
 def variance_factor(
     problem: JointProblem, squares: Float[Array, "views points"]
 ) -> Float[Array, ""]:
-    """By how much the assumed variance of a pixel is wrong, from all residuals.
+    """Estimate the factor by which the assumed pixel variance is wrong, from all residuals.
 
-    With a robust loss by the median: what the loss makes little of must not count here.
+    It is the sum of squared whitened residuals over the degrees of freedom. With a robust loss it is
+    estimated from the median, since outliers must not inflate it.
 
     Args:
-        problem: a free parameter with a prior takes no degree of freedom from the residuals.
-        squares: of its whitened residuals, as `JointProblem.squares` has them.
+        problem: the problem; a free parameter with a prior takes no degree of freedom from the
+            residuals.
+        squares: squared whitened residuals of the points, as `JointProblem.squares` returns them.
     """
     visible, weight = problem.observations.visible, problem.prior_weight
     if problem.loss is not None:
         return robust_variance(squares, visible)
+    # sum |r|^2 / (2 n - p), with n visible points and p free parameters without a prior.
     shared = weight.shared[problem.chosen] == 0.0
     own = problem.own_free & (weight.corrections == 0.0)
     free = jnp.sum(shared.astype(float)) + jnp.sum(own.astype(float))
@@ -53,10 +63,12 @@ def variance_factor(
 def robust_variance(
     squares: Float[Array, "views points"], visible: Bool[Array, "views points"]
 ) -> Float[Array, ""]:
-    """Variance per component from the median: half the points lie within 2 log 2 of it.
+    """Estimate the variance per component from the median of the squared residuals.
 
-    One where nothing was seen.
+    The result is one if no point is visible.
     """
+    # |r|^2 / sigma^2 of a two-component residual is chi-square with 2 degrees of freedom, whose
+    # median is 2 log 2: median |r|^2 = 2 log 2 sigma^2.
     middle = jnp.nanmedian(jnp.where(visible, squares, jnp.nan)) / (2.0 * jnp.log(2.0))
     return jnp.where(jnp.isnan(middle), 1.0, jnp.maximum(middle, 1e-24))
 
@@ -64,17 +76,19 @@ def robust_variance(
 def covariance(
     columns: UnitColumns, variance_factor: float
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
-    """Covariance of the shared parameters that are free, and their standard deviations.
+    """Compute the covariance of the free shared parameters, and their standard deviations.
 
-    `variance_factor (J^T J)^-1`. A parameter that takes part in a direction the data do not see
-    has an infinite standard deviation; the covariance of the others is that of the directions seen.
+    The covariance is `variance_factor (J^T J)^-1`. A parameter with a component along an unobservable
+    direction has an infinite standard deviation; the covariance of the others is computed from the
+    observable directions.
 
     Args:
-        columns: of the Jacobian at the optimum.
-        variance_factor: by which the assumed variances are wrong: 1 where they are known.
+        columns: decomposition of the Jacobian at the optimum.
+        variance_factor: factor by which the assumed variances are wrong: 1 where they are known.
     """
     seen = columns.singular > NULL
     inverse = np.where(seen, 1.0 / np.where(seen, columns.singular, 1.0), 0.0)
+    # (J^T J)^-1 = R R^T with R = D^-1 V diag(1 / s), over the observable directions.
     root = (columns.directions.T * inverse) * (1.0 / columns.lengths)[:, None]
     full = variance_factor * root @ root.T
     std = np.sqrt(np.diag(full))
@@ -88,14 +102,16 @@ def own_std(
     shared_covariance: Float[np.ndarray, "n n"],
     variance_factor: float,
 ) -> Float[np.ndarray, "views 6"]:
-    """Standard deviations of each view's own numbers.
+    """Compute the standard deviations of each view's own parameters.
 
     Args:
-        own_inverse: of each view's own block.
-        gain: that times its border with the shared parameters.
-        shared_covariance: as `covariance` has it.
+        own_inverse: inverse of each view's own block of the normal equations.
+        gain: that inverse times the view's border block with the shared parameters.
+        shared_covariance: covariance of the shared parameters, as `covariance` returns it.
         variance_factor: as in `covariance`.
     """
+    # Cov(own) = f D^-1 + K C K^T, with D the view's own block, K = D^-1 B its gain, C the covariance
+    # of the shared parameters and f the variance factor.
     alone = variance_factor * np.diagonal(own_inverse, axis1=1, axis2=2)
     through_shared = np.einsum("vki,ij,vkj->vk", gain, shared_covariance, gain)
     return np.sqrt(alone + through_shared)

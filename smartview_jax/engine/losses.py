@@ -1,8 +1,8 @@
-"""Robust losses: how much a deviation costs, as a function of its whitened square.
+"""Robust losses that limit the influence of points with large residuals.
 
-The fit minimises `1/2 sum rho(s)` with `s = |r|^2` over the observations, `r` being the residual of
-one point over the pixel sigma. Least squares sees `r sqrt(rho(s) / s)`, whose square is rho, so any
-least-squares solver can be used as it is.
+The fit minimises `1/2 sum rho(s)` with `s = |r|^2` over the observations, where r is the residual
+of a point (two components) divided by the pixel sigma. An ordinary least-squares solver gets the
+residual `r sqrt(rho(s) / s)`: its square is rho, so that any such solver can be used unchanged.
 """
 
 import abc
@@ -13,24 +13,27 @@ from jaxtyping import Array, Float
 
 
 class AbstractLoss(eqx.Module):
-    """A loss; `scale` is in standard deviations of a point's deviation."""
+    """A loss function of the squared whitened residual of a point.
+
+    A `scale` is in standard deviations of a pixel; residuals much smaller cost their square.
+    """
 
     @abc.abstractmethod
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
-        """Cost of a squared deviation: `s` near zero, growing more slowly far out."""
+        """Return the loss of a squared whitened residual: `s` near zero, growing more slowly far out."""
 
     def whiten(self, residual: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
-        """The residual whose square is the loss."""
+        """Scale a whitened residual so that its square is the loss."""
         s = jnp.sum(residual**2, axis=-1)
         tiny = s < 1e-12
-        # Near zero the ratio is 1; the inner `where` keeps its derivative finite.
+        # s -> 0: rho / s -> 1. The inner `where` keeps the derivative of the unused branch finite.
         safe = jnp.where(tiny, 1.0, s)
         ratio = jnp.where(tiny, 1.0, self.rho(safe) / safe)
         return residual * jnp.sqrt(ratio)[..., None]
 
 
 class Huber(AbstractLoss):
-    """Quadratic up to `scale`, then linear: `2 scale sqrt(s) - scale^2`."""
+    """The Huber loss: quadratic up to `scale`, then linear, `2 scale sqrt(s) - scale^2`."""
 
     scale: float = 2.0
 
@@ -39,7 +42,7 @@ class Huber(AbstractLoss):
 
 
 class Cauchy(AbstractLoss):
-    """`scale^2 log(1 + s / scale^2)`."""
+    """The Cauchy loss `scale^2 log(1 + s / scale^2)`."""
 
     scale: float = 2.5
 
@@ -48,7 +51,10 @@ class Cauchy(AbstractLoss):
 
 
 class GemanMcClure(AbstractLoss):
-    """`s / (1 + s / scale^2)`: bounded, so a gross outlier has no say at all."""
+    """The Geman-McClure loss `s / (1 + s / scale^2)`.
+
+    It is bounded, so that a gross error has no influence at all.
+    """
 
     scale: float = 3.0
 
@@ -57,7 +63,10 @@ class GemanMcClure(AbstractLoss):
 
 
 class StudentT(AbstractLoss):
-    """`(dof + 2) log(1 + s / dof)`: twice the negative log-likelihood of a bivariate t."""
+    """The loss of t-distributed residuals, `(dof + 2) log(1 + s / dof)`.
+
+    It is twice the negative log-likelihood of a bivariate t distribution, up to a constant.
+    """
 
     dof: float = 5.0
 
@@ -71,13 +80,14 @@ LOSSES: dict[str, type[AbstractLoss]] = {
     "geman_mcclure": GemanMcClure,
     "student_t": StudentT,
 }
+"""All losses that can be chosen by name."""
 
 
 def loss_by_name(name: str | AbstractLoss | None) -> AbstractLoss | None:
-    """The named loss with its usual scale; None, and a loss, are returned as they are.
+    """Return the named loss with its usual scale; None, and a loss, are returned unchanged.
 
     Raises:
-        ValueError: an unknown name; the message lists those there are.
+        ValueError: the name is unknown; the message lists the known names.
     """
     if name is None or isinstance(name, AbstractLoss):
         return name

@@ -1,4 +1,4 @@
-"""How large the errors of pixels and of reported robot poses are taken to be."""
+"""The assumed standard deviations of pixels and of the poses that the robot reports."""
 
 import dataclasses
 import math
@@ -6,19 +6,24 @@ import math
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Standard deviations of what is measured.
+    """The standard deviations of pixels, of reported poses and of the robot error field.
 
-    With a `Noise`, every view carries a correction `c_i` of its reported pose,
-    `tool_from_base = exp(c_i) @ reported_i`, with a Gaussian prior of these sizes.
+    With a `Noise`, every view i has a correction `c_i` of its reported pose,
+    `tool_from_base = exp(c_i) @ reported_i`, with a Gaussian prior of zero mean and these standard
+    deviations.
 
     Attributes:
-        pixel: of u and of v, px.
-        translation: of the reported position, per axis at the tool, m; infinite for none known.
-        rotation: of the reported orientation, per axis at the tool, rad; infinite for none known.
-        field: of the coefficients of the robot's error, one for each of the field's groups.
-        white_pixel: of u and of v about a view's own best pose, px; None where it is `pixel`. Real
-            pixels err together, so that a view tells less of the camera and of its pose than its
-            many points suggest: `pixel` is what weighs them, and this what predicts them.
+        pixel: effective standard deviation of u and of v, px.
+        translation: standard deviation of the reported position, per axis at the tool, m; infinite
+            if unknown.
+        rotation: standard deviation of the reported orientation, per axis at the tool, rad; infinite
+            if unknown.
+        field: standard deviation of the coefficients of the robot error field, one for each of the
+            field's groups.
+        white_pixel: standard deviation of u and of v about a view's own best pose, px; None where it
+            equals `pixel`. Errors of real pixels are correlated within a view, so that a view gives
+            less information on the camera and on its pose than its many points suggest: `pixel`
+            weights them in the fit, and `white_pixel` predicts the scatter of single points.
     """
 
     pixel: float
@@ -37,5 +42,8 @@ class Noise:
 
     @property
     def bounds_poses(self) -> bool:
-        """Whether reports hold the poses at all; if not, the residuals tell the pixels' sigma."""
+        """Whether the reported poses have a finite standard deviation, of translation or of rotation.
+
+        If not, only the residuals determine the pixel sigma.
+        """
         return min(self.translation, self.rotation) < math.inf

@@ -1,4 +1,4 @@
-"""What the data cannot tell: rank and null directions of the scaled Jacobian, in words."""
+"""Observability of the parameters: rank and null directions of the scaled Jacobian, as sentences."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,16 @@ from ..calibration import Calibration
 from .covariance import NULL, UnitColumns
 
 WEAK = 1e-3
-"""Singular value, of a Jacobian with unit columns, under which a direction is reported as weak."""
+"""Singular value, of the Jacobian with unit columns, below which a direction is reported as weak."""
 
 
 class Direction(NamedTuple):
-    """A combination of parameters that the data see badly or not at all.
+    """A combination of parameters that the data determine poorly or not at all.
 
     Attributes:
-        singular_value: of the Jacobian with unit columns; 1 is as good as it gets.
-        components: how far each parameter moves along it (own units), largest effect first.
+        singular_value: singular value of the Jacobian with unit columns; 1 is the best possible.
+        components: change of each parameter along the direction, in the parameter's own unit, largest
+            effect first.
         words: the same as a sentence.
     """
 
@@ -26,13 +27,13 @@ class Direction(NamedTuple):
 
 
 class Observability(NamedTuple):
-    """How many directions of the free parameters the data determine.
+    """The number of directions in parameter space that the data determine, and the others.
 
     Attributes:
-        rank: of the scaled Jacobian.
+        rank: rank of the scaled Jacobian.
         size: number of free parameters.
-        null: the directions not seen.
-        weak: those seen badly.
+        null: unobservable directions.
+        weak: poorly observable directions.
         smallest: the smallest singular value.
     """
 
@@ -46,18 +47,22 @@ class Observability(NamedTuple):
 def observability(
     columns: UnitColumns, names: tuple[str, ...], calibration: Calibration
 ) -> Observability:
-    """Rank and null directions of a fit.
+    """Compute the rank, the null directions and the weak directions of a fit.
 
     Args:
-        columns: of the Jacobian at the optimum.
-        names: of the free parameters.
-        calibration: where the Jacobian was taken.
+        columns: singular values and directions of the Jacobian at the optimum.
+        names: names of the free parameters.
+        calibration: the calibration at which the Jacobian was taken.
     """
     singular, Vt = columns.singular, columns.directions
+    # With D the lengths of the columns, the decomposed Jacobian is J D^-1: a direction v of it is
+    # D^-1 v in the parameters' own units.
     own = 1.0 / columns.lengths
 
     def direction(k: int) -> Direction:
+        """Return the k-th right singular vector as a `Direction`."""
         order = np.argsort(-np.abs(Vt[k]))
+        # At most eight components, and none below 5 % of the largest: more are unreadable.
         strong = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
         parts = tuple((names[i], float(Vt[k, i] * own[i])) for i in strong)
         return Direction(float(singular[k]), parts, _words(parts, calibration))
@@ -72,6 +77,11 @@ def observability(
 
 
 def _words(parts: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
+    """Describe a direction as a sentence.
+
+    A shift of the camera on its mount, alone or together with a shift of the target, is described in
+    the frame of the mount; every other direction as a list of parameters.
+    """
     camera_transform, world_transform = calibration.transform_names
     blocks = {".".join(name.split(".")[:2]) for name, _ in parts}
     moved = f"{camera_transform}.translation"
@@ -81,6 +91,7 @@ def _words(parts: tuple[tuple[str, float], ...], calibration: Calibration) -> st
         for name, value in parts:
             if name.startswith(moved):
                 step["xyz".index(name[-1])] = value
+        # t = translation of camera_from_mount is in camera axes; R^T t is in the axes of the mount.
         rotation = np.asarray(calibration.camera_from_mount.rotation().as_matrix())
         axis = _axis(rotation.T @ step)
         return f"camera offset along the {mount}'s {axis}: all rotations share that axis"
@@ -89,7 +100,7 @@ def _words(parts: tuple[tuple[str, float], ...], calibration: Calibration) -> st
 
 
 def _axis(vector: np.ndarray) -> str:
-    """An axis by its letter where it is within ten degrees, otherwise as numbers."""
+    """Return an axis as its letter if the vector is within ten degrees of it, otherwise as numbers."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
     k = int(np.argmax(np.abs(unit)))
     if abs(unit[k]) > np.cos(np.deg2rad(10.0)):

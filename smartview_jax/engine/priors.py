@@ -1,16 +1,16 @@
-"""What is known of a parameter before any picture is seen."""
+"""Gaussian priors on single parameters, known before any picture is taken."""
 
 import dataclasses
 
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """A Gaussian prior on the parameters that a path names.
+    """A Gaussian prior on all parameters that a path selects.
 
     Attributes:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).
-        mean: its value; None takes the start's. Rotations have no mean of their own: their prior
-            is about the start.
+        mean: mean value; None takes the value of the start. The prior of a rotation is always centred
+            at the start and has no mean of its own.
     """
 
     std: float
