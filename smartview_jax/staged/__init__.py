@@ -1,4 +1,12 @@
-"""The paper's staged pipeline: the baseline, and the start of the joint fit."""
+"""Calibrate in the paper's three steps, as the baseline and as the start of the joint fit.
+
+    Step 1  each view by itself, Weng's two-step method       weng*.py (Eq. 8)
+    Step 2  one camera for all views, iterated Kalman filter  kalman.py (Eq. 9)
+    Step 3  hand-eye and world transforms, `A X = X B`        hand_eye.py (Eq. 17), closed_form.py
+
+`fit.py` runs the three. `conventions.py` and `agreement.py` check the data between Steps 2 and 3;
+`interpolation.py` is the comparison method of the paper's Table 1.
+"""
 
 from ..moved import moved as _moved
 from .agreement import FEWEST as FEWEST
@@ -30,4 +38,5 @@ from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
 from .weng import locate_views as locate_views
 
+# These two names were public here before; old imports keep working.
 __getattr__ = _moved(__name__, dict.fromkeys(("FitCode", "FitResult"), "smartview_jax.fit_result"))

@@ -1,10 +1,12 @@
-"""Step 1: each view calibrated by itself, by Weng's two-step method.
+"""Calibrate every view by itself, by Weng's two-step method (Step 1 of the paper, Eq. 8).
 
-A linear start (`weng_start`), then distortion and the rest in turn (`weng_alternation`).
+The first of Weng's steps is linear (`weng_start.py`); the second alternates between distortion
+and all other unknowns (`weng_alternation.py`).
 
-The linear start needs points that are not in one plane. A single plane cannot tell the principal
-point from the pose: there u0, v0 stay at the picture's centre and alpha_u = alpha_v, which come
-from the homography; a frontal view cannot tell even that and takes the median of the others.
+The linear start needs points that are not in one plane. From a single plane the principal point
+cannot be separated from the pose: u0, v0 are then held at the picture's centre and
+alpha_u = alpha_v is computed from the homography. A frontal view of a plane does not determine
+alpha either and takes the median alpha of the other views.
 
 Reference: Weng, Cohen, Herniou, PAMI 14(10), 1992.
 """
@@ -28,23 +30,24 @@ LINEAR, PLANAR, MEDIAN, NONE = (
     "frontal: alpha of the other views",
     "none",
 )
+"""Names of the linear starts, reported in `ViewCalibrations.starts`."""
 
 _DETERMINED = 0.03
-"""Relative standard deviation of alpha above which a view does not determine it."""
+"""Largest relative standard deviation of alpha at which a view counts as determining it."""
 _COLLINEAR = 1e-3
-"""Second over largest extent of the points, under which they count as one line."""
+"""Ratio of second to largest extent of the points below which they count as one line."""
 
 
 class ViewCalibrations(eqx.Module):
-    """What Step 1 found for each view.
+    """The result of Step 1: one set of intrinsics and one pose for each view.
 
     Attributes:
-        intrinsics: the view's own; see `starts` for what was held.
+        intrinsics: the view's own; `starts` says which of them were held fixed.
         camera_from_world: the view's pose.
-        rms: root mean square deviation over the points used, px.
+        rms: root mean square reprojection error over the points used, px.
         alpha_std: relative standard deviation of alpha in that view.
-        used: the points that were not set aside as gross outliers.
-        starts: which start each view took.
+        used: the points that were not rejected as gross errors.
+        starts: name of the start used for each view.
         problems: why a view could not be calibrated; empty where it could.
     """
 
@@ -58,11 +61,11 @@ class ViewCalibrations(eqx.Module):
 
     @property
     def usable(self) -> np.ndarray:
-        """`(views,)`: the views that have no problem."""
+        """The mask `(views,)` of views that could be calibrated."""
         return np.array([not problem for problem in self.problems])
 
     def camera(self, view: int, image_size: tuple[int, int]) -> Camera:
-        """The camera as one view sees it."""
+        """Return the camera with the intrinsics of one view."""
         return Intrinsics(*(value[view] for value in self.intrinsics)).camera(image_size)
 
 
@@ -72,10 +75,10 @@ def calibrate_views(
     """Calibrate every view by itself.
 
     Args:
-        observations: a view needs 6 visible points, 4 where they lie in one plane. A view that
-            cannot be calibrated is reported in `problems`; its numbers mean nothing.
+        observations: a view needs 6 visible points, or 4 if they lie in one plane. A view that
+            cannot be calibrated is reported in `problems`; its numbers are meaningless.
         image_size: width and height, px.
-        distortion: estimate k1; False keeps it at zero.
+        distortion: estimate k1; False holds it at zero.
     """
     centre = (np.array(image_size, dtype=float) - 1.0) / 2.0
     extent = np.asarray(extents(observations.points, observations.visible))
@@ -83,6 +86,7 @@ def calibrate_views(
     problems = _too_little(np.asarray(observations.visible).sum(axis=1), extent, flat)
     size = jnp.asarray(float(max(image_size)))
     start = _starts(observations, jnp.asarray(centre), size, jnp.asarray(flat))
+    # One plane: only alpha (and k1) are free; alpha_v / alpha_u, u0 and v0 are held.
     free = np.ones((len(flat), 5), dtype=bool)
     free[flat, 1:4] = False
     free[:, 4] = distortion
@@ -92,6 +96,8 @@ def calibrate_views(
     usable = np.array([not problem for problem in problems]) & np.isfinite(np.asarray(found.rms))
     frontal = usable & ~(np.asarray(alpha_std) < _DETERMINED)
     if frontal.any():
+        # Focal length and distance are exchangeable in a frontal view of a plane. Fit its pose
+        # again with the median intrinsics, or its focal length would be arbitrary.
         median = _median(found, usable, frontal)
         held = _hold_alpha(start, median, jnp.asarray(frontal), jnp.asarray(centre))
         free[:, :4] = False
@@ -122,9 +128,13 @@ def calibrate_views(
 def locate_views(
     observations: Observations, camera: Camera
 ) -> tuple[SE3, Float[Array, "views"], Bool[Array, "views points"]]:
-    """The pose of every view under a camera that is known: `camera_from_world`, rms, points used.
+    """Compute the pose of every view for a known camera.
 
-    The pictures are straightened first, so any lens will do.
+    Distortion is removed from the pixels first (the inverse pinhole map, Eq. 4, after
+    undistortion, Eq. 3 for the paper's lens), so any lens can be used.
+
+    Returns:
+        `camera_from_world`, the RMS reprojection error of each view in px, and the points used.
     """
     pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
     rays, valid = camera.unproject(pixels)
@@ -149,6 +159,7 @@ def locate_views(
 
 
 def _too_little(seen: np.ndarray, extent: np.ndarray, flat: np.ndarray) -> tuple[str, ...]:
+    """Return for every view why it shows too few points, or an empty text if it does not."""
     problems = []
     for count, (_, second, largest), plane in zip(seen, extent, flat, strict=True):
         needed = 4 if plane else 6
@@ -163,12 +174,15 @@ def _too_little(seen: np.ndarray, extent: np.ndarray, flat: np.ndarray) -> tuple
 
 
 def _only(observations: Observations, views: np.ndarray) -> Observations:
+    """Return the observations with all other views masked out; shapes stay as compiled."""
     visible = observations.visible & jnp.asarray(views)[:, None]
     return eqx.tree_at(lambda o: o.visible, observations, visible)
 
 
 @compiled
 def _where(views: Array, one: Found, other: Found) -> Found:
+    """Return the first result in the given views and the second result in all others."""
+
     def pick(a, b):
         return jnp.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
 
@@ -176,10 +190,10 @@ def _where(views: Array, one: Found, other: Found) -> Found:
 
 
 def _median(found: Found, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics:
-    """Median intrinsics of the views that determine alpha."""
+    """Return the median intrinsics over the views that determine alpha."""
     trusted = usable & ~frontal
     if not trusted.any():
-        # Where no view is oblique the least uncertain ones must do.
+        # With no oblique view at all, use the half with the smallest uncertainty.
         alpha_std = np.asarray(found.alpha_std)
         trusted = usable & (alpha_std <= np.median(alpha_std[usable]))
     return jax.tree.map(lambda x: jnp.asarray(np.median(np.asarray(x)[trusted])), found.intrinsics)
@@ -187,7 +201,10 @@ def _median(found: Found, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics
 
 @compiled
 def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) -> Start:
-    """The start with the median intrinsics in frontal views, at the depth that fits them."""
+    """Return the starts with the median intrinsics in the chosen views, depths rescaled to match.
+
+    The size in the picture is alpha / depth, so depth is multiplied by the ratio of the alphas.
+    """
     ratio = median.alpha_u / start.intrinsics.alpha_u
     held = Intrinsics(median.alpha_u, median.alpha_u, centre[0], centre[1], median.k1)
     intrinsics = jax.tree.map(
@@ -201,6 +218,8 @@ def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) 
 
 @compiled
 def _starts(observations: Observations, centre: Array, size: Array, flat: Array) -> Start:
+    """Compute the linear start of every view, for coplanar or for spatial points."""
+
     def one(points, pixels, visible, planar):
         plane = planar_start(points, pixels, visible, centre, size)
         solid = linear_start(points, pixels, visible)
@@ -217,15 +236,19 @@ def _calibrate_all(
     free: Bool[Array, "views 5"],
     flat: Bool[Array, "views"],
 ) -> Found:
-    """Every view from its starts; of the two poses of a plane the one that fits better."""
+    """Fit every view from its two start poses and keep the one with the smaller RMS error.
+
+    The two differ for coplanar points only: a small plane has two poses that look almost alike.
+    """
     pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
 
     def one(view):
-        # Each view stops when it is done; side by side all would wait for the slowest.
+        # `lax.map`, not `vmap`: each view stops when it has converged. Under `vmap` every view
+        # would iterate until the slowest has finished.
         points, pixels, visible, intrinsics, poses, free, planar = view
 
         def from_pose(which):
-            # Points in space have one pose: the second time there is nothing to see.
+            # Spatial points have one pose only; the second fit gets no points and ends at once.
             seen = visible & (planar | (which == 0))
             return alternate(points, pixels, seen, intrinsics, SE3(poses[which]), free)
 

@@ -1,13 +1,19 @@
-"""Weng's second step in one view: pose and pinhole numbers, then distortion, in turn.
+"""Fit one view by Weng's second step: pose and pinhole intrinsics alternating with distortion.
 
-The half-step for the pose and the pinhole numbers is a damped Gauss-Newton step on Eq. 8, read as
-measured minus projected pixels (as printed it mixes pixels with normalised units). The half-step
-for k1 is linear least squares: the paper's lens maps distorted to ideal coordinates, so that
-`ideal - distorted = k1 distorted r^2`. Either is kept only if it lowers Eq. 8.
+Both half-steps minimise the objective of Step 1, Eq. 8: the sum of squared residuals, measured
+minus projected pixel. As printed, Eq. 8 contains `u - u~` and mixes pixels with normalised units;
+that is a misprint, and the pixel residual is what is meant.
 
-Taking turns protects the first steps, in which a wrong k1 would bend the pose; near the end it
-only crawls along the valley in which k1 and alpha make up for each other. Where a turn gains no
-more than a thousandth, all are freed at once and the same cost is taken to its minimum.
+- Pose and pinhole intrinsics: a Levenberg-Marquardt step on Eq. 8.
+- k1: linear least squares. The paper's lens (Eq. 3) maps distorted to ideal coordinates, so that
+  `ideal - distorted = k1 distorted r^2`.
+
+Either half-step is kept only if it lowers Eq. 8.
+
+Alternating protects the first iterations, in which a wrong k1 would distort the pose. Near the
+optimum it converges slowly, because k1 and alpha compensate each other. As soon as one iteration
+lowers the cost by no more than a thousandth, all unknowns are freed together and the same cost is
+minimised by Levenberg-Marquardt alone.
 """
 
 from typing import NamedTuple
@@ -21,13 +27,15 @@ from ..geometry import transform_points
 from .weng_start import Intrinsics
 
 _TURNS = 60
+"""Maximum number of iterations of one minimisation."""
 _ROUNDS = 8
+"""Maximum number of repeated fits while gross errors are being rejected."""
 _FAR = 1e4
-"""Residual of a point that cannot be projected, px."""
+"""Residual assigned to a point that cannot be projected, px."""
 
 
 class Found(NamedTuple):
-    """What came out of one view; `alpha_std` is relative, infinite where alpha was held."""
+    """The result of one view; `alpha_std` is relative, and infinite where alpha was held."""
 
     intrinsics: Intrinsics
     camera_from_world: SE3
@@ -37,11 +45,15 @@ class Found(NamedTuple):
 
 
 class _State(NamedTuple):
+    """The unknowns of one view."""
+
     numbers: Array  # log alpha_u, log (alpha_v / alpha_u), u0, v0, k1
     pose: SE3
 
 
 class _Progress(NamedTuple):
+    """The loop state of `_minimise`; `together` says whether k1 is in the joint step already."""
+
     state: _State
     cost: Array
     damping: Array
@@ -58,19 +70,24 @@ def alternate(
     pose: SE3,
     free: Bool[Array, "5"],
 ) -> Found:
-    """One view from one start, repeated without the points that stand out until none does.
+    """Fit one view from one start, and repeat without gross errors until none is left.
 
     Args:
         points, pixels, visible: of one view; pixels finite everywhere.
         intrinsics, pose: the start.
-        free: which of alpha (both), alpha_v / alpha_u, u0, v0 and k1 are estimated.
+        free: which of alpha (common to u and v), alpha_v / alpha_u, u0, v0, k1 are estimated.
     """
     alpha_u, alpha_v, u0, v0, k1 = intrinsics
+    # Logarithms keep both alphas positive, and their ratio can be held at 1.
     ratio = jnp.where(free[1], jnp.log(alpha_v / alpha_u), 0.0)
     state = _State(jnp.stack([jnp.log(alpha_u), ratio, u0, v0, k1]), pose)
 
     def trim(carry):
-        """Gross outliers give way in a few rounds, the largest first."""
+        """Fit, then reject points with residuals above 5 times the median residual.
+
+        Repeated, because the largest errors inflate the median at first. A rejected point may
+        return in a later round.
+        """
         state, used, _, rounds = carry
         state = _minimise(state, points, pixels, used, free)
         size = jnp.linalg.norm(_residuals(state, points, pixels, visible), axis=-1)
@@ -87,11 +104,16 @@ def alternate(
 
 
 def _summary(state: _State, points: Array, pixels: Array, used: Array, free: Array) -> Found:
+    """Return the result with the relative standard deviation of alpha.
+
+    `var(log alpha) = sigma^2 [(J' J)^-1]_00`, with `sigma^2 = r' r / (2 n - unknowns)`.
+    """
     gram = _normal_equations(state, points, pixels, used, free)
     count = jnp.sum(used).astype(float)
     unknowns = jnp.sum(_free11(free)).astype(float)
     variance = gram[-1, -1] / jnp.maximum(2.0 * count - unknowns, 1.0)
-    # A few exact points must not pass for a determined alpha: no detector is better than this.
+    # Not below 0.05 px, the best of detectors: a handful of points can be fitted exactly, and
+    # alpha would then seem to be determined.
     variance = jnp.maximum(variance, 0.05**2)
     scale = jnp.sqrt(_where_positive(jnp.diag(gram)[:-1]))
     information = gram[:-1, :-1] / scale[:, None] / scale[None]
@@ -108,12 +130,18 @@ def _summary(state: _State, points: Array, pixels: Array, used: Array, free: Arr
 
 
 def _minimise(state: _State, points: Array, pixels: Array, used: Array, free: Array) -> _State:
-    """The alternation, and its finish with all unknowns together."""
+    """Minimise Eq. 8 by alternating half-steps, and finish with all unknowns together."""
 
     def cost(state):
+        """Return the sum of squared pixel residuals, Eq. 8."""
         return jnp.sum(_residuals(state, points, pixels, used) ** 2)
 
     def turn(progress: _Progress) -> _Progress:
+        """Make one Levenberg-Marquardt step, and the k1 half-step while alternating.
+
+        A step that lowers the cost is accepted and damping falls tenfold; otherwise the state
+        stays and damping rises tenfold.
+        """
         state, before, damping, together, _, turns = progress
         gram = _normal_equations(state, points, pixels, used, free.at[4].set(free[4] & together))
         trial = _moved(state, _damped_step(gram, damping))
@@ -126,7 +154,8 @@ def _minimise(state: _State, points: Array, pixels: Array, used: Array, free: Ar
             lambda: (state, after),
         )
         gain = before - after
-        # A step that was refused says nothing about the end; the damping does.
+        # A rejected step does not prove convergence; damping this large does: then even a very
+        # short gradient step no longer lowers the cost.
         stuck = damping > 1e6
         settled = (better & (gain <= 1e-12 * before)) | stuck | (after <= 1e-18)
         crawling = (better & (gain <= 1e-3 * before)) | stuck | (turns >= _TURNS // 3)
@@ -146,7 +175,11 @@ def _minimise(state: _State, points: Array, pixels: Array, used: Array, free: Ar
 
 
 def _radial_half_step(state, before, cost, points, pixels, used):
-    """k1 by linear least squares: `ideal - distorted = k1 distorted r^2`."""
+    """Compute k1 by linear least squares, all else held, and keep it if it lowers the cost.
+
+    Eq. 3, `u' = u~ + k1 u~ r~^2`, maps distorted (u~) to ideal (u') coordinates, so with the pose
+    given it is linear in k1: `ideal - distorted = k1 distorted r^2`, weighted by alpha (px).
+    """
     log_alpha, log_ratio, u0, v0, _ = state.numbers
     alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
     distorted = (pixels - jnp.stack([u0, v0])[None]) / alpha[None]
@@ -161,11 +194,16 @@ def _radial_half_step(state, before, cost, points, pixels, used):
 
 
 def _choose(condition, one, other):
+    """Return the first pytree where the condition holds, else the second."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
 
 
 def _project(numbers: Array, points: Array) -> tuple[Array, Array]:
-    """Pixels of camera-frame points, zero and flagged where there are none."""
+    """Project camera-frame points by Eq. 2 and Eq. 3 solved for the distorted pixel.
+
+    Returns:
+        pixels `(N, 2)`, zero where there is no projection, and the mask `(N,)` of valid ones.
+    """
     log_alpha, log_ratio, u0, v0, k1 = numbers
     found = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, k1)
     pixels, valid = found.camera((1, 1)).project(points)
@@ -173,28 +211,41 @@ def _project(numbers: Array, points: Array) -> tuple[Array, Array]:
 
 
 def _residuals(state: _State, points: Array, pixels: Array, used: Array) -> Array:
+    """Return measured minus projected pixels (the residual meant by Eq. 8), zero where unused.
+
+    Pose and projection together are the collinearity equations Eq. 5 and Eq. 6. Eq. 7 prints t_x
+    in the rows where t_y and t_z belong, a misprint; all three translations are used here.
+    """
     predicted, valid = _project(state.numbers, transform_points(state.pose, points))
     residual = jnp.where(valid[:, None], pixels - predicted, _FAR)
     return jnp.where(used[:, None], residual, 0.0)
 
 
 def _moved(state: _State, step: Array) -> _State:
+    """Return the state after a step; the pose is updated as `exp(twist) @ pose`."""
     return _State(state.numbers + step[:5], SE3.exp(step[5:]) @ state.pose)
 
 
 def _free11(free: Array) -> Array:
+    """Return which of the 5 intrinsics and 6 pose unknowns are free; the pose always is."""
     return jnp.concatenate([free, jnp.ones(6, dtype=bool)])
 
 
 def _normal_equations(
     state: _State, points: Array, pixels: Array, used: Array, free: Array
 ) -> Array:
-    """`[J r]' [J r]`, 12 x 12, with J the derivative of the prediction and r the residual."""
+    """Return `[J r]' [J r]`, 12 x 12: the normal matrix J'J, the gradient J'r and the cost r'r.
+
+    J is the derivative of the prediction by 5 intrinsics and 6 pose unknowns, r the residual.
+    """
     p = transform_points(state.pose, points)
     J_numbers, J_point = jax.vmap(
         jax.jacfwd(lambda n, q: _project(n, q)[0], argnums=(0, 1)), in_axes=(None, 0)
     )(state.numbers, p)
-    # A twist (v, w) acting from the left moves a point of the camera frame by v + w x p.
+    # Pose Jacobian: a twist (v, w) from the left displaces a camera-frame point p by
+    #     dp = v + w x p,
+    # so d pixel / dv = D and d pixel / dw = p x D (row by row), with D = d pixel / dp. Only D needs
+    # automatic differentiation.
     turned = jnp.cross(p[:, None], J_point)
     J = jnp.concatenate([J_numbers, J_point, turned], axis=-1)
     J = jnp.where(used[:, None, None], J, 0.0) * _free11(free)[None, None].astype(float)
@@ -204,13 +255,17 @@ def _normal_equations(
 
 
 def _damped_step(gram: Array, damping: Array) -> Array:
-    """Levenberg-Marquardt's step, each unknown in its own scale."""
+    """Return the Levenberg-Marquardt step, with every unknown scaled to unit curvature.
+
+    `(S^-1 J'J S^-1 + damping I) (S step) = S^-1 J'r`, with `S^2` the diagonal of `J'J`.
+    """
     scale = jnp.sqrt(_where_positive(jnp.diag(gram)[:-1]))
     matrix = gram[:-1, :-1] / scale[:, None] / scale[None]
-    # Unknowns that are held have zero rows; a one on the diagonal leaves them where they are.
+    # Held unknowns have zero rows and columns; a one on the diagonal makes their step zero.
     matrix = matrix + jnp.diag(jnp.where(jnp.diag(matrix) > 0.0, damping, 1.0))
     return jnp.linalg.solve(matrix, gram[:-1, -1] / scale) / scale
 
 
 def _where_positive(values: Array) -> Array:
+    """Return the values with one in place of those not positive, for use as a scale."""
     return jnp.where(values > 0.0, values, 1.0)

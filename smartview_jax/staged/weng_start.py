@@ -1,4 +1,9 @@
-"""Where Weng's method starts in a view: camera and pose by linear equations alone."""
+"""Compute camera and pose of one view by linear equations, as the start of Weng's method.
+
+Points in space: the direct linear transform of the 3x4 projection matrix (`linear_start`).
+Points in one plane: the homography, with a known principal point (`planar_start`). Both ignore
+distortion. Reference: Weng, Cohen, Herniou, PAMI 14(10), 1992, section IV.
+"""
 
 from typing import NamedTuple
 
@@ -12,11 +17,11 @@ from ..compilation import compiled
 from ..geometry import nearest_rotation
 
 _COPLANAR = 1e-3
-"""Smallest over largest extent of the points, under which they count as one plane."""
+"""Ratio of smallest to largest extent of the points below which they count as one plane."""
 
 
 class Intrinsics(NamedTuple):
-    """Pinhole numbers and k1, a scalar each or one a view."""
+    """The paper's five intrinsics (px, and k1), each a scalar or an array with one entry per view."""
 
     alpha_u: Array
     alpha_v: Array
@@ -25,13 +30,16 @@ class Intrinsics(NamedTuple):
     k1: Array
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
-        """The camera with these numbers and the paper's lens."""
+        """Return the pinhole camera (Eq. 2) with these intrinsics and the paper's lens (Eq. 3)."""
         alpha_u, alpha_v, u0, v0, k1 = self
         return Camera(alpha_u, alpha_v, u0, v0, Radial(k1), image_size)
 
 
 class Start(NamedTuple):
-    """A first guess; of a plane both poses that look alike from afar, else the same twice."""
+    """A start value: intrinsics, and two poses to try.
+
+    For a plane they are the two poses that look almost alike from afar; otherwise both are equal.
+    """
 
     intrinsics: Intrinsics
     poses: SE3
@@ -41,13 +49,13 @@ class Start(NamedTuple):
 def extents(
     points: Float[Array, "views points 3"], visible: Bool[Array, "views points"]
 ) -> Float[Array, "views 3"]:
-    """Extent of the visible points along their own three axes, the smallest first, m."""
+    """Return the extent of the visible points along their principal axes, ascending, m."""
     scatter = jax.vmap(_scatter)(points, visible)
     return jnp.sqrt(jnp.maximum(jnp.linalg.eigvalsh(scatter), 0.0))
 
 
 def coplanar(extent: Float[Array, "views 3"]) -> Bool[Array, "views"]:
-    """Whether the points lie in one plane, whichever way it is turned."""
+    """Return whether the points of each view lie in one plane, of any orientation."""
     return extent[:, 0] < _COPLANAR * extent[:, 2]
 
 
@@ -58,26 +66,33 @@ def planar_start(
     centre: Float[Array, "2"],
     size: Float[Array, ""],
 ) -> Start:
-    """Alpha and the pose from the homography of a plane, the principal point being known.
+    """Compute alpha and the pose from the homography of a plane, given the principal point.
 
-    With square pixels Zhang's two constraints on `h1, h2` are linear in `1 / alpha^2`.
+    With alpha_u = alpha_v = alpha, Zhang's two constraints on the columns `h1, h2` of the
+    homography (orthogonal, of equal length) are linear in `1 / alpha^2`:
+
+        (h11 h12 + h21 h22) / alpha^2 + h31 h32 = 0
+        (h11^2 + h21^2 - h12^2 - h22^2) / alpha^2 + h31^2 - h32^2 = 0
 
     Args:
         points, pixels, visible: of one view; pixels finite everywhere.
         centre: the principal point, px.
-        size: of the picture's longer side, px: bounds what alpha can be.
+        size: of the picture's longer side, px; alpha is accepted between 1/5 and 30 times it.
     """
     origin = _mean(points, visible)
     _, axes = jnp.linalg.eigh(_scatter(points, visible))
     plane = jnp.stack([axes[:, 2], axes[:, 1], jnp.cross(axes[:, 2], axes[:, 1])])
     local = (points - origin[None]) @ plane[:2].T
     H = _homography(local, pixels - centre[None], visible)
+    # The constraints are p / alpha^2 + q = 0, so 1 / alpha^2 = -p.q / p.p by least squares.
     p = jnp.stack([H[0, 0] * H[0, 1] + H[1, 0] * H[1, 1], _norm2(H[:2, 0]) - _norm2(H[:2, 1])])
     q = jnp.stack([H[2, 0] * H[2, 1], H[2, 0] ** 2 - H[2, 1] ** 2])
     inverse_square = -jnp.sum(p * q) / jnp.maximum(jnp.sum(p * p), 1e-300)
     usable = (inverse_square > 1.0 / (30.0 * size) ** 2) & (inverse_square < (5.0 / size) ** 2)
     alpha = jnp.where(usable, 1.0 / jnp.sqrt(jnp.where(usable, inverse_square, 1.0)), 1.2 * size)
 
+    # diag(alpha, alpha, 1)^-1 H = scale [r1 r2 t]; the scale makes r1, r2 unit vectors, and its
+    # sign puts the target in front of the camera.
     columns = H / jnp.stack([alpha, alpha, jnp.ones(())])[:, None]
     columns = columns / jnp.sqrt(jnp.linalg.norm(columns[:, 0]) * jnp.linalg.norm(columns[:, 1]))
     columns = columns * jnp.where(columns[2, 2] > 0.0, 1.0, -1.0)
@@ -85,7 +100,7 @@ def planar_start(
         jnp.stack([columns[:, 0], columns[:, 1], jnp.cross(columns[:, 0], columns[:, 1])], axis=1)
     )
     sight = columns[:, 2] / jnp.linalg.norm(columns[:, 2])
-    # Tilted the other way about the line of sight, a small plane looks almost the same.
+    # A small plane looks almost the same when its normal is mirrored about the line of sight.
     normal = rotation[:, 2]
     mirrored = 2.0 * jnp.sum(sight * normal) * sight - normal
     turn = _rotation_between(normal, mirrored)
@@ -99,17 +114,17 @@ def linear_start(
     pixels: Float[Array, "points 2"],
     visible: Bool[Array, "points"],
 ) -> Start:
-    """Weng's first step: eleven parameters of the projection, taken apart into camera and pose.
+    """Compute camera and pose from the eleven parameters of the projection matrix, linearly.
 
-    The rotation found so is not quite one. The nearest rotation is kept, and with it held the
-    camera and the translation are solved for once more, linearly.
+    The rotation found in this manner is not exactly orthogonal. The nearest rotation is kept, and
+    camera and translation are solved for again, linearly, with that rotation held.
     """
     (a, s), (b, r) = _similarity(points, visible), _similarity(pixels, visible)
     p = (points - a[None]) / s
     uv = (pixels - b[None]) / r
     rotation, pinhole, translation = _take_apart(_projection(p, uv, visible), p, visible)
     pinhole, translation = _with_rotation_held(rotation, pinhole, translation, p, uv, visible)
-    # Back to pixels and metres.
+    # Undo the normalisation of points and pixels: back to pixels and metres.
     alpha, centre = r * pinhole[:2], r * pinhole[2:] + b
     pose = _pose(rotation, s * translation, a)
     found = Intrinsics(alpha[0], alpha[1], centre[0], centre[1], jnp.zeros(()))
@@ -117,7 +132,13 @@ def linear_start(
 
 
 def _projection(p: Array, uv: Array, visible: Array) -> Array:
-    """The 3x4 matrix that maps points to pixels, up to its scale."""
+    """Return the 3x4 matrix W that maps points to pixels, up to its scale.
+
+    The collinearity condition (Eq. 5 and Eq. 6) with camera and pose multiplied out is
+    `u = (w1.p + w14) / (w3.p + w34)`, `v = (w2.p + w24) / (w3.p + w34)`. Times the denominator it
+    is linear in W. Eq. 7 of the paper is not followed: it prints t_x in the rows where t_y and t_z
+    belong, a misprint.
+    """
     p1 = jnp.concatenate([p, jnp.ones_like(p[:, :1])], axis=1)
     zero = jnp.zeros_like(p1)
     weight = visible.astype(float)[:, None]
@@ -129,7 +150,14 @@ def _projection(p: Array, uv: Array, visible: Array) -> Array:
 
 
 def _take_apart(W: Array, p: Array, visible: Array) -> tuple[Array, Array, Array]:
-    """Rotation, `(alpha_u, alpha_v, u0, v0)` and translation of a projection (Weng, section IV)."""
+    """Return rotation, `(alpha_u, alpha_v, u0, v0)` and translation of a projection matrix.
+
+    With rows scaled so that `|w3| = 1`:
+
+        w3 = r3,  w1 = alpha_u r1 + u0 r3,  w2 = alpha_v r2 + v0 r3
+
+    so that `u0 = w1.w3`, `v0 = w2.w3`, and alpha is the length of the rest (Weng, section IV).
+    """
     depth = jnp.sum(jnp.where(visible, p @ W[2, :3] + W[2, 3], 0.0))
     W = W * jnp.where(depth >= 0.0, 1.0, -1.0) / jnp.linalg.norm(W[2, :3])
     centre = W[:2, :3] @ W[2, :3]
@@ -144,10 +172,11 @@ def _take_apart(W: Array, p: Array, visible: Array) -> tuple[Array, Array, Array
 def _with_rotation_held(
     rotation: Array, pinhole: Array, translation: Array, p: Array, uv: Array, visible: Array
 ) -> tuple[Array, Array]:
-    """Weng's second linear step; the first answer stays where this one makes no camera.
+    """Solve for camera and translation with the rotation held (Weng's second linear step).
 
     With `q = R p` and `w = alpha t + centre t_z`, `alpha q_xy + w + centre q_z - uv t_z = uv q_z`
-    is linear in `(alpha_u, alpha_v, w_u, w_v, u0, v0, t_z)`.
+    is linear in `(alpha_u, alpha_v, w_u, w_v, u0, v0, t_z)`. If the solution has a negative alpha
+    or a point behind the camera, the arguments `pinhole` and `translation` are returned.
     """
     q = p @ rotation.T
     one, zero = jnp.ones(len(q)), jnp.zeros(len(q))
@@ -156,6 +185,7 @@ def _with_rotation_held(
     rows_v = jnp.stack([zero, q[:, 1], zero, one, zero, q[:, 2], -uv[:, 1]], axis=1)
     A = jnp.concatenate([rows_u * weight[:, None], rows_v * weight[:, None]])
     right = jnp.concatenate([uv[:, 0] * q[:, 2] * weight, uv[:, 1] * q[:, 2] * weight])
+    # The tiny ridge only keeps views without enough points from returning NaN.
     x = jnp.linalg.solve(A.T @ A + 1e-12 * jnp.eye(7), A.T @ right)
     alpha, w, centre, depth = x[:2], x[2:4], x[4:6], x[6]
     sound = jnp.all(alpha > 0.0) & jnp.all(jnp.where(visible, q[:, 2] + depth > 0.0, True))
@@ -167,7 +197,7 @@ def _with_rotation_held(
 
 
 def _homography(local: Array, pixels: Array, visible: Array) -> Array:
-    """Pixel from plane coordinates, by the direct linear transform."""
+    """Return the homography from plane coordinates to pixels, by the direct linear transform."""
     (a, s), (b, r) = _similarity(local, visible), _similarity(pixels, visible)
     x, y = ((local - a[None]) / s).T
     u, v = ((pixels - b[None]) / r).T
@@ -176,6 +206,7 @@ def _homography(local: Array, pixels: Array, visible: Array) -> Array:
     rows_v = jnp.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
     weight = visible.astype(float)[:, None]
     H = _null_vector(jnp.concatenate([rows_u * weight, rows_v * weight])).reshape(3, 3)
+    # H was found between normalised coordinates; put both similarity transforms back.
     to_pixels = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) * r
     to_pixels = to_pixels.at[:2, 2].set(b).at[2, 2].set(1.0)
     from_local = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) / s
@@ -184,18 +215,20 @@ def _homography(local: Array, pixels: Array, visible: Array) -> Array:
 
 
 def _scatter(points: Array, visible: Array) -> Array:
+    """Return the scatter matrix of the visible points about their mean."""
     weight = visible.astype(float)[:, None]
     centred = (points - _mean(points, visible)[None]) * weight
     return centred.T @ centred
 
 
 def _mean(points: Array, visible: Array) -> Array:
+    """Return the mean of the visible points."""
     weight = visible.astype(float)[:, None]
     return jnp.sum(points * weight, axis=0) / jnp.maximum(jnp.sum(weight), 1.0)
 
 
 def _similarity(values: Array, visible: Array) -> tuple[Array, Array]:
-    """Centre and scale that bring points to the size of one, which makes the linear solve sound."""
+    """Return centre and scale that normalise points to unit size, for a well-conditioned solve."""
     centre = _mean(values, visible)
     spread = jnp.sum(jnp.where(visible[:, None], (values - centre[None]) ** 2, 0.0))
     count = jnp.maximum(jnp.sum(visible.astype(float)), 1.0)
@@ -203,11 +236,13 @@ def _similarity(values: Array, visible: Array) -> tuple[Array, Array]:
 
 
 def _null_vector(rows: Array) -> Array:
+    """Return the unit vector x that minimises `|rows x|`."""
     _, vectors = jnp.linalg.eigh(rows.T @ rows)
     return vectors[:, 0]
 
 
 def _pose(rotation: Array, translation: Array, origin: Array) -> Array:
+    """Return the pose `x -> R (x - origin) + t` as the seven numbers of an SE3."""
     pose = SE3.from_rotation_and_translation(
         SO3.from_matrix(rotation), translation - rotation @ origin
     )
@@ -215,10 +250,15 @@ def _pose(rotation: Array, translation: Array, origin: Array) -> Array:
 
 
 def _norm2(vector: Array) -> Array:
+    """Return the squared length of a vector."""
     return jnp.sum(vector**2)
 
 
 def _rotation_between(start: Array, end: Array) -> Array:
+    """Return the smallest rotation that takes one unit vector to another.
+
+    `R = I + K + K^2 / (1 + cos)`, with K the cross-product matrix of `start x end`.
+    """
     axis, cosine = jnp.cross(start, end), jnp.sum(start * end)
     K = jnp.cross(jnp.eye(3), axis[None]).T
     return jnp.eye(3) + K + K @ K / jnp.maximum(1.0 + cosine, 1e-6)
