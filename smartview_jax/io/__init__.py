@@ -1,4 +1,4 @@
-"""Data sets and calibrations on disk: folders, importers, exporters."""
+"""Read and write data sets and calibrations: folders, importers, exporters."""
 
 from .dataset_folder import save_dataset as save_dataset
 from .dataset_folder import write_folder as write_folder

@@ -1,4 +1,4 @@
-"""What the robot said of every view of a data-set folder: poses, joint angles, or both."""
+"""Read the robot's reported pose, joint readings, or both, for every view of a data-set folder."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,14 +16,14 @@ from .tables import duplicates, numbers, read_table, refuse_cut, refuse_far
 
 
 class Commands(NamedTuple):
-    """Poses by view, and the joints behind them where the folder has them.
+    """The robot's reported poses by view, with the joint readings where the folder has them.
 
     Attributes:
-        views: ids.
-        poses: `base_from_tool`, `(views)`.
-        masked: reason by view, of those whose pose is none.
-        joints: readings, rad or m.
-        arm: whose.
+        views: view ids.
+        poses: reported `base_from_tool`, `(views)`.
+        masked: reason by view id, for the views whose row is not a valid pose.
+        joints: joint readings, rad (m for a prismatic joint); None where the folder has none.
+        arm: the arm that the readings belong to; None where there are no readings.
     """
 
     views: Sequence[str]
@@ -33,12 +33,12 @@ class Commands(NamedTuple):
     arm: SerialArm | None = None
 
     def with_joints(self, data: Dataset) -> Dataset:
-        """A data set of these views, with the joints if there are any."""
+        """Return the data set with the joint readings added, if there are any."""
         return data if self.arm is None else data.with_joints(self.joints, self.arm)
 
 
 def read_commands(folder: Path, content: dict[str, Any], where: Path, bad_views: str) -> Commands:
-    """Read what the entries `poses` and `joints` of a description name.
+    """Read the tables that the entries `poses` and `joints` of a description name.
 
     Raises:
         ValueError: naming the file and the entry or view that is wrong.
@@ -50,6 +50,7 @@ def read_commands(folder: Path, content: dict[str, Any], where: Path, bad_views:
         views, poses, masked = _read_poses(folder, content["poses"], bad_views)
         if "joints" not in content:
             return Commands(views, poses, masked)
+    # Reported poses have precedence; without them the arm's forward kinematics gives them.
     views, joints, arm = read_joints(folder, content["joints"], where, views)
     return Commands(
         views, arm.base_from_tool(joints) if poses is None else poses, masked, joints, arm
@@ -59,7 +60,7 @@ def read_commands(folder: Path, content: dict[str, Any], where: Path, bad_views:
 def _read_poses(
     folder: Path, content: dict[str, Any], bad_views: str
 ) -> tuple[list[str], SE3, dict[str, str]]:
-    """View ids, poses, and the views whose pose is masked, with reasons."""
+    """Read the view ids, the poses, and the reason by view id for the poses to be masked."""
     path, codec = folder / content["file"], pose_codec(content["codec"])
     table = read_table(path, ("view", *codec.columns))
     refuse_cut(path, table, content.get("rows"))
@@ -68,14 +69,16 @@ def _read_poses(
         raise ValueError(f"{path}: view {', '.join(duplicates(views))} has more than one row")
     if not views:
         raise ValueError(f"{path}: no poses")
-    # A pose of NaN is an error or a masked view, as the caller chose; see below.
+    # NaN passes here: `bad_views` decides below whether it is an error or a masked view.
     rows = np.stack([numbers(path, row, codec.columns, row["view"], False) for row in table])
     positions = rows[:, list(codec.lengths)] * LENGTH_UNITS[content["length_unit"]]
+    # Infinity becomes NaN, which passes: the message about units would be misleading for it.
     refuse_far(path, np.where(np.isfinite(positions), positions, np.nan), views)
     units = (content["length_unit"], content["angle_unit"])
     masked = _undecodable(codec, rows, units, views) if bad_views == "mask" else {}
     good = [view not in masked for view in views]
-    # The pose of a masked view is never used; any other stands in for it.
+    # Decoding needs a valid row for every view. A masked view's pose is never used, so the first
+    # valid row takes its place.
     rows = np.where(np.array(good)[:, None], rows, rows[good.index(True) if any(good) else 0])
     try:
         poses = codec.decode(rows, *units, labels=views)
@@ -87,6 +90,8 @@ def _read_poses(
 def _undecodable(
     codec: PoseCodec, rows: np.ndarray, units: tuple[str, str], views: list[str]
 ) -> dict[str, str]:
+    """Return the decoding error of every view whose row is not a valid pose, by view id."""
+    # Row by row, since decoding a whole table stops at the first invalid row.
     problems = {}
     for view, row in zip(views, rows, strict=True):
         try:

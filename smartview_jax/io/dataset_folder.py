@@ -1,4 +1,4 @@
-"""The data-set folder: `dataset.yaml`, `poses.csv`, `images/` and cached detections.
+"""Read and write a data-set folder: `dataset.yaml`, `poses.csv`, `images/`, `detections.csv`.
 
     smartview_dataset: 1
     camera: {image_size: [640, 480]}
@@ -8,16 +8,17 @@
             direction: base_from_tool}
     pictures: {pattern: "images/{view}.png"}
 
-`poses.csv` has a column `view` and the codec's columns; `{view}` in the pattern is that name, and
-`{height}` the number of the height for a board at several heights. In place of poses, or beside
-them, there may be joints (see `joints.py`). Pictures, poses and joints are paired by view, never by
-position. Where the pattern looks the same when turned, `base_from_world` (`tool_from_world` for a
-camera beside the arm) says roughly how the target stands (see `rough_pose.py`). What may stand in
-the file is said by `schemas.dataset`; an unknown key is an error.
+`poses.csv` has a column `view` and the codec's columns. In the pattern, `{view}` stands for the
+view's name and `{height}` for the index of the height, for a board at several heights. Instead of
+poses, or in addition to them, the folder may have joint readings (see `joints.py`). Pictures, poses
+and joint readings are matched by the view's name, never by their order. Where the target's pattern
+looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that stands beside
+the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the file is in
+`schemas.dataset`; an unknown key is an error.
 
-A file that was cut may look whole. So `save_dataset` states how many `rows` every table has, and
-`end_mark: true`, which promises the last line `end: smartview_dataset`; a person's own file needs
-none of these.
+A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
+`rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
+A file written by hand needs neither.
 """
 
 import re
@@ -40,7 +41,10 @@ from .rough_pose import rough_pose
 from .tables import write_table
 
 FORMAT_VERSION = 1
+"""Version of the format of `dataset.yaml`."""
+
 DESCRIPTION = "dataset.yaml"
+"""Name of the file that describes the folder."""
 
 
 def load_folder(
@@ -51,13 +55,14 @@ def load_folder(
     holder_from_world: PoseLike | None = None,
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
-    # The validation library is imported where files are read.
+    # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
     from ..schemas.dataset import DATASET
     from ..schemas.reading import checked
 
     where = folder / DESCRIPTION
     read = read_yaml(where)
     description = checked(read, DATASET, where)
+    # An entry that is null counts as absent.
     content = {key: value for key, value in read.items() if value is not None}
     mount = description.mount
     width, height = description.camera.image_size
@@ -104,12 +109,14 @@ def load_folder(
             target=target,
         )
     except ValueError as error:
+        # Messages of `read_detections` name the file already; those of `Dataset` do not.
         place = "" if str(folder) in str(error) else f"{folder / DETECTIONS}: "
         raise ValueError(f"{place}{error}") from error
     return _with_joints(commands, data, where)
 
 
 def _with_joints(commands: Commands, data: Dataset, where: Path) -> Dataset:
+    """Return the data set with the joint readings; an error names the description file."""
     try:
         return commands.with_joints(data)
     except ValueError as error:
@@ -117,7 +124,7 @@ def _with_joints(commands: Commands, data: Dataset, where: Path) -> Dataset:
 
 
 def save_dataset(data: Dataset, folder: str | Path) -> None:
-    """Write poses, target and detections as a folder that `load_dataset` reads.
+    """Write poses, target, detections and joint readings as a folder that `load_dataset` reads.
 
     Raises:
         ValueError: the data set has no target description, or its points are not the target's.
@@ -143,16 +150,16 @@ def write_folder(
     mount: str,
     more: dict[str, Any] | None = None,
 ) -> None:
-    """Write `poses.csv` and `dataset.yaml`; the description last, so that no half is read.
+    """Write `poses.csv` and then `dataset.yaml`, the file by which a data set is recognised.
 
     Args:
-        folder: where pictures or detections already are.
-        view_ids: one a pose.
-        base_from_tool: `(views)`.
+        folder: that already has the pictures or detections.
+        view_ids: one id for each pose.
+        base_from_tool: reported poses, `(views)`.
         image_size: width and height, px.
-        target: what was seen.
-        mount: where the camera is.
-        more: further entries of the description: of pictures, of joints.
+        target: the calibration target in the pictures.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        more: further entries of the description, such as `pictures` or `joints`.
     """
     codec = pose_codec("matrix")
     rows = codec.encode(base_from_tool)
@@ -163,7 +170,8 @@ def write_folder(
     )
     description = {
         "smartview_dataset": FORMAT_VERSION,
-        # Says that the last line is an end mark; a person's own file needs neither.
+        # Declares that the last line is an end mark, so that a truncated file is an error. A file
+        # written by hand needs neither.
         "end_mark": True,
         "camera": {"image_size": list(image_size)},
         "target": target_to_dict(target),
@@ -179,6 +187,7 @@ def write_folder(
         **(more or {}),
         "end": "smartview_dataset",
     }
+    # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
     write_atomically(folder / DESCRIPTION, dump_yaml(description))
 
 
@@ -190,7 +199,7 @@ def _picture_files(
     poses: Path,
     where: Path,
 ) -> dict[str, list[Path]]:
-    """The pictures of each view: one, or one a height."""
+    """Return the picture files of each view: one, or one for each height of a `StackedTarget`."""
     pattern = content["pattern"]
     heights = len(target.heights) if isinstance(target, StackedTarget) else 1
     if heights > 1 and "{height}" not in pattern:
@@ -199,11 +208,13 @@ def _picture_files(
         view: [folder / pattern.format(view=view, height=k) for k in range(heights)]
         for view in views
     }
+    # A glob over the same names finds pictures without a pose. Adjacent placeholders become one
+    # "*", because "**" has a meaning of its own in a glob.
     known = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escaped(pattern)))
     refuse_strays(files, folder / known, poses)
     return files
 
 
 def _escaped(pattern: str) -> str:
-    """Return a pattern in which no character but those of `{view}` stands for others."""
+    """Return the pattern with `*`, `?` and `[` escaped, so that a glob takes them literally."""
     return re.sub(r"([*?[])", r"[\1]", pattern)

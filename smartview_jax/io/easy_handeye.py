@@ -1,4 +1,4 @@
-"""Samples of easy_handeye2: pairs of a robot pose and a camera pose, without pictures."""
+"""Read and write samples of easy_handeye2: pairs of a robot pose and a tracked marker pose."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,15 +18,15 @@ _NUMBERS = tuple(("translation", k) for k in "xyz") + tuple(("rotation", k) for 
 
 
 class PoseSamples(NamedTuple):
-    """Poses of robot and camera that belong together, `(samples)` each.
+    """Pairs of a robot pose and a marker pose, taken at the same time, `(samples)` each.
 
-    There are no pixels in them, so they go to the hand-eye step alone:
+    They contain no pixels, so only the hand-eye step can use them:
     `solve_hand_eye(samples.mount_from_holder, samples.camera_from_world)`.
 
     Attributes:
-        base_from_tool: what the robot reported.
-        camera_from_world: what a tracker made of its marker.
-        mount: where the camera is.
+        base_from_tool: poses that the robot reported.
+        camera_from_world: poses of the marker that the tracker measured.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
     """
 
     base_from_tool: SE3
@@ -35,17 +35,18 @@ class PoseSamples(NamedTuple):
 
     @property
     def mount_from_holder(self) -> SE3:
-        """The robot's part of the chain, between the camera's mount and the target's holder."""
+        """The robot's part of the chain: `tool_from_base`, for eye-to-hand `base_from_tool`."""
         return mount_from_holder(self.mount, self.base_from_tool)
 
 
 def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSamples:
-    """A `.samples` file of easy_handeye2.
+    """Read a `.samples` file of easy_handeye2.
 
     Args:
         path: of the file.
-        mount: as the samples were taken (`calibration_type`); the file does not say. For a camera
-            beside the arm easy_handeye stores the robot's pose inverted, which is undone here.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`, as the samples were taken (`calibration_type`);
+            the file does not contain it. For a camera beside the arm easy_handeye stores the
+            inverse of the robot's pose, which is undone here.
 
     Raises:
         FileNotFoundError: the file is missing.
@@ -58,12 +59,12 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
     samples = checked(read_yaml(path), SAMPLES, path).samples
     robot = _decoded(path, "robot", [sample.robot for sample in samples])
     tracking = _decoded(path, "tracking", [sample.tracking for sample in samples])
-    # What is stored is holder_from_mount, whatever the mount.
+    # The file has holder_from_mount: base_from_tool for eye-in-hand, tool_from_base otherwise.
     return PoseSamples(mount_from_holder(mount, robot.inverse()), tracking, mount)
 
 
 def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
-    """The inverse of `read_easy_handeye`."""
+    """Write samples in the format of easy_handeye2, which `read_easy_handeye` reads."""
     robot = samples.mount_from_holder.inverse()
     pairs = zip(_CODEC.encode(robot), _CODEC.encode(samples.camera_from_world), strict=True)
     content = [{"robot": _message(r), "tracking": _message(t)} for r, t in pairs]
@@ -71,6 +72,7 @@ def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
 
 
 def _decoded(path: str | Path, which: str, transforms: "list[TransformMessage]") -> SE3:
+    """Return the messages as poses; an error names the file and the entry."""
     rows = [[getattr(getattr(one, part), k) for part, k in _NUMBERS] for one in transforms]
     try:
         return _CODEC.decode(np.array(rows))
@@ -79,6 +81,7 @@ def _decoded(path: str | Path, which: str, transforms: "list[TransformMessage]")
 
 
 def _message(row: np.ndarray) -> dict[str, dict[str, float]]:
+    """Return one row of translation and quaternion as a ROS transform message."""
     message: dict[str, dict[str, float]] = {"translation": {}, "rotation": {}}
     for (part, k), number in zip(_NUMBERS, row, strict=True):
         message[part][k] = float(number)

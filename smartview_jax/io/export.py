@@ -1,8 +1,8 @@
-"""A calibration in the words of the next program: ROS, URDF, OpenCV.
+"""Export a calibration for other programs: ROS, URDF, OpenCV.
 
-Each function returns the text of a file. The camera's frame is the optical one (z forward, x to the
-right), which is what image processing expects; `optical=False` gives the body frame of ROS's
-REP 103 (x forward, z up) for programs that add the optical joint themselves.
+Each function returns the text of a file. The camera frame is the optical frame (z forward, x to the
+right), as image processing expects; `optical=False` gives the body frame of ROS's REP 103
+(x forward, z up), for programs that add the optical joint themselves.
 """
 
 import re
@@ -22,13 +22,13 @@ _FRAME = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
 
 
 class Coefficients(NamedTuple):
-    """A lens in OpenCV's terms.
+    """A lens as one of OpenCV's distortion models.
 
     Attributes:
         model: ROS's name: `plumb_bob`, `rational_polynomial` or `equidistant`.
-        values: in OpenCV's order.
-        deviation: largest difference to the fitted lens over the picture, px; 0 where it is the
-            same model.
+        values: distortion coefficients in OpenCV's order.
+        deviation: largest distance to the fitted lens over the picture, px; 0 where OpenCV has
+            the same model.
     """
 
     model: str
@@ -37,10 +37,11 @@ class Coefficients(NamedTuple):
 
 
 def opencv_coefficients(camera: Camera) -> Coefficients:
-    """The lens in OpenCV's terms: as it is, or the nearest k1, k2, p1, p2, k3 to another model.
+    """Return the lens as an OpenCV model: the same one, or the nearest k1, k2, p1, p2, k3.
 
-    The paper's and Weng's lens map the other way; their inverse is no polynomial, so the nearest
-    one is fitted over the picture and its deviation reported.
+    The lens models of the paper and of Weng map distorted to undistorted coordinates, the opposite
+    of OpenCV's. Their inverse is not a polynomial, so the nearest polynomial is fitted over the
+    picture, and its largest error is returned with it.
     """
     lens = camera.lens
     if isinstance(lens, Fisheye):
@@ -59,6 +60,7 @@ def _floats(values: object) -> tuple[float, ...]:
 
 
 def _nearest_plumb_bob(camera: Camera) -> Coefficients:
+    """Fit OpenCV's five-coefficient lens to the camera by linear least squares over the picture."""
     width, height = camera.image_size
     u, v = np.meshgrid(np.linspace(0, width - 1, 41), np.linspace(0, height - 1, 31))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -68,7 +70,11 @@ def _nearest_plumb_bob(camera: Camera) -> Coefficients:
     distorted = (pixels - [float(camera.u0), float(camera.v0)]) / focal
     x, y = (rays[:, :2] / rays[:, 2:]).T
     s = x * x + y * y
-    # OpenCV's polynomial is linear in its coefficients.
+    # With s = x^2 + y^2 of the undistorted point (x, y), OpenCV's model is
+    #   x' = x (1 + k1 s + k2 s^2 + k3 s^3) + 2 p1 x y + p2 (s + 2 x^2)
+    #   y' = y (1 + k1 s + k2 s^2 + k3 s^3) + p1 (s + 2 y^2) + 2 p2 x y
+    # It is linear in (k1, k2, p1, p2, k3), the order of the columns, so that one least-squares
+    # solve of columns @ values = (x' - x, y' - y) fits them.
     columns = np.stack(
         [
             np.stack([x * s, x * s**2, 2 * x * y, s + 2 * x * x, x * s**3], axis=1),
@@ -76,6 +82,7 @@ def _nearest_plumb_bob(camera: Camera) -> Coefficients:
         ]
     )
     wanted = distorted.T - np.stack([x, y])
+    # Scaled by the focal length the least-squares residual is in pixels.
     rows = (columns * focal[:, None, None]).reshape(-1, 5)
     values = np.linalg.lstsq(rows, (wanted * focal[:, None]).ravel())[0]
     gap = (columns @ values - wanted) * focal[:, None]
@@ -83,11 +90,12 @@ def _nearest_plumb_bob(camera: Camera) -> Coefficients:
 
 
 def mount_from_camera(calibration: Calibration, optical: bool = True) -> SE3:
-    """Where the camera sits on its mount (the tool, or the base)."""
+    """Return the pose of the camera in the frame of its mount (the tool, or the base)."""
     pose = calibration.camera_from_mount.inverse()
     if optical:
         return pose
-    # Coordinates in the optical frame of a vector in the body frame: x forward becomes z forward.
+    # optical_from_link maps body axes to optical axes: x forward becomes z, y left becomes -x,
+    # z up becomes -y.
     optical_from_link = SO3(jnp.array([0.5, 0.5, -0.5, 0.5]))
     return pose @ SE3.from_rotation(optical_from_link)
 
@@ -95,10 +103,11 @@ def mount_from_camera(calibration: Calibration, optical: bool = True) -> SE3:
 def ros_static_transform(
     calibration: Calibration, parent: str, child: str, optical: bool = True
 ) -> str:
-    """Return a command line for tf2_ros: `ros2 run tf2_ros static_transform_publisher ...`.
+    """Return the command `ros2 run tf2_ros static_transform_publisher ...` for the camera's pose.
 
     Raises:
-        ValueError: a frame's name that ROS does not take; the line is made for a shell to run.
+        ValueError: a frame's name that ROS does not accept. A shell runs the line, so names are
+            checked and quoted.
     """
     parent, child = _frame(parent), _frame(child)
     pose = mount_from_camera(calibration, optical)
@@ -112,6 +121,7 @@ def ros_static_transform(
 
 
 def _frame(name: str) -> str:
+    """Return a frame's name quoted for a shell; raise a ValueError where ROS does not accept it."""
     if not _FRAME.fullmatch(name):
         raise ValueError(
             "frame: expected a name of letters, digits, '_', '/', '~', '.' and '-', beginning "
@@ -121,7 +131,7 @@ def _frame(name: str) -> str:
 
 
 def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:
-    """A camera_info file as ROS's camera_calibration writes it."""
+    """Return a camera_info file in the format that ROS's camera_calibration writes."""
     camera = calibration.camera
     lens = opencv_coefficients(camera)
     K = _matrix(camera)
@@ -142,7 +152,7 @@ def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:
 
 
 def urdf_origin(calibration: Calibration, optical: bool = True) -> str:
-    """The `<origin>` of a joint from the mount to the camera; URDF's rpy is about fixed axes."""
+    """Return the URDF `<origin>` of a joint from mount to camera; rpy is about fixed axes, rad."""
     pose = mount_from_camera(calibration, optical)
     xyz = " ".join(repr(value) for value in _floats(pose.translation()))
     rpy = " ".join(repr(float(angle)) for angle in pose.rotation().as_rpy_radians())
@@ -150,7 +160,7 @@ def urdf_origin(calibration: Calibration, optical: bool = True) -> str:
 
 
 def opencv_yaml(calibration: Calibration) -> str:
-    """A file that `cv2.FileStorage` reads: camera matrix, distortion, and both transforms (m)."""
+    """Return a `cv2.FileStorage` file: camera matrix, distortion, and both transforms (m)."""
     lens = opencv_coefficients(calibration.camera)
     first, second = calibration.transform_names
     matrices = {
@@ -160,6 +170,7 @@ def opencv_yaml(calibration: Calibration) -> str:
         second: np.asarray(calibration.holder_from_world.as_matrix()),
     }
     width, height = calibration.camera.image_size
+    # Written line by line: `dump_yaml` knows neither OpenCV's first line nor its matrix tag.
     lines = ["%YAML:1.0", "---", f"image_width: {width}", f"image_height: {height}"]
     lines += [f'distortion_model: "{lens.model}"', f"distortion_deviation_px: {lens.deviation!r}"]
     for name, matrix in matrices.items():
@@ -175,9 +186,11 @@ def opencv_yaml(calibration: Calibration) -> str:
 
 
 def _matrix(camera: Camera) -> np.ndarray:
+    """Return the camera matrix [fx 0 cx; 0 fy cy; 0 0 1], px."""
     fx, fy, cx, cy = _floats(jnp.stack([camera.alpha_u, camera.alpha_v, camera.u0, camera.v0]))
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def _rows(matrix: np.ndarray) -> dict[str, object]:
+    """Return a matrix as the mapping of rows, cols and data that ROS uses in YAML."""
     return {"rows": len(matrix), "cols": matrix.shape[1], "data": matrix.ravel().tolist()}

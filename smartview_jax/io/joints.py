@@ -1,11 +1,11 @@
-"""Joint angles in a data-set folder: `joints.csv`, and the arm they are of.
+"""Read and write the joint readings of a data-set folder, `joints.csv`, and their arm.
 
     joints: {file: joints.csv, angle_unit: deg, length_unit: m, arm: kuka_lwr4}
 
-The file has a column `view` and one a joint: `q1`, `q2`, ... In place of a name `arm` may hold the
-Denavit-Hartenberg numbers, rad and m: rows `theta`, `d`, `a`, `alpha`, the `convention`, which
-joints are `prismatic`, their `limits` (rows of two, null where there is none), `flange_from_tool`
-and `base_from_first`.
+The file has a column `view` and one column for each joint: `q1`, `q2`, ... Instead of a name,
+`arm` may hold the Denavit-Hartenberg parameters, rad and m: the rows `theta`, `d`, `a` and `alpha`,
+the `convention`, which joints are `prismatic`, their `limits` (a pair for each joint, null where
+there is no limit), `flange_from_tool` and `base_from_first`.
 """
 
 from collections.abc import Sequence
@@ -20,21 +20,22 @@ from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
 from .tables import duplicates, numbers, read_table, refuse_cut, write_table
 
 JOINTS = "joints.csv"
+"""Name of the file that `write_joints` writes."""
 
 LARGEST = 100.0
-"""Of a reading, rad or m: no joint turns so often, or slides so far."""
+"""Largest magnitude of a joint reading, rad or m; no real joint reaches it."""
 
 
 def read_joints(
     folder: Path, content: dict[str, Any], where: Path, views: Sequence[str] | None
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "views joints"], SerialArm]:
-    """Read views, readings (rad, m) and arm of the entry `joints` of a description.
+    """Read view ids, joint readings (rad, m) and arm from the entry `joints` of a description.
 
     Args:
         folder: of the data set.
-        content: the entry, as `schemas.dataset` has it.
-        where: the description, for messages.
-        views: in the order wanted; None takes them as they come.
+        content: the entry, as `schemas.dataset` defines it.
+        where: path of the description, for error messages.
+        views: view ids in the order wanted; None keeps the order of the file.
 
     Raises:
         ValueError: naming the file and the entry or view that is wrong.
@@ -69,7 +70,7 @@ def write_joints(
     joints: Float[np.ndarray, "views joints"],
     arm: SerialArm,
 ) -> dict[str, Any]:
-    """Write the table; the entry of the description that goes with it."""
+    """Write `joints.csv`, and return the entry `joints` of the description."""
     rows = [(view, *map(float, row)) for view, row in zip(views, joints, strict=True)]
     write_table(folder / JOINTS, ("view", *_columns(arm)), rows)
     return {
@@ -82,10 +83,12 @@ def write_joints(
 
 
 def _columns(arm: SerialArm) -> tuple[str, ...]:
+    """Return the names of the columns of readings: q1, q2, ..."""
     return tuple(f"q{1 + k}" for k in range(arm.size))
 
 
 def _arm(content: Any, where: Path) -> SerialArm:
+    """Return the arm of an entry `arm`: a name or a mapping of Denavit-Hartenberg parameters."""
     try:
         return arm_from_dict(content) if isinstance(content, dict) else arm_by_name(content)
     except ValueError as error:

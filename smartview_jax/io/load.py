@@ -1,4 +1,4 @@
-"""One door for every kind of data set on disk."""
+"""Load a data set from any kind of folder that the package can read."""
 
 import os
 from collections.abc import Callable
@@ -17,22 +17,22 @@ def load_dataset(
     keep_detections: bool = True,
     holder_from_world: PoseLike | None = None,
 ) -> Dataset:
-    """Pictures, or detections, with the robot's poses and the target, from a folder.
+    """Load pictures (or detections), robot poses and target of a data-set folder.
 
-    A folder with a `dataset.yaml` is read as described in `io.dataset_folder`, one with a
-    `cal_data.yaml` and a `target.yaml` as robot_cal_tools writes them. Detections are kept beside
-    the pictures and made anew when a picture or the target's description changes.
+    The format of a folder with a `dataset.yaml` is described in `io.dataset_folder`; a folder with
+    a `cal_data.yaml` and a `target.yaml` is read as robot_cal_tools writes it. Detections are
+    cached in the folder, and repeated when a picture or the target's description changes.
 
     Args:
-        folder: where the data set is.
-        bad_views: what to do about a view with wrong values (an unreadable picture, a pose that is
+        folder: of the data set.
+        bad_views: treatment of a view with invalid values (an unreadable picture, a pose that is
             not rigid): `"raise"` an error that names it, or `"mask"` it with its reason. A picture
             in which the target is not found is always kept as a masked view.
-        progress: told what is being done.
-        keep_detections: write what was detected beside the pictures, to be read the next time.
-        holder_from_world: where the target stands, roughly (`base_from_world`, or for a camera that
-            stands beside the arm `tool_from_world`), for patterns that look the same when turned;
-            by default as the folder says, or else the way round that is turned least.
+        progress: called with a line of text for each step of the work.
+        keep_detections: whether to write the detections to the folder, to be read the next time.
+        holder_from_world: approximate pose of the target (`base_from_world`, or `tool_from_world`
+            for a camera that stands beside the arm), for patterns that look the same when rotated;
+            by default the folder's own, or else the orientation with the smallest rotation.
 
     Raises:
         FileNotFoundError: a file is missing.

@@ -1,4 +1,4 @@
-"""Text files with one 4x4 matrix a line, row by row."""
+"""Read and write text files with one 4x4 pose matrix on each line, in row-major order."""
 
 import re
 from collections.abc import Callable
@@ -16,11 +16,11 @@ from .tables import is_number, refuse_far
 
 
 def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
-    """Poses from a text file with one 4x4 matrix, row by row, on every line.
+    """Read poses from a text file with one 4x4 matrix, in row-major order, on each line.
 
     Args:
-        path: of the file; numbers are parted by blanks, tabs or commas.
-        length_unit: of the translations: m, cm or mm.
+        path: of the file; numbers are separated by blanks, tabs, commas or semicolons.
+        length_unit: unit of the translations: m, cm or mm.
 
     Raises:
         FileNotFoundError: the file is missing.
@@ -50,7 +50,7 @@ def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
 
 
 def write_matrix_rows(path: str | Path, poses: SE3, length_unit: str) -> None:
-    """The inverse of `read_matrix_rows`."""
+    """Write poses as a text file that `read_matrix_rows` reads, with every digit."""
     rows = pose_codec("matrix").encode(poses, length_unit)
     lines = [" ".join(repr(float(number)) for number in row) for row in rows]
     write_atomically(path, "\n".join(lines) + "\n")
@@ -66,22 +66,23 @@ def import_matrix_rows(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
 ) -> Dataset:
-    """A data set from such a file and pictures that carry their line's number.
+    """Import a data set from such a file and pictures that are numbered by its lines.
 
     Args:
-        path: base_from_tool, one a line.
-        length_unit: of the translations: m, cm or mm.
-        pictures: name of a picture beside the file, with its number as `str.format` has it, such
-            as `"images/{view:03d}.png"`. There must be one a line, and no others.
-        target: what the pictures show.
-        mount: where the camera is.
+        path: of the file of base_from_tool, one pose on each line.
+        length_unit: unit of the translations: m, cm or mm.
+        pictures: pattern of the pictures' names, relative to the file's folder, with the number as
+            in `str.format`, such as `"images/{view:03d}.png"`. There must be one picture for each
+            line, and no others.
+        target: the calibration target in the pictures.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
         first: number of the first line's picture.
         bad_views: as in `load_dataset`.
-        progress: told what is being done.
+        progress: called with a line of text for each step of the work.
 
     Raises:
         FileNotFoundError: the file or a picture is missing.
-        ValueError: a line that is no transform, or a picture without a line.
+        ValueError: a line that is not a rigid transform, or a picture without a line.
     """
     path = Path(path)
     poses = read_matrix_rows(path, length_unit)

@@ -1,4 +1,4 @@
-"""Cameras in the YAML that `cv2.FileStorage` writes."""
+"""Read cameras from the YAML files that `cv2.FileStorage` writes."""
 
 import re
 from pathlib import Path
@@ -31,6 +31,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
         raise ValueError(
             f"{path}: camera_matrix: expected [fx 0 cx; 0 fy cy; 0 0 1], found {K.tolist()}"
         )
+    # The limits are those of a calibration.yaml: positive focal lengths, and a plausible centre.
     numbers = {"alpha_u": K[0, 0], "alpha_v": K[1, 1], "u0": K[0, 2], "v0": K[1, 2]}
     checked({key: float(x) for key, x in numbers.items()}, CAMERA_NUMBERS, f"{path}: camera_matrix")
     coefficients = _array(found.distortion_coefficients, "distortion_coefficients", path).ravel()
@@ -39,6 +40,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
 
 
 def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
+    """Return a matrix of the file as an array; raise a ValueError where its size is wrong."""
     if matrix.rows * matrix.cols != len(matrix.data):
         raise ValueError(
             f"{path}: {name}: {matrix.rows} x {matrix.cols}, but {len(matrix.data)} numbers"
@@ -47,6 +49,7 @@ def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
 
 
 def _opencv_lens(numbers: np.ndarray, path: str) -> AbstractLens:
+    """Return the lens model that has as many coefficients: 4, 5 or 8."""
     k = [jnp.asarray(x) for x in numbers]
     if len(k) == 4:
         return OpenCV4(k[0], k[1], k[2], k[3])
@@ -58,7 +61,7 @@ def _opencv_lens(numbers: np.ndarray, path: str) -> AbstractLens:
 
 
 class _OpenCVLoader(PlainLoader):
-    """The plain loader, which also knows OpenCV's matrices and nothing else."""
+    """A plain YAML loader that also reads the tag `!!opencv-matrix`, as a mapping."""
 
 
 def _matrix(loader: PlainLoader, node: yaml.Node) -> dict[Any, Any]:
@@ -71,6 +74,6 @@ _OpenCVLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def _read_opencv_yaml(path: Path) -> Any:
-    # OpenCV's first line, %YAML:1.0, is not YAML.
+    # OpenCV's first line, %YAML:1.0, is not a valid YAML directive, which has a blank: %YAML 1.0.
     text = re.sub(r"\A%YAML:1\.0\s*", "", read_text(path))
     return parse_yaml(text, path, _OpenCVLoader)

@@ -1,4 +1,4 @@
-"""Pairs of tables: `poses.csv` (view, 4x4) and `corners.csv` (view, X, Y, Z, u, v)."""
+"""Import a pair of tables: `poses.csv` (view, 4x4) and `corners.csv` (view, X, Y, Z, u, v)."""
 
 from pathlib import Path
 
@@ -16,15 +16,19 @@ def import_pairs(
     mount: str = "eye_in_hand",
     bad_views: str = "raise",
 ) -> Dataset:
-    """A data set from detections made elsewhere, in metres and pixels.
+    """Import a data set whose target points were detected by another program.
 
     Args:
-        poses_csv: columns `view, m00 .. m33`: base_from_tool, row by row, m.
-        corners_csv: columns `view, X, Y, Z, u, v`: target point in m, pixel. Views may show
-            different points.
+        poses_csv: table with the columns `view, m00 .. m33`: base_from_tool, row-major, m.
+        corners_csv: table with the columns `view, X, Y, Z, u, v`: a target point in m and its
+            pixel. Views may show different points.
         image_size: width and height, px.
-        mount: where the camera is.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
         bad_views: `"raise"` or `"mask"`, as in `Dataset.from_arrays`.
+
+    Raises:
+        FileNotFoundError: a table is missing.
+        ValueError: a wrong value; the message names the file and the view.
     """
     poses_csv, corners_csv = Path(poses_csv), Path(corners_csv)
     codec = pose_codec("matrix")
@@ -34,7 +38,8 @@ def import_pairs(
         raise ValueError(f"{poses_csv}: view {', '.join(duplicates(views))} has more than one row")
     if not views:
         raise ValueError(f"{poses_csv}: no poses")
-    # A pose of NaN is an error or a masked view, as the caller chose.
+    # NaN and infinity pass here: `Dataset.from_arrays` raises an error or masks the view, as
+    # `bad_views` says.
     rows = [numbers(poses_csv, row, codec.columns, row["view"], finite=False) for row in table]
     poses = np.stack(rows)
     positions = poses[:, list(codec.lengths)]
@@ -46,6 +51,8 @@ def import_pairs(
             raise ValueError(f"{corners_csv}: view {row['view']} has no row in {poses_csv.name}")
         columns = ("X", "Y", "Z", "u", "v")
         seen[row["view"]].append(numbers(corners_csv, row, columns, row["view"]))
+    # Views have different numbers of points: all are padded to the largest number, and a pixel of
+    # NaN marks a point that the view does not have.
     count = max(len(rows) for rows in seen.values())
     points = np.zeros((len(views), count, 3))
     pixels = np.full((len(views), count, 2), np.nan)

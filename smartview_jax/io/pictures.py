@@ -1,4 +1,4 @@
-"""From picture files and robot poses to a data set: where every importer of pictures ends."""
+"""Make a data set from picture files and robot poses; every importer of pictures uses this."""
 
 import hashlib
 import re
@@ -29,21 +29,21 @@ def from_pictures(
     cache: Path | None = None,
     holder_from_world: PoseLike | None = None,
 ) -> Dataset:
-    """A data set from pictures: the target is looked for in each.
+    """Make a data set from pictures by detecting the target in each of them.
 
     Args:
-        pictures: by view id, one file, or one for each height of a `StackedTarget`.
+        pictures: files by view id: one, or one for each height of a `StackedTarget`.
         base_from_tool: `(views)` robot poses, in the order of `pictures`.
-        target: what the pictures show.
-        mount: where the camera is.
-        image_size: that every picture must have; by default the first one's.
+        target: the calibration target in the pictures.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height that every picture must have, px; by default the first one's.
         bad_views: `"raise"` an error for a picture that cannot be read, or `"mask"` its view.
-        masked: views already known to be unusable, with the reason.
-        progress: told what is being done.
-        cache: a `detections.csv` to read if it is of these pictures, or else to write.
-        holder_from_world: where the target stands, roughly: `base_from_world`, or for a camera that
-            stands beside the arm `tool_from_world`. It says which way round a pattern is that looks
-            the same when turned; by default the one that is turned least.
+        masked: reason by view id, for views already known to be unusable.
+        progress: called with a line of text for each step of the work.
+        cache: a `detections.csv` to read if it belongs to these pictures, or else to write.
+        holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
+            for a camera that stands beside the arm. It decides the orientation of a pattern that
+            looks the same when rotated; by default the orientation with the smallest rotation.
 
     Raises:
         FileNotFoundError: a picture is missing.
@@ -88,13 +88,13 @@ def from_pictures(
 def numbered_pictures(
     folder: Path, pattern: str, numbers: Sequence[int], poses: Path
 ) -> dict[str, list[Path]]:
-    """One picture a number, by view id, and none besides.
+    """Return the picture of each numbered view, by view id.
 
     Args:
-        folder: the pattern starts here.
-        pattern: with `{view}`, formatted by the number.
-        numbers: of the views.
-        poses: where their poses are, for the message.
+        folder: folder that the pattern is relative to.
+        pattern: file name with `{view}`, formatted by the number.
+        numbers: numbers of the views.
+        poses: file of the poses, for the error message.
 
     Raises:
         ValueError: a pattern without `{view}`, or pictures without a pose.
@@ -107,7 +107,7 @@ def numbered_pictures(
 
 
 def refuse_strays(pictures: Mapping[str, Sequence[Path]], pattern: Path, poses: Path) -> None:
-    """Raise a ValueError that names the pictures of a pattern which no pose belongs to."""
+    """Raise a ValueError that names the pictures that match a pattern but have no pose."""
     known = {path for paths in pictures.values() for path in paths}
     parent = pattern.parent
     strays = sorted(p.name for p in parent.glob(pattern.name) if p not in known)
@@ -119,7 +119,7 @@ def refuse_strays(pictures: Mapping[str, Sequence[Path]], pattern: Path, poses: 
 
 
 def _size_of_first(pictures: Mapping[str, Sequence[Path]]) -> tuple[int, int]:
-    """Of the first picture that can be read; the error of the first where none can."""
+    """Return width and height, px, of the first readable picture; raise an error if none is."""
     problem: Exception | None = None
     for path in (path for paths in pictures.values() for path in paths):
         try:
@@ -138,6 +138,7 @@ def _find(
     progress: Callable[[str], None] | None,
     cache: Path | None,
 ) -> dict[str, Detection]:
+    """Detect the target in every view, or read the detections from the cache if it is valid."""
     say = progress or (lambda _: None)
     stamp = "" if cache is None else _fingerprint(pictures, target)
     if cache is not None:
@@ -161,6 +162,7 @@ def _find(
         try:
             pixels = np.stack([detection.pixels for detection in found.values()])
             write_detections(cache, list(found), pixels, stamp)
+        # The cache only saves time: a folder that cannot be written to is no reason to fail.
         except OSError as error:
             say(f"detections are not kept: {error}")
     return found
@@ -169,6 +171,7 @@ def _find(
 def _detect_view(
     paths: Sequence[Path], target: AbstractTarget, image_size: tuple[int, int]
 ) -> Detection:
+    """Detect the target in a view's pictures; the heights of a stacked target are concatenated."""
     board = target.board if isinstance(target, StackedTarget) else target
     parts = [detect(read_picture(path, image_size), board) for path in paths]
     reasons = [part.reason for part in parts if part.reason]
@@ -182,10 +185,10 @@ def _detect_view(
 def _refuse_unseen_rows(
     pixels: Float[np.ndarray, "views points 2"], target: AbstractTarget, folder: Path
 ) -> None:
-    """Raise a ValueError for rows of a circle grid that no view shows: it is a smaller grid.
+    """Raise a ValueError if no view shows some rows or columns of a circle grid.
 
-    Circles have no numbers to read: in a grid that is stated too large, all views of the whole grid
-    look like views of a part.
+    Circles carry no numbers. If the stated grid is larger than the real one, every view of the
+    whole real grid looks like a view of a part of the stated one; nothing else reveals the mistake.
     """
     grid = target.board if isinstance(target, StackedTarget) else target
     if not isinstance(grid, CircleGrid):
@@ -207,7 +210,11 @@ def _in_one_order(
     image_size: tuple[int, int],
     holder_from_world: PoseLike | None,
 ) -> tuple[Float[np.ndarray, "views points 2"], str]:
-    """Points numbered alike in every picture, also where the pattern does not tell, and a note."""
+    """Return pixels in one numbering of the points for all views, and a note on how it was chosen.
+
+    A pattern that looks the same when rotated has several numberings, and the detector may take
+    another one in each picture; the robot's rotations decide which of them agree.
+    """
     stacked = isinstance(target, StackedTarget)
     board = target.board if stacked else target
     symmetries = board.symmetries
@@ -217,9 +224,11 @@ def _in_one_order(
     if holder_from_world is not None:
         rough = np.asarray(as_se3(holder_from_world).rotation().as_matrix())
         if stacked and not board.y_up:
-            # The board is ordered in its own frame, which a stack of them has turned about x.
+            # The order refers to the board's own frame, which differs from the stack's frame by a
+            # half rotation about x: diag(1, -1, -1).
             rough = rough @ np.diag([1.0, -1.0, -1.0])
-    # Every picture is ordered by itself: at another height the detector may begin elsewhere.
+    # Each picture has an order of its own: at another height the detector may start at another
+    # corner. So the heights of a view are separate rows here, `(views * heights, points, 2)`.
     flat = pixels.reshape(-1, len(board.points), 2)
     turns = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
     chosen = consistent_ordering(
@@ -237,7 +246,7 @@ def _in_one_order(
 
 
 def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
-    """Changes with the target's description and with any picture."""
+    """Return a hash of the target's description and of all pictures, by which a cache is valid."""
     digest = hashlib.sha256(repr(target).encode())
     for view, paths in pictures.items():
         digest.update(view.encode())

@@ -1,4 +1,4 @@
-"""Joints and poses of robot_cal_tools' kinematic measurements: a positioner seen by a camera.
+"""Read kinematic measurements of robot_cal_tools: a camera observes a target on a positioner.
 
 '<time stamp>': {camera_joints: [], target_joints: [rad, ...], pose: {x, y, z, qx, qy, qz, qw}}
 """
@@ -16,7 +16,7 @@ _FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "views joints"], SE3]:
-    """Read joints of the target's carrier, and `camera_from_target`, in the order of the file.
+    """Read the positioner's joint readings (rad) and `camera_from_target`, in the file's order.
 
     Raises:
         ValueError: an entry that lacks a number, or a camera that moves.

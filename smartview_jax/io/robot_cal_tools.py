@@ -1,4 +1,4 @@
-"""Folders of robot_cal_tools and industrial_calibration: `cal_data.yaml`, poses, `target.yaml`."""
+"""Import folders of robot_cal_tools and industrial_calibration (`cal_data.yaml`, `target.yaml`)."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +13,8 @@ from .pictures import from_pictures
 from .tables import duplicates
 
 DATA_FILE = "cal_data.yaml"
+"""Name of the file that lists the picture and the pose file of every view."""
+
 _POSE_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -22,16 +24,20 @@ def import_robot_cal_tools(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
 ) -> Dataset:
-    """A data set from a folder with a modified circle grid.
+    """Import a data set with pictures of a modified circle grid.
 
-    A view is named by its picture's file, not by its place in `cal_data.yaml`, whose order is that
-    of the alphabet (0, 1, 10, ...).
+    The name of a view is that of its picture's file, not its index in `cal_data.yaml`, whose order
+    is alphabetical (0, 1, 10, ...).
 
     Args:
-        folder: with `cal_data.yaml`, `target.yaml`, and what they name.
-        mount: where the camera is; the folder does not say.
+        folder: that has `cal_data.yaml`, `target.yaml`, and the files that they name.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`; the folder does not contain it.
         bad_views: as in `load_dataset`.
-        progress: told what is being done.
+        progress: called with a line of text for each step of the work.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: a wrong value; the message names the file.
     """
     folder = Path(folder)
     entries = _entries(folder / DATA_FILE)
@@ -52,7 +58,7 @@ def import_robot_cal_tools(
 
 
 def _entries(path: Path) -> list[tuple[str, str]]:
-    """Return the files of picture and pose of every view, in the order of the pictures' names."""
+    """Return the picture file and pose file of every view, in the order of the pictures' names."""
     from ..schemas.imported import CAL_DATA
     from ..schemas.reading import checked
 
@@ -60,7 +66,7 @@ def _entries(path: Path) -> list[tuple[str, str]]:
     views = duplicates([Path(entry.image).stem for entry in entries])
     if views:
         raise ValueError(f"{path}: view {', '.join(views)} has more than one entry")
-    # Names that are numbers in the order of numbers, whatever the list's own order.
+    # Sorting by length first puts names that are numbers into numerical order: 2.png before 10.png.
     return sorted(
         ((entry.image, entry.pose) for entry in entries),
         key=lambda files: (len(Path(files[0]).stem), files[0]),
@@ -68,6 +74,7 @@ def _entries(path: Path) -> list[tuple[str, str]]:
 
 
 def _pose(path: Path) -> np.ndarray:
+    """Read a pose file as x, y, z (m) and the quaternion qx, qy, qz, qw."""
     from ..schemas.imported import POSE
     from ..schemas.reading import checked
 
@@ -76,10 +83,12 @@ def _pose(path: Path) -> np.ndarray:
 
 
 def _target(path: Path) -> AbstractTarget:
+    """Read `target.yaml`; raise a ValueError where it is not a modified circle grid."""
     from ..schemas.imported import TARGET
     from ..schemas.reading import checked
 
     finder = checked(read_yaml(path), TARGET, path).target_finder
     if "ModifiedCircleGrid" not in finder.type:
         raise ValueError(f"{path}: expected a modified circle grid, found {finder.type!r}")
+    # A modified circle grid has one larger circle, at the origin.
     return CircleGrid(finder.rows, finder.cols, finder.spacing, origin_mark=True)

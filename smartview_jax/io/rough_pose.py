@@ -1,9 +1,9 @@
-"""Where the target stands, roughly, as a person writes it: in `dataset.yaml` and on a command line.
+"""Read the target's approximate pose as written by hand in `dataset.yaml` or a command line.
 
     base_from_world: {translation: [0.45, -0.1, 0.05], yaw_pitch_roll_deg: [90, 0, 180]}
 
-or with a `quaternion_wxyz`, as `calibration.yaml` has it. On a command line it is six numbers
-between commas: x, y, z in metres, yaw, pitch, roll in degrees.
+or with a `quaternion_wxyz` as in `calibration.yaml`. On a command line it is six numbers separated
+by commas: x, y, z in metres, yaw, pitch, roll in degrees.
 """
 
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def rough_pose(description: "DatasetFile") -> SE3 | None:
-    """Return the rough `holder_from_world` of a description; None where it has none."""
+    """Return the approximate `holder_from_world` of a description; None where it has none."""
     entry = description.base_from_world or description.tool_from_world
     if entry is None:
         return None
@@ -31,11 +31,11 @@ def rough_pose(description: "DatasetFile") -> SE3 | None:
 
 
 def parse_rough_pose(option: str, words: str) -> SE3:
-    """Read x, y, z (m), yaw, pitch and roll (degrees) between commas.
+    """Read an approximate pose from six numbers separated by commas.
 
     Args:
-        option: the option's name, for the message.
-        words: what was given.
+        option: name of the command-line option, for the error message.
+        words: the text given: x, y, z (m), yaw, pitch, roll (degrees).
 
     Raises:
         ValueError: not six finite numbers.
@@ -50,6 +50,7 @@ def parse_rough_pose(option: str, words: str) -> SE3:
 
 
 def _decoded(name: str, numbers: list[float]) -> SE3:
+    """Return the pose of x, y, z (m), yaw, pitch, roll (degrees); an error begins with the name."""
     row = np.array(numbers, dtype=float)
     if row.shape != (6,) or not np.isfinite(row).all():
         raise ValueError(f"{name}: expected six finite numbers, found {numbers}")

@@ -1,11 +1,12 @@
-"""The real data set that ships in the package."""
+"""Locate the real data set that is part of the package."""
 
 from importlib.resources import files
 from pathlib import Path
 
 SAMPLE = "rct_circle10x10"
+"""Name of the folder of the sample data set."""
 
 
 def sample_folder() -> Path:
-    """The folder of the sample: 15 pictures of a 10 x 10 circle grid, taken by a robot's camera."""
+    """Return the sample's folder: 15 pictures of a 10 x 10 circle grid, by a camera on a robot."""
     return Path(str(files("smartview_jax") / "samples" / SAMPLE))

@@ -1,4 +1,4 @@
-"""CSV tables with a header, read with errors that name the file, row and column."""
+"""Read and write CSV tables with a header; errors name the file, the row and the column."""
 
 import csv
 import io
@@ -13,10 +13,10 @@ from ..files import read_text, write_atomically
 from ..schemas.words import shown
 
 FARTHEST = 100.0
-"""Largest coordinate of a pose, m: what is farther is in another unit."""
+"""Largest coordinate of a pose, m: a larger one was given in another unit, such as mm."""
 
 LONGEST_NAME = 200
-"""Characters of a view's name, which is part of a file name."""
+"""Largest number of characters of a view's name, which is a part of file names."""
 
 _NUMBER = re.compile(
     r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|nan|inf|infinity)", re.IGNORECASE
@@ -28,8 +28,8 @@ def read_table(path: Path, required: Sequence[str]) -> list[dict[str, str]]:
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is no table of text, a required column is missing, a column comes twice, or
-            a row has another number of fields.
+        ValueError: it is not a CSV text, a required column is missing, a column occurs twice, a
+            row has another number of fields than the header, or a view's name is empty or too long.
     """
     lines = (line for line in read_text(path).splitlines() if line.strip() and line[0] != "#")
     try:
@@ -58,7 +58,7 @@ def read_table(path: Path, required: Sequence[str]) -> list[dict[str, str]]:
 
 
 def refuse_cut(path: Path, rows: Sequence[object], stated: int | None) -> None:
-    """Raise a ValueError if a table has not the number of rows that its description states."""
+    """Raise a ValueError if a table has another number of rows than its description states."""
     if stated is not None and len(rows) != stated:
         raise ValueError(
             f"{path}: {len(rows)} rows, but the description says {stated}: was the file cut?"
@@ -71,14 +71,14 @@ def numbers(
     """Return some columns of a row as numbers.
 
     Args:
-        path: of the table, for messages.
-        row: of it.
-        columns: wanted.
-        view: whose row it is, for messages.
-        finite: refuse NaN and infinity, unless whoever asks masks such a view.
+        path: of the table, for error messages.
+        row: one row of the table, by column name.
+        columns: names of the columns to return.
+        view: id of the row's view, for error messages.
+        finite: whether to refuse NaN and infinity; False where the caller may mask such a view.
 
     Raises:
-        ValueError: naming the file, the view and the column of what is not a number.
+        ValueError: a field is not a number; the message names the file, the view and the column.
     """
     values = np.empty(len(columns))
     for k, column in enumerate(columns):
@@ -91,17 +91,20 @@ def numbers(
 
 
 def is_number(text: str) -> bool:
-    """Say whether a text is a number; Python's own reading takes 1_0 and other scripts' digits."""
+    """Return whether a text is a decimal number in ASCII digits, NaN or infinity.
+
+    The check is needed because `float` also accepts 1_0 and the digits of other scripts.
+    """
     return _NUMBER.fullmatch(text) is not None
 
 
 def refuse_far(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -> None:
-    """Raise a ValueError that names the first position, m, that no robot cell is large enough for.
+    """Raise a ValueError that names the first position beyond the reach of any robot.
 
     Args:
-        path: where they are from.
-        positions: `(views, 3)`; NaN passes.
-        labels: one a position.
+        path: of the file that the positions are from, for the error message.
+        positions: `(views, 3)`, m; each coordinate is limited by `FARTHEST`, and NaN passes.
+        labels: one view id for each position.
     """
     for label, position in zip(labels, positions, strict=True):
         for axis, value in zip("xyz", position, strict=True):
@@ -113,7 +116,8 @@ def refuse_far(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -
 
 
 def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Write a CSV file, whole or not at all; floats keep every digit."""
+    """Write a CSV file, complete or not at all; floats keep every digit."""
+    # `repr` gives the shortest text from which Python reads the same float again.
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
@@ -122,5 +126,5 @@ def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[objec
 
 
 def duplicates(ids: Sequence[str]) -> list[str]:
-    """Return what occurs more than once, in order."""
+    """Return the ids that occur more than once, sorted."""
     return sorted(name for name, times in Counter(ids).items() if times > 1)

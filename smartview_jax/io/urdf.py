@@ -1,8 +1,8 @@
-"""Arms from URDF files: the chain between two links, as Denavit-Hartenberg numbers.
+"""Read an arm from a URDF file: the chain between two links, as Denavit-Hartenberg parameters.
 
-Exact: the numbers describe the same lines in space, whatever frames the file hangs on them. Only
-joints are read; shapes and meshes are not looked for. Needs the optional `urdf-parser-py`:
-`pip install smartview-jax[urdf]`.
+The conversion is exact: the parameters describe the same joint axes in space, whatever frames the
+file attaches to them. Only joints are read; shapes and meshes are ignored. The optional
+`urdf-parser-py` is needed: `pip install smartview-jax[urdf]`.
 """
 
 import contextlib
@@ -20,24 +20,24 @@ from ..robots import SerialArm, arm_from_axes
 from ..schemas.words import shown
 
 LARGEST = 100.0
-"""Of an offset (m) or an angle (rad)."""
+"""Largest magnitude of an offset (m), an angle (rad) or a component of an axis."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
 
 def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None) -> SerialArm:
-    """The arm between two links of a URDF file.
+    """Read the arm between two links of a URDF file.
 
     Args:
         path: of the file; xacro files have to be expanded first.
-        base: link that poses are in; by default the root.
-        tip: link that is the tool; by default the one at the end, if there is only one.
+        base: name of the link that is the base frame of the poses; by default the root.
+        tip: name of the link that is the tool; by default the last one, if there is only one.
 
     Raises:
-        ValueError: not a URDF file; no chain between the links; several ends and no `tip`; a joint
-            that floats, moves in a plane or mimics another. The message names it.
+        ValueError: not a URDF file; no chain between the links; several last links and no `tip`; a
+            joint that is floating or planar or mimics another. The message names the joint.
         FileNotFoundError: the file is missing.
-        ImportError: the library that parses it is not installed.
+        ImportError: `urdf-parser-py` is not installed.
     """
     path = Path(path)
     text = read_text(path)
@@ -45,6 +45,8 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         raise ValueError(f"{path}: entity declarations are not accepted")
     robot = _parsed(text.encode("utf-8"), path)
     chain = _chain(robot, base, tip, path)
+    # At zero readings a joint adds no motion of its own, so the product of the origins is the pose
+    # of the joint's frame in the base. The axis is the line through its origin, along its axis.
     pose, points, directions, slides, limits = np.eye(4), [], [], [], []
     for joint in chain:
         pose = pose @ _origin(joint, path)
@@ -54,7 +56,7 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
             raise ValueError(f"{path}: joint {joint.name} is {joint.type}; an arm's turn or slide")
         if joint.mimic is not None:
             raise ValueError(f"{path}: joint {joint.name} mimics {joint.mimic.joint}")
-        # Without one the axis is x, by the format's definition.
+        # The URDF format defines x as the axis of a joint that states none.
         axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
         points.append(pose[:3, 3])
         directions.append(pose[:3, :3] @ _vector(axis, joint, "axis", path))
@@ -76,8 +78,9 @@ def _parsed(content: bytes, path: Path) -> Any:
         from urdf_parser_py.urdf import URDF  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ImportError("reading URDF needs urdf-parser-py: smartview-jax[urdf]") from error
-    # It prints what it does not know, such as the tags of simulators.
+    # The parser prints every tag that it does not know, such as those of simulators.
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere):
+        # The parser raises errors of many unrelated types for a malformed file.
         try:
             return URDF.from_xml_string(content)
         except Exception as error:
@@ -85,7 +88,7 @@ def _parsed(content: bytes, path: Path) -> Any:
 
 
 def _chain(robot: Any, base: str | None, tip: str | None, path: Path) -> list[Any]:
-    """Joints from base to tip."""
+    """Return the joints from the base link to the tip link, in order."""
     links = {link.name for link in robot.links}
     above = {joint.child: joint for joint in robot.joints}
     roots, ends = sorted(links - set(above)), sorted(links - {j.parent for j in robot.joints})
@@ -107,9 +110,10 @@ def _chain(robot: Any, base: str | None, tip: str | None, path: Path) -> list[An
 
 
 def _path(above: dict[str, Any], base: str, tip: str) -> list[Any] | None:
+    """Return the joints between two links, in order; None if the tip is not below the base."""
     chain, link = [], tip
     while link != base:
-        # Longer than all joints together is round in a circle.
+        # A chain longer than the number of joints is a cycle of a malformed file.
         if link not in above or len(chain) > len(above):
             return None
         chain.append(above[link])
@@ -118,9 +122,11 @@ def _path(above: dict[str, Any], base: str, tip: str) -> list[Any] | None:
 
 
 def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of a joint's frame in the frame of its parent link, m."""
     pose = np.eye(4)
     if joint.origin is not None:
         nothing = (0.0, 0.0, 0.0)
+        # rpy about fixed axes is R = Rz(yaw) Ry(pitch) Rx(roll): yaw, pitch, roll in reverse order.
         angles = _vector(joint.origin.rpy or nothing, joint, "origin rpy", path)[::-1]
         pose[:3, :3] = np.asarray(rotation_from_ypr(jnp.asarray(angles)).as_matrix())
         pose[:3, 3] = _vector(joint.origin.xyz or nothing, joint, "origin xyz", path)
@@ -128,12 +134,12 @@ def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
 
 
 def _vector(values: Any, joint: Any, what: str, path: Path) -> np.ndarray:
-    """Return three numbers, m or rad, each within 100."""
+    """Return three numbers, m or rad; raise a ValueError where one is larger than `LARGEST`."""
     try:
         numbers = np.array([float(value) for value in values])
     except (TypeError, ValueError):
         numbers = np.zeros(0)
-    # NaN is not below anything.
+    # Written as "not all within the limit" so that NaN, for which every comparison is false, fails.
     if numbers.shape != (3,) or not (np.abs(numbers) <= LARGEST).all():
         raise ValueError(
             f"{path}: joint {joint.name}: {what}: expected three numbers from -{LARGEST:g} to "
@@ -143,9 +149,10 @@ def _vector(values: Any, joint: Any, what: str, path: Path) -> np.ndarray:
 
 
 def _limits(joint: Any, path: Path) -> tuple[float, float]:
+    """Return the lower and upper limit of a joint, rad or m; infinite where it has none."""
     if joint.type == "continuous" or joint.limit is None:
         return -np.inf, np.inf
-    # A limit that is not given is zero, by the format's definition.
+    # The URDF format defines a bound that is not stated as zero.
     lower, upper = (float(bound or 0.0) for bound in (joint.limit.lower, joint.limit.upper))
     if not -np.inf < lower < upper < np.inf:
         raise ValueError(f"{path}: joint {joint.name}: limits: {lower} is not below {upper}")

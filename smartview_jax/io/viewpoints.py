@@ -1,8 +1,8 @@
-"""Viewpoints for the robot's controller: VAL II programs, and CSV and JSON, also read back.
+"""Write viewpoints for robot controllers as VAL II programs, CSV or JSON, and read the latter two.
 
-VAL has mm and degrees, CSV names its units in the header, JSON in an entry of its own. CSV and JSON
-hold the poses as the robot's maker writes them (`POSE_CODECS`), in the maker's units. What no robot
-can do is refused when it is written, not when it moves.
+VAL uses mm and degrees; CSV states its units in the header, JSON in an entry `units`. CSV and JSON
+contain the poses in the format and the units of the robot's manufacturer (`POSE_CODECS`). A command
+that no robot can execute is refused when it is written, before any robot moves.
 """
 
 import json
@@ -22,20 +22,22 @@ from ..robots import FARTHEST
 from .tables import duplicates, numbers, read_table, write_table
 
 FORMAT_VERSION = 1
+"""Version of the JSON format."""
 
 VAL = "val_oat"
+"""Name of the pose format of VAL II: x, y, z in mm, and the angles O, A, T in degrees."""
 
 _JOINT_UNITS = {"joint_that_turns": "rad", "joint_that_slides": "m"}
 _VAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,14}")
 
 
 class Viewpoints(NamedTuple):
-    """Commands as a file has them.
+    """The commands of a viewpoint file.
 
     Attributes:
-        base_from_tool: `(views)`.
-        names: one a view.
-        joints: rad, m for a joint that slides; None where the file has none.
+        base_from_tool: commanded poses, `(views)`.
+        names: one name for each view.
+        joints: joint readings, rad (m for a prismatic joint); None where the file has none.
     """
 
     base_from_tool: SE3
@@ -50,19 +52,19 @@ def write_viewpoints(
     joints: np.ndarray | None = None,
     pose_format: str = VAL,
 ) -> None:
-    """Write commands in the format that the file's ending names, whole or not at all.
+    """Write commands in the format given by the file's ending, completely or not at all.
 
     Args:
-        path: ends in `.val` (or `.v2`), `.csv` or `.json`.
-        base_from_tool: `(views)`, or one.
-        names: one a view; by default v1, v2, ...
-        joints: `(views, joints)` rad, m for a joint that slides; VAL's `TRANS` has none.
-        pose_format: how poses are written in CSV and JSON, in the maker's units: one of
+        path: file name that ends in `.val` (or `.v2`), `.csv` or `.json`.
+        base_from_tool: commanded poses, `(views)`, or a single one.
+        names: one name for each view; by default v1, v2, ...
+        joints: `(views, joints)` rad (m for a prismatic joint); VAL's `TRANS` has no joints.
+        pose_format: pose format of CSV and JSON, in the manufacturer's units: one of
             `POSE_CODECS`, such as `"kuka_abc"`, `"ur"`, `"fanuc_wpr"`, `"abb"`.
 
     Raises:
-        ValueError: an unknown ending or format, or a command that no robot can do; it names view
-            and value.
+        ValueError: an unknown ending or format, or a command that no robot can execute; the
+            message names the view and the value.
     """
     path, codec = Path(path), pose_codec(pose_format)
     if path.suffix not in (".val", ".v2", ".csv", ".json"):
@@ -71,7 +73,8 @@ def write_viewpoints(
         views = _checked(base_from_tool, names, joints)
         readings = np.zeros((len(views.names), 0)) if views.joints is None else views.joints
         joint_columns = (f"joint_{1 + k}" for k in range(readings.shape[1]))
-        # VAL's own columns are the default, and always were without a column for the format.
+        # A column `format` is only written for other formats than VAL's: VAL is the default, and
+        # its files have been without that column from the first version on.
         form = [] if pose_format == VAL else [codec.name]
         header = ["view", *(["format"] if form else []), *pose_columns(codec), *joint_columns]
         rows = np.concatenate([_rows(views, codec), readings], axis=1).tolist()
@@ -87,7 +90,7 @@ def write_viewpoints(
 
 
 def pose_columns(codec: PoseCodec) -> tuple[str, ...]:
-    """Names of a format's columns with their units, the maker's own."""
+    """Return the names of a pose format's columns, with the manufacturer's units appended."""
     length, angle = codec.units
     return tuple(
         f"{name}_{length}".lower()
@@ -100,11 +103,11 @@ def pose_columns(codec: PoseCodec) -> tuple[str, ...]:
 
 
 def read_viewpoints(path: str | Path) -> Viewpoints:
-    """What `write_viewpoints` wrote as CSV or JSON.
+    """Read commands that `write_viewpoints` wrote as CSV or JSON.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: another format, or a value that is wrong; file and view are named.
+        ValueError: another format, or a wrong value; the message names the file and the view.
     """
     path = Path(path)
     if path.suffix == ".csv":
@@ -115,10 +118,10 @@ def read_viewpoints(path: str | Path) -> Viewpoints:
 
 
 def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
-    """Lines of a VAL II program that moves to one viewpoint after the other; mm and degrees.
+    """Return a VAL II program that moves to the viewpoints in order; mm and degrees.
 
     Raises:
-        ValueError: as `write_viewpoints`; also a name that VAL does not take.
+        ValueError: as in `write_viewpoints`; also a name that VAL does not accept.
     """
     views = _checked(base_from_tool, names, None)
     lines = []
@@ -128,7 +131,8 @@ def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
                 f"view {name!r}: VAL names a location by a letter and up to 14 letters, digits, "
                 "points or underscores"
             )
-        # A tenth of a micrometre, and as little of a turn: beyond what a controller resolves.
+        # Four decimals are 0.1 micrometre and 0.0001 degree, finer than a controller resolves.
+        # Adding 0.0 turns a rounded -0.0 into 0.0.
         written = ", ".join(f"{value + 0.0:.4f}" for value in np.round(row, 4))
         lines += [f"SET {name} = TRANS({written})", f"MOVE {name}"]
     return "\n".join(lines) + "\n"
@@ -137,6 +141,7 @@ def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
 def _checked(
     base_from_tool: SE3, names: Sequence[str] | None, joints: np.ndarray | None
 ) -> Viewpoints:
+    """Return the commands as arrays; raise a ValueError for one that no robot can execute."""
     poses = np.atleast_2d(np.asarray(base_from_tool.wxyz_xyz))
     joints = None if joints is None else np.atleast_2d(joints)
     if poses.ndim != 2:
@@ -171,20 +176,22 @@ def _checked(
 
 
 def _rows(views: Viewpoints, codec: PoseCodec) -> Float[np.ndarray, "views columns"]:
-    """Poses as a maker has them, in the maker's units."""
+    """Return the poses as rows of a manufacturer's format, in its units."""
     return np.array(codec.encode(views.base_from_tool, *codec.units))
 
 
 def _units(codec: PoseCodec) -> dict[str, str]:
+    """Return the entry `units` of the JSON format."""
     return {"length": codec.units[0], "angle": codec.units[1], **_JOINT_UNITS}
 
 
 def _key(codec: PoseCodec) -> str:
-    """What a pose is called in JSON."""
+    """Return the key of a pose in JSON: `xyzoat` for VAL's format, else `pose`."""
     return "xyzoat" if codec.name == VAL else "pose"
 
 
 def _as_json(views: Viewpoints, codec: PoseCodec) -> str:
+    """Return the commands as JSON text."""
     entries = [
         {"name": name, _key(codec): row, **({} if joints is None else {"joints": joints})}
         for name, row, joints in zip(
@@ -205,6 +212,7 @@ def _as_json(views: Viewpoints, codec: PoseCodec) -> str:
 
 
 def _from_csv(path: Path) -> Viewpoints:
+    """Read commands from a CSV file; without a column `format` the poses are VAL's."""
     rows = read_table(path, ("view",))
     formats = sorted({row.get("format", VAL) for row in rows})
     if len(formats) > 1:
@@ -214,6 +222,7 @@ def _from_csv(path: Path) -> Viewpoints:
     except ValueError as error:
         raise ValueError(f"{path}: format: {error}") from error
     columns = pose_columns(codec)
+    # Read again, because the required columns are known only now that the format is.
     rows = read_table(path, ("view", *columns))
     names = [row["view"] for row in rows]
     poses = np.array([numbers(path, row, columns, row["view"], False) for row in rows])
@@ -223,6 +232,7 @@ def _from_csv(path: Path) -> Viewpoints:
 
 
 def _from_json(path: Path) -> Viewpoints:
+    """Read commands from a JSON file of `write_viewpoints`."""
     from ..schemas.imported import VIEWPOINTS
     from ..schemas.reading import checked
 
@@ -257,6 +267,7 @@ def _read(
     names: Sequence[str],
     joints: np.ndarray | None,
 ) -> Viewpoints:
+    """Decode rows of a pose format to commands; errors name the file."""
     if not names:
         raise ValueError(f"{path}: no viewpoints")
     try:

@@ -1,4 +1,4 @@
-"""ViSP: poses as `theta u` vectors in YAML, numbered pictures, cameras in XML."""
+"""Read files of ViSP: poses as `theta u` vectors in YAML, numbered pictures, cameras in XML."""
 
 import re
 import xml.etree.ElementTree as ElementTree
@@ -26,19 +26,19 @@ def import_visp(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
 ) -> Dataset:
-    """A data set from a folder of ViSP's hand-eye calibration.
+    """Import a data set from a folder of ViSP's hand-eye calibration.
 
     Args:
-        folder: with a pose file (base_from_tool, m and rad) and a picture for each view.
-        target: what the pictures show.
-        mount: where the camera is.
-        poses, pictures: names of the files; `{view}` is the number that pairs them.
+        folder: that has a pose file (base_from_tool, m and rad) and a picture for each view.
+        target: the calibration target in the pictures.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        poses, pictures: patterns of the file names; `{view}` is the number that pairs them.
         bad_views: as in `load_dataset`.
-        progress: told what is being done.
+        progress: called with a line of text for each step of the work.
 
     Raises:
         FileNotFoundError: there are no pose files, or a picture is missing.
-        ValueError: a file that is no pose, or a picture without one.
+        ValueError: a file that is not a pose, or a picture without a pose.
     """
     folder = Path(folder)
     name = re.compile(re.escape(poses).replace(re.escape("{view}"), r"(\d+)"))
@@ -49,6 +49,7 @@ def import_visp(
     }
     if not found:
         raise FileNotFoundError(f"{folder / poses}: no such files")
+    # Sorted as numbers, not as text: view 2 before view 10.
     numbers = sorted(found)
     files = numbered_pictures(folder, pictures, numbers, folder / poses)
     rows = jnp.stack([read_visp_pose(found[number]).wxyz_xyz for number in numbers])
@@ -56,7 +57,7 @@ def import_visp(
 
 
 def read_visp_pose(path: str | Path) -> SE3:
-    """ViSP's pose vector: translation (m) and theta-u (rad), a 6 x 1 matrix in YAML.
+    """Read ViSP's pose vector: translation (m) and theta-u (rad), a 6 x 1 matrix in YAML.
 
     Raises:
         FileNotFoundError: the file is missing.
@@ -72,14 +73,14 @@ def read_visp_pose(path: str | Path) -> SE3:
 
 
 def write_visp_pose(path: str | Path, pose: SE3) -> None:
-    """The inverse of `read_visp_pose`."""
+    """Write a pose as the vector of ViSP that `read_visp_pose` reads."""
     row = pose_codec("rotation_vector").encode(SE3(pose.wxyz_xyz[None]))[0]
     lines = [f"  - [{float(number)!r}]" for number in row]
     write_atomically(path, "\n".join(["rows: 6", "cols: 1", "data:", *lines]) + "\n")
 
 
 def read_visp_camera(path: str | Path) -> Camera:
-    """The model without distortion of a ViSP camera file.
+    """Read the model without distortion of a ViSP camera file.
 
     Raises:
         FileNotFoundError: the file is missing.
@@ -89,6 +90,7 @@ def read_visp_camera(path: str | Path) -> Camera:
     from ..schemas.reading import checked
 
     path, text = Path(path), read_text(path)
+    # Nested entities can expand a small file to one that fills the memory.
     if "<!ENTITY" in text:
         raise ValueError(f"{path}: entity declarations are not accepted")
     try:
@@ -99,7 +101,8 @@ def read_visp_camera(path: str | Path) -> Camera:
     for name in VispCameraNumbers.model_fields:
         entry = None if camera is None else camera.find(f".//{name}")
         if entry is not None and entry.text is not None:
-            # XML has text alone; YAML's numbers are what files here have.
+            # XML values are text; they are read as YAML, so that numbers have one syntax in all
+            # files.
             found[name] = parse_yaml(entry.text, f"{path}: entry {name}")
     numbers = checked(found, VISP_CAMERA, path)
     size = (numbers.image_width, numbers.image_height)
