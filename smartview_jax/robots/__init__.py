@@ -1,4 +1,4 @@
-"""Arms: forward and inverse kinematics, limits, and what a robot is told and reports."""
+"""Provide robot arms: forward and inverse kinematics, joint limits, and robot commands."""
 
 from ..moved import moved as _moved
 from .axes import arm_from_axes as arm_from_axes
@@ -28,7 +28,8 @@ from .serialization import arm_from_dict as arm_from_dict
 from .serialization import arm_to_dict as arm_to_dict
 from .solve_joints import joints_for_pose as joints_for_pose
 
-# The room above, which only a name that moved there opens.
+# The error fields below live in `robot_errors`, which imports this package. A lookup by text finds
+# them under their old names without a circular import.
 __getattr__ = _moved(
     __name__,
     dict.fromkeys(

@@ -1,4 +1,4 @@
-"""What a robot says of a view: where its tool is, and its joints' angles where they are known."""
+"""Define what a robot reports or is commanded in a view: its tool pose and its joint readings."""
 
 from typing import TypeAlias
 
@@ -10,15 +10,20 @@ from jaxtyping import Array, Float
 from ..geometry import PoseLike, as_se3
 
 FARTHEST = 10.0
-"""Of a tool's coordinate in the base's frame, m: no arm is longer; what is, is in another unit."""
+"""Largest plausible coordinate of the tool in the base frame, m.
+
+No arm is that long; a larger number is in another unit, such as millimetres.
+"""
 
 
 class Command(eqx.Module):
-    """A pose as reported or commanded; `SerialArm.command` makes one from joint angles.
+    """A tool pose that a robot reports or is commanded, with joint readings where they are known.
+
+    `SerialArm.command` makes one from joint angles.
 
     Attributes:
-        base_from_tool: `(*views)`, as the robot's controller has it.
-        joints: readings, rad (m for a prismatic joint); None where they are not known.
+        base_from_tool: pose `(*views)` by the controller's own forward kinematics.
+        joints: joint readings, rad (m for a prismatic joint); None where they are not known.
     """
 
     base_from_tool: SE3
@@ -26,12 +31,12 @@ class Command(eqx.Module):
 
 
 JointsLike: TypeAlias = Float[Array, "*views joints"] | np.ndarray
-"""Readings of joints, rad (m for a prismatic joint)."""
+"""An array of joint readings, rad (m for a prismatic joint)."""
 
 CommandLike: TypeAlias = PoseLike | Command
-"""A pose, or a `Command` that knows the joints too."""
+"""A pose, or a `Command` that holds joint readings too."""
 
 
 def as_command(command: CommandLike) -> Command:
-    """A `Command` from either form."""
+    """Return a `Command` from a pose or a `Command`."""
     return command if isinstance(command, Command) else Command(as_se3(command))

@@ -1,4 +1,4 @@
-"""Joints that answer a wanted pose: which, whether they can be gone to, and if not, why."""
+"""Define the result of inverse kinematics: the joints, and if there are none, why."""
 
 import enum
 
@@ -11,11 +11,14 @@ from .command import JointsLike
 from .serial_arm import SerialArm
 
 SLACK = 1e-9
-"""By which readings may pass a limit, rad or m: a limit that was commanded comes back rounded."""
+"""Tolerance by which readings may exceed a limit, rad or m.
+
+A robot at its limit reports it with rounding.
+"""
 
 
 class Status(enum.IntFlag):
-    """What is to be said of an answer; several may hold at once."""
+    """The flags that describe an inverse-kinematics solution; several may be set at once."""
 
     OK = 0
     OUT_OF_REACH = enum.auto()
@@ -27,7 +30,10 @@ class Status(enum.IntFlag):
 
 
 NO_ANSWER = Status.OUT_OF_REACH | Status.OUT_OF_LIMITS
-"""What rules an answer out; at a singularity it holds, but is not the only one near by."""
+"""Flags that make a solution unusable.
+
+A singular solution is still valid, but is not isolated: other solutions are arbitrarily close.
+"""
 
 _WORDS = {
     Status.OUT_OF_REACH: "out of reach",
@@ -39,12 +45,12 @@ _WORDS = {
 
 
 class JointSolution(eqx.Module):
-    """Joints for wanted poses.
+    """Joint readings that solve the inverse kinematics of wanted poses, with their status.
 
     Attributes:
-        joints: readings, rad or m; NaN where no joints put the tool there.
-        status: of each, as `Status`.
-        beyond: the joints whose limits are passed, or stand in the way.
+        joints: readings, rad or m; NaN where no joints reach the pose.
+        status: flags of each pose, as `Status`.
+        beyond: joints beyond their limit, or held back by it.
     """
 
     joints: Float[Array, "*views joints"]
@@ -53,11 +59,11 @@ class JointSolution(eqx.Module):
 
     @property
     def reached(self) -> Bool[Array, "*views"]:
-        """Where the joints put the tool at its pose and are within their limits."""
+        """Whether the joints put the tool at its pose and are within their limits."""
         return (self.status & int(NO_ANSWER)) == 0
 
     def reason(self, view: int | tuple[int, ...] = ()) -> str:
-        """The status of one view in words; "ok" where there is nothing to say."""
+        """Return the status of one view in words; "ok" where no flag is set."""
         status = Status(int(self.status[view]))
         said = [words for kind, words in _WORDS.items() if status & kind]
         if status & Status.OUT_OF_LIMITS:
@@ -69,20 +75,24 @@ class JointSolution(eqx.Module):
 def nearest_turn(
     arm: SerialArm, joints: Float[Array, "*views joints"], near: JointsLike | None = None
 ) -> Float[Array, "*views joints"]:
-    """Readings moved by whole turns into their limits, and there as near as can be to given ones.
+    """Return readings shifted by whole revolutions into their limits, close to `near`.
 
-    Where no turn is within the limits, the one nearest the middle of them. Sliding joints stay.
+    Where no revolution is within the limits, the reading closest to their middle is returned.
+    Prismatic joints do not change.
 
     Args:
-        arm: whose limits.
-        joints: rad or m.
-        near: by default the middle of the limits; zero where a joint has none.
+        arm: arm whose limits apply.
+        joints: readings, rad or m.
+        near: readings to be close to; by default the middle of the limits, or zero for a joint
+            without two limits.
     """
     turn, shape = 2.0 * jnp.pi, joints.shape
     lower, upper = (jnp.broadcast_to(bound, shape) for bound in arm.limits.T)
     bounded = jnp.isfinite(lower) & jnp.isfinite(upper)
     middle = jnp.where(bounded, 0.5 * (jnp.where(bounded, lower + upper, 0.0)), 0.0)
     wanted = middle if near is None else jnp.broadcast_to(jnp.asarray(near, dtype=float), shape)
+    # Revolutions n with lower <= q + 2 pi n <= upper; of these the one closest to (wanted - q) / 2
+    # pi.
     least = jnp.ceil((lower - SLACK - joints) / turn)
     most = jnp.floor((upper + SLACK - joints) / turn)
     inside = jnp.clip(jnp.round((wanted - joints) / turn), least, most)

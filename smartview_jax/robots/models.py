@@ -1,6 +1,6 @@
-"""Arms by name, with nominal Denavit-Hartenberg numbers and where they are from.
+"""Provide robot arms by name, with nominal Denavit-Hartenberg parameters and their sources.
 
-The paper's PUMA 761 is not among them, nor the 762: no source for their lengths was found.
+The paper's PUMA 761 is missing, and so is the 762: no source for their link lengths was found.
 """
 
 from collections.abc import Callable
@@ -14,11 +14,12 @@ _RIGHT = 0.5 * np.pi
 
 
 def kuka_lwr4() -> SerialArm:
-    """KUKA LWR 4+, seven joints, base to flange.
+    """Return the KUKA LWR 4+, a seven-joint arm, from its base to its flange.
 
-    Lengths of its data sheet (0.31, 0.40, 0.39, 0.078 m between shoulder, elbow, wrist and flange).
-    They give the poses that the controller of one such arm reported to 0.15 mm and 0.01 degrees.
-    Limits: those of `lwr_description` in CentroEPiaggio/kuka-lwr, the arm's ROS package.
+    Lengths are from its data sheet (0.31, 0.40, 0.39, 0.078 m between shoulder, elbow, wrist and
+    flange). They reproduce the poses that the controller of one such arm reported to 0.15 mm and
+    0.01 degrees. Limits are from `lwr_description` in CentroEPiaggio/kuka-lwr, the arm's ROS
+    package.
     """
     return SerialArm(
         theta=np.zeros(7),
@@ -30,7 +31,10 @@ def kuka_lwr4() -> SerialArm:
 
 
 def six_axes() -> SerialArm:
-    """No maker's: a vertical six-axis arm with a reach of 1.4 m, for simulations."""
+    """Return a generic vertical six-axis arm with a reach of 1.4 m, for simulations.
+
+    It is no manufacturer's model.
+    """
     return SerialArm(
         theta=[0.0, -_RIGHT, 0.0, 0.0, 0.0, 0.0],
         d=[0.400, 0.0, 0.0, 0.640, 0.0, 0.115],
@@ -40,12 +44,14 @@ def six_axes() -> SerialArm:
 
 
 def puma_560() -> SerialArm:
-    """Unimation PUMA 560 as Paul and Corke have it: shoulder to flange, all joints zero a righty.
+    """Return the Unimation PUMA 560 in the convention of Paul and Corke, from shoulder to flange.
+
+    With all joints at zero the arm is in its right-handed configuration.
 
     Lengths: Corke and Armstrong-Helouvry, A search for consensus among model parameters reported
-    for the PUMA 560 robot, ICRA 1994; twists with Paul's signs. Limits: those of Corke's Robotics
+    for the PUMA 560 robot, ICRA 1994; link twists have Paul's signs. Limits: Corke's Robotics
     Toolbox, after Wang and Chen, IEEE Trans. RA 7(4), 1991. The origin is VAL's, in the shoulder;
-    the floor that a pedestal of 26.45 inches stands on is 0.67183 m below (`base_from_first`).
+    the floor under a pedestal of 26.45 inches is 0.67183 m below (`base_from_first`).
     """
     return SerialArm(
         theta=np.zeros(6),
@@ -59,16 +65,20 @@ def puma_560() -> SerialArm:
 
 
 def puma_560_lee() -> SerialArm:
-    """Unimation PUMA 560 as Lee has it: shoulder to the end of the flange, all joints zero a lefty.
+    """Return the Unimation PUMA 560 in the convention of Lee, from shoulder to flange end.
+
+    With all joints at zero the arm is in its left-handed configuration.
 
     C. S. G. Lee, Robot arm kinematics, dynamics and control, Computer 15(12), 1982; Fu, Gonzalez
-    and Lee, Robotics, 1987, figure 2.11, limits included. With the same lengths it is `puma_560`:
+    and Lee, Robotics, 1987, figure 2.11, limits included. With the same lengths it equals
+    `puma_560`:
 
         joints of puma_560 = joints of puma_560_lee + (pi, pi, -pi, 0, 0, pi)
 
-    for `a3` of the opposite sign and Lee's `d2` in place of Corke's `d3`. Their lengths differ by
-    up to 1.3 mm, being measured on two arms, and Lee's `d6` reaches to the end of the flange. The
-    limits of joints 1 and 6 are each author's own, and agree with no half turn between the two.
+    with `a3` of the opposite sign and Lee's `d2` instead of Corke's `d3`. The lengths differ by up
+    to 1.3 mm, because they were measured on two arms, and Lee's `d6` extends to the end of the
+    flange. The limits of joints 1 and 6 are each author's own; they do not agree after the
+    half-revolution offset between the two conventions.
     """
     return SerialArm(
         theta=np.zeros(6),
@@ -82,6 +92,7 @@ def puma_560_lee() -> SerialArm:
 
 
 ARMS: dict[str, Callable[[], SerialArm]] = {
+    # Functions, not arms: an arm holds JAX arrays, which are only created when one is needed.
     "kuka_lwr4": kuka_lwr4,
     "six_axes": six_axes,
     "puma_560": puma_560,
@@ -90,10 +101,10 @@ ARMS: dict[str, Callable[[], SerialArm]] = {
 
 
 def arm_by_name(name: str) -> SerialArm:
-    """A nominal arm.
+    """Return a nominal arm by its name.
 
     Raises:
-        ValueError: no arm is called so.
+        ValueError: no arm has that name.
     """
     if name not in ARMS:
         raise ValueError(

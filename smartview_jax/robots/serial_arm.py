@@ -1,4 +1,4 @@
-"""Serial arms by their Denavit-Hartenberg numbers: forward kinematics and its derivatives.
+"""Compute forward kinematics, and its derivatives, from Denavit-Hartenberg parameters.
 
 References:
     Denavit and Hartenberg, A kinematic notation for lower-pair mechanisms, 1955 ("standard").
@@ -23,7 +23,9 @@ CONVENTIONS = ("standard", "modified")
 
 
 class SerialArm(eqx.Module):
-    """An open chain of joints. One step along it is
+    """An open kinematic chain of joints, described by Denavit-Hartenberg parameters.
+
+    One link of it is the transform
 
         standard:  Rz(theta) Tz(d) Tx(a) Rx(alpha)
         modified:  Rx(alpha) Tx(a) Rz(theta) Tz(d)
@@ -31,15 +33,15 @@ class SerialArm(eqx.Module):
     where the joint's reading is added to `theta`, or to `d` if the joint is prismatic.
 
     Attributes:
-        theta: angle at a reading of zero, rad.
-        d: offset along the joint's axis, m.
-        a: length of the link, m.
-        alpha: twist of the link, rad.
-        flange_from_tool: what is mounted on the last link.
+        theta: joint angle at a reading of zero, rad.
+        d: offset along the joint axis, m.
+        a: link length, m.
+        alpha: link twist, rad.
+        flange_from_tool: transform of the tool mounted on the last link.
         convention: `"standard"` or `"modified"`.
-        prismatic: which joints slide.
-        limits: least and largest reading of each joint, rad or m; infinite where it has none.
-        base_from_first: where the first joint's axis is, if it is not the base's z axis.
+        prismatic: whether each joint is prismatic.
+        limits: lower and upper limit of each reading, rad or m; infinite where there is none.
+        base_from_first: pose of the frame whose z axis is the first joint's; by default the base's.
     """
 
     theta: Float[Array, "joints"]
@@ -86,14 +88,14 @@ class SerialArm(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Number of joints."""
+        """The number of joints."""
         return len(self.theta)
 
     def base_from_tool(self, joints: JointsLike) -> SE3:
-        """Where the tool is at the joints' readings, `(*views)`.
+        """Return the tool's poses `(*views)` at joint readings, by forward kinematics.
 
         Raises:
-            ValueError: not one reading a joint.
+            ValueError: there is not one reading per joint.
         """
         joints = jnp.asarray(joints, dtype=float)
         if joints.shape[-1:] != (self.size,):
@@ -103,17 +105,17 @@ class SerialArm(eqx.Module):
         return _forward(self, joints)
 
     def command(self, joints: JointsLike) -> Command:
-        """The joints' readings, and where the controller believes the tool to be."""
+        """Return joint readings with the tool pose that the controller computes from them."""
         return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
 
     def out_of_limits(self, joints: JointsLike, slack: float = 0.0) -> Bool[Array, "*views joints"]:
-        """Which readings are beyond what their joints can do, by more than a slack; NaN is not."""
+        """Return which readings exceed a joint limit by more than a slack; NaN never does."""
         joints = jnp.asarray(joints, dtype=float)
         lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in self.limits.T)
         return (joints < lower - slack) | (joints > upper + slack)
 
     def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
-        """Twist at the tool per unit of each joint, translation first."""
+        """Return the twist at the tool per unit of each joint reading, translation first."""
         by_theta, by_d = jnp.moveaxis(by_numbers(self, jnp.asarray(joints))[:, :2], 1, 0)
         slides = jnp.broadcast_to(jnp.array(self.prismatic), by_theta.shape)
         return jnp.where(slides, by_d, by_theta)
@@ -122,7 +124,12 @@ class SerialArm(eqx.Module):
 def _checked_limits(
     limits: Sequence[Sequence[float]] | np.ndarray | Array | None, joints: int
 ) -> Float[Array, "joints 2"]:
-    """Raises ValueError naming the joint, counted from one, whose bounds are no range."""
+    """Return the joint limits as an array, infinite by default.
+
+    Raises:
+        ValueError: the shape is wrong, or a lower limit is not below the upper one; the message
+            counts joints from one.
+    """
     if limits is None:
         return jnp.broadcast_to(jnp.array([-jnp.inf, jnp.inf]), (joints, 2))
     if np.shape(limits) != (joints, 2):
@@ -130,7 +137,7 @@ def _checked_limits(
             f"limits: expected ({joints}, 2), the least and the largest reading of each joint, "
             f"found {np.shape(limits)}"
         )
-    # Inside jit there are no values to look at; they were looked at outside.
+    # Inside jit limits have no values to check; they were checked when the arm was made outside.
     if not isinstance(limits, Tracer):
         for k, (lower, upper) in enumerate(np.asarray(limits, dtype=float).tolist()):
             if not lower < upper:
@@ -139,7 +146,7 @@ def _checked_limits(
 
 
 def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
-    """A rotation about a coordinate axis and a shift along it."""
+    """Return a rotation about a coordinate axis combined with a translation along it."""
     parts = [jnp.zeros_like(distance)] * 3
     parts[axis] = distance
     return SE3.from_rotation_and_translation(rotation, jnp.stack(parts, axis=-1))
@@ -148,14 +155,22 @@ def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
 def by_numbers(
     arm: SerialArm, joints: Float[Array, "*views joints"]
 ) -> Float[Array, "*views 6 rows joints"]:
-    """Twist at the tool, translation first, per unit of each joint's `theta`, `d`, `a`, `alpha`.
+    """Return the Jacobian of the tool pose with respect to all Denavit-Hartenberg parameters.
 
-    Each is a screw about the z or the x axis of a frame on the way: no derivative is taken.
+    It is the twist in the tool frame, translation first, per unit of each joint's `theta`, `d`, `a`
+    and `alpha`. The Jacobian is geometric: each parameter is a screw about the z or the x axis of a
+    frame of the chain, and no automatic differentiation is needed.
     """
     tool, frames = _chain(arm, joints)
     tool_from_frame = SE3(tool.wxyz_xyz[..., None, None, :]).inverse() @ frames
     turned, place = tool_from_frame.rotation().as_matrix(), tool_from_frame.translation()
     z_first = arm.convention == "standard"
+    # Pose Jacobian. Let n be the direction of a screw axis and p a point on it, in the tool frame.
+    # Per unit of the parameter the tool moves by the twist (translation, rotation)
+    #     (p x n, n)  for a rotation about the axis (theta about z, alpha about x),
+    #     (n, 0)      for a translation along it (d along z, a along x).
+    # In the standard convention the z screw is the first of a link and the x screw the second; in
+    # the modified convention it is the reverse.
     columns: list[Array] = []
     for axis, screw in ((2, 0 if z_first else 1), (0, 1 if z_first else 0)):
         along, at = turned[..., screw, :, axis], place[..., screw, :]
@@ -167,11 +182,15 @@ def by_numbers(
 
 @compiled
 def _forward(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
+    """Return the pose of the tool: `SerialArm.base_from_tool`, compiled."""
     return _chain(arm, joints)[0]
 
 
 def _chain(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:
-    """The tool, and the frames `(*views, joints, 2)` of each joint's two screws, in the base."""
+    """Return the tool's poses, and the frames before both screws of each joint.
+
+    The tool's poses are `(*views)`, the frames `(*views, joints, 2)`; all are in the base frame.
+    """
     views = joints.shape[:-1]
     numbers = (arm.theta, arm.d, arm.a, arm.alpha, jnp.array(arm.prismatic))
 
@@ -180,7 +199,8 @@ def _chain(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, 
         middle = SE3(pose) @ first
         return (middle @ second).wxyz_xyz, jnp.stack([pose, middle.wxyz_xyz], axis=-2)
 
-    # A loop, since a chain that is written out takes XLA a second a joint.
+    # A scan over the joints: written out as a Python loop, the chain took XLA about one second of
+    # compile time per joint.
     first = jnp.broadcast_to(arm.base_from_first.wxyz_xyz, (*views, 7))
     last, frames = jax.lax.scan(onward, first, (*numbers, jnp.moveaxis(joints, -1, 0)))
     tool = SE3(last) @ SE3(jnp.broadcast_to(arm.flange_from_tool.wxyz_xyz, (*views, 7)))
@@ -196,7 +216,7 @@ def _link(
     slides: Bool[Array, ""],
     reading: Float[Array, "*views"],
 ) -> tuple[SE3, SE3]:
-    """The screws of the joint and of the link beyond it, in the order of the convention."""
+    """Return the screws of a joint and of the link after it, in the order of the convention."""
     nothing = jnp.zeros_like(reading)
     about = theta + jnp.where(slides, nothing, reading)
     along = d + jnp.where(slides, reading, nothing)

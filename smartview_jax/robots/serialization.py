@@ -1,4 +1,4 @@
-"""An arm as plain numbers with their names, as files have it."""
+"""Convert an arm to and from plain numbers with names, the form in which files store it."""
 
 from typing import Any
 
@@ -11,14 +11,14 @@ _ROWS = ("theta", "d", "a", "alpha")
 
 
 def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
-    """Denavit-Hartenberg numbers, a row each, rad and m."""
+    """Return the Denavit-Hartenberg parameters of an arm as lists by name, in rad and m."""
     return {
         "convention": arm.convention,
         "prismatic": list(arm.prismatic),
         **{row: np.asarray(getattr(arm, row)).tolist() for row in _ROWS},
         "flange_from_tool": transform_to_dict(arm.flange_from_tool),
         "base_from_first": transform_to_dict(arm.base_from_first),
-        # JSON has no infinity.
+        # JSON has no infinity: a limit that does not exist is null.
         "limits": [
             [bound if np.isfinite(bound) else None for bound in row]
             for row in np.asarray(arm.limits).tolist()
@@ -27,13 +27,13 @@ def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
 
 
 def arm_from_dict(content: dict[str, Any]) -> SerialArm:
-    """The inverse of `arm_to_dict`.
+    """Return the arm that `arm_to_dict` converted to plain numbers.
 
-    Only the numbers and their convention have to be there: by default joints turn without limits,
-    the flange is the tool, and the first axis the base's.
+    Only the parameters and their convention are required. By default joints are revolute without
+    limits, the tool is the flange, and the first axis is the base's z axis.
 
     Raises:
-        ValueError: not an arm's numbers.
+        ValueError: the content does not describe an arm.
         KeyError: an entry is missing.
     """
     tool, first = (
@@ -51,7 +51,7 @@ def arm_from_dict(content: dict[str, Any]) -> SerialArm:
 
 
 def _limits_from_plain(rows: list[list[float | None]] | None) -> np.ndarray | None:
-    """Bounds, infinite where the file has none."""
+    """Return joint limits as an array, infinite where the file has null."""
     if rows is None:
         return None
     unbounded = (-np.inf, np.inf)

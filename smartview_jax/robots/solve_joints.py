@@ -1,4 +1,4 @@
-"""Joints for a pose of the tool, of any arm, and in words why there are none."""
+"""Solve the inverse kinematics of any arm, and report why a pose has no solution."""
 
 import jax
 import jax.numpy as jnp
@@ -14,22 +14,26 @@ from .puma_inverse import is_puma_like, nearest_puma_joints
 from .serial_arm import SerialArm
 
 AT_LIMIT = 1e-3
-"""Share of its range within which a joint that did not arrive counts as held up by its limit."""
+"""Distance from a limit, as a fraction of the joint's range, that counts as at the limit.
+
+For a joint without two limits it is in rad or m.
+"""
 
 DULL = 1e-6
-"""Least singular value of the Jacobian, m and rad a rad, of an arm that is not singular."""
+"""Smallest singular value of the Jacobian (m and rad per rad) below which an arm is singular."""
 
 
 def joints_for_pose(arm: SerialArm, base_from_tool: PoseLike, near: JointsLike) -> JointSolution:
-    """Joints that put an arm's tool at wanted poses, `(*views)`, within their limits.
+    """Return joints, within their limits, that put the tool of an arm at wanted poses `(*views)`.
 
-    A Puma-like arm is solved in closed form: of all its answers the one nearest `near`. Others, and
-    arms whose numbers jit hides, by iteration from there, which finds one answer at most.
+    A Puma-like arm is solved in closed form, and the solution closest to `near` is returned. Other
+    arms, and arms inside jit, are solved by iteration from `near`, which finds at most one
+    solution.
 
     Args:
-        arm: any.
-        base_from_tool: wanted.
-        near: joints to be near to.
+        arm: any serial arm.
+        base_from_tool: wanted poses.
+        near: joint readings to be close to.
     """
     poses = as_se3(base_from_tool)
     return (_in_closed_form if is_puma_like(arm) else _by_iteration)(arm, poses, near)
@@ -40,9 +44,12 @@ _in_closed_form = optimised(nearest_puma_joints)
 
 @optimised
 def _by_iteration(arm: SerialArm, poses: SE3, near: JointsLike) -> JointSolution:
+    """Return the solution that iteration from `near` finds, with its status."""
     joints, reached = joints_near(arm, poses, near)
     lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in arm.limits.T)
     span = jnp.where(jnp.isfinite(upper - lower), upper - lower, 1.0)
+    # The iteration cannot say why it failed. A joint at its limit is blamed, unless the pose is
+    # beyond the stretched-out arm, which no limit explains.
     at_limit = jnp.minimum(joints - lower, upper - joints) < AT_LIMIT * span
     beyond = at_limit & ~reached[..., None]
     place = poses.translation()
@@ -59,14 +66,20 @@ def _by_iteration(arm: SerialArm, poses: SE3, near: JointsLike) -> JointSolution
 
 
 def _length(arm: SerialArm) -> Float[Array, ""]:
-    """How far the tool can be from the first joint, stretched out: no pose beyond is reached."""
+    """Return an upper bound of the distance from the first joint to the tool, m.
+
+    No pose beyond it can be reached.
+    """
     slide = jnp.where(jnp.array(arm.prismatic), jnp.max(jnp.abs(arm.limits), axis=1), 0.0)
     links = jnp.sum(jnp.hypot(arm.a, jnp.abs(arm.d) + slide))
     return links + jnp.linalg.norm(arm.flange_from_tool.translation())
 
 
 def _sharpness(arm: SerialArm, joints: Float[Array, "*views joints"]) -> Float[Array, "*views"]:
-    """Least singular value of the Jacobian: how far the tool moves in its worst direction."""
+    """Return the smallest singular value of the Jacobian, a measure of distance to a singularity.
+
+    It is how far the tool moves in its worst direction per unit of joint motion.
+    """
     jacobian = arm.jacobian
     for _ in joints.shape[:-1]:
         jacobian = jax.vmap(jacobian)
