@@ -1,14 +1,39 @@
-"""Joint calibration of cameras on robot arms, differentiable from the arm to the pixel.
+"""Calibrate a camera, its hand-eye transform and the robot's error in one differentiable fit.
+
+The method is that of the paper "SmartView: Hand-Eye Robotic Calibration for Active Viewpoint
+Generation and Object Grasping", which the other files call "the paper". Its staged pipeline is in
+`staged`; the joint fit, which starts from the staged result, is in `joint`.
 
 Conventions, kept by every function and file:
 
 - a transform `target_from_source` maps points of `source` into `target`;
 - metres, radians, pixels; the centre of the top-left pixel is (0, 0);
-- the camera looks along +z, x to the right, y down;
+- the camera looks along +z, with x to the right and y down;
 - tangents of rigid transforms are translation first, then rotation;
-- a robot's error is a twist at the tool: `tool_from_base = exp(twist) @ reported`;
+- the robot's error is a twist at the tool: `tool_from_base = exp(twist) @ reported`;
 - float64: importing this package turns on JAX's x64 mode, because calibration is
   ill-conditioned in single precision.
+
+Glossary:
+
+- `target_from_source`: the name of every rigid transform, read from right to left. The point
+  `p_target` is `target_from_source @ p_source`, as in `camera_from_tool` and `base_from_world`.
+- pose: the position and orientation of one frame in another, as a rigid transform.
+- twist: six numbers, translation (m) first and rotation (rad) last, whose exponential is a rigid
+  transform; it describes small differences between two poses.
+- hand-eye transform: the fixed pose of the camera on its mount, `camera_from_tool` for a camera
+  on the hand and `camera_from_base` for one beside the arm.
+- residual: measured minus predicted pixel, in u and in v.
+- registration error: the mean distance between measured and predicted pixels, the paper's figure
+  of merit; elsewhere called reprojection error.
+- held-out error: the same distance on views that were not used by the fit.
+- gross error: a measurement that is too far off to be noise, such as a wrongly detected corner;
+  also called an outlier. Fits leave it out or limit its influence.
+- robot error field: the twist between the reported and the true pose of the tool as a smooth
+  function of the reported pose or of the joint angles.
+- effective pixel sigma: the standard deviation with which the pixels are weighted when a whole
+  view is judged. It is not smaller than the standard deviation of the noise within a view,
+  because the pixels of a real view err together.
 """
 
 from importlib.metadata import PackageNotFoundError
@@ -56,5 +81,5 @@ from .viewpoints import viewpoint_commands as viewpoint_commands  # noqa: E402
 
 try:
     __version__ = _version("smartview-jax")
-except PackageNotFoundError:  # a checkout that was never installed
+except PackageNotFoundError:  # a checkout that was never installed has no metadata
     __version__ = "0+unknown"

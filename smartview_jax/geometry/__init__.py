@@ -1,4 +1,4 @@
-"""Rigid transforms, angle conventions and pose formats."""
+"""Rigid transforms, angle conventions, pose formats, camera viewpoints and images of circles."""
 
 from .conics import circle_dual_conic as circle_dual_conic
 from .conics import conic_centre as conic_centre

@@ -1,4 +1,4 @@
-"""Images of circles: the ellipse that a pinhole sees, and the centroid of any closed curve."""
+"""Compute the image of a circle: the ellipse seen by a pinhole, and the centroid of any curve."""
 
 import jax.numpy as jnp
 from jaxlie import SE3
@@ -8,16 +8,22 @@ from jaxtyping import Array, Float
 def circle_dual_conic(
     camera_from_circle: SE3, radius: Float[Array, "*batch"]
 ) -> Float[Array, "*batch 3 3"]:
-    """The dual conic of a circle's image on the plane at unit distance, without a lens.
+    """Return the dual conic of a circle's image on the plane z = 1, without lens distortion.
 
-    The circle lies around the origin of its frame's xy-plane. Its points `(x, y, 1)` reach the
-    image by the homography `H = [r1 r2 t]`, and the dual conic `diag(r^2, r^2, -1)` becomes
-    `H diag(r^2, r^2, -1) H^T`, where the conic itself would need H's inverse.
+    The circle lies in the xy-plane of its frame, around the origin. The homography
+    `H = [r1 r2 t]` maps its points `(x, y, 1)` to the image, and the circle's dual conic
+    `diag(r^2, r^2, -1)` to `H diag(r^2, r^2, -1) H^T`.
 
     Args:
         camera_from_circle: `(*batch)`.
         radius: m.
+
+    Returns:
+        A symmetric matrix for each circle, defined up to a factor.
     """
+    # H = [r1 r2 t],   dual conic of the image = H diag(r^2, r^2, -1) H^T.
+    # The dual is used because the conic itself needs the inverse of H, which does not exist where
+    # the circle is seen edge on.
     turn, t = camera_from_circle.rotation().as_matrix(), camera_from_circle.translation()
     H = jnp.concatenate([turn[..., :, :2], t[..., None]], axis=-1)
     weights = jnp.stack([radius**2, radius**2, -jnp.ones_like(radius)], axis=-1)
@@ -25,28 +31,36 @@ def circle_dual_conic(
 
 
 def conic_centre(dual: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 2"]:
-    """The centre of a conic: the pole of the line at infinity, the dual's last column."""
+    """Return the centre of a conic from its dual.
+
+    The centre is the pole of the line at infinity, and so the last column of the dual.
+    """
+    # With the dual D and the line at infinity l = (0, 0, 1): centre ~ D l = (D_13, D_23, D_33).
     return dual[..., :2, 2] / dual[..., 2:, 2]
 
 
 def region_centroid(
     boundary: Float[Array, "*batch samples 2"], velocity: Float[Array, "*batch samples 2"]
 ) -> Float[Array, "*batch 2"]:
-    """The centroid of what a closed smooth curve encloses, by Green's theorem.
+    """Return the centroid of the region inside a closed smooth curve, by Green's theorem.
 
-    The trapezoidal rule on a period: its error falls exponentially with the number of samples.
+    The integrals use the trapezoidal rule over one period, whose error falls exponentially with
+    the number of samples.
 
     Args:
-        boundary: the curve at equal steps of its parameter, one turn.
-        velocity: its derivative by the parameter.
+        boundary: points of the curve at equal steps of its parameter, over one period.
+        velocity: derivative of these points with respect to the parameter.
 
     Returns:
-        NaN where nothing is enclosed.
+        The centroid; NaN where the curve encloses no area.
     """
+    # With p measured from the mean m of the boundary, and p x p' = x y' - y x':
+    #   area     A = 1/2 integral (p x p') dt
+    #   centroid c = m + 1/A integral 2/3 p 1/2 (p x p') dt
+    # because p dt sweeps a triangle from m, whose centroid is at 2/3 p.
+    # Without m, the digits of a small region far from the origin would cancel.
     middle = jnp.mean(boundary, axis=-2, keepdims=True)
-    # About a point within, or far from the origin the digits of a small region would cancel.
     p = boundary - middle
     swept = p[..., 0] * velocity[..., 1] - p[..., 1] * velocity[..., 0]
-    # Every element of the fan is a triangle, whose centroid lies two thirds of the way out.
     moment = 2.0 / 3.0 * jnp.sum(swept[..., None] * p, axis=-2)
     return middle[..., 0, :] + moment / jnp.sum(swept, axis=-1)[..., None]

@@ -1,9 +1,9 @@
-"""Yaw, pitch, roll (Eq. 16) and the other three-angle conventions that robots report.
+"""Convert rotations to and from yaw, pitch, roll (Eq. 16) and the z-y-z angles of robots.
 
-Each inverse takes its first two angles from the matrix, turns the first rotation back, and reads
-the last angle from what is left. That pair of entries has length 1 whatever the pose, so near the
-gimbal, where the first angle is ill determined, the last one makes up for it: the rotation comes
-back to rounding, although the single angles do not.
+Each inverse reads two angles from the matrix, undoes the first rotation, and reads the last angle
+from the product. The two entries that give the last angle form a vector of length 1 in every pose.
+Near gimbal lock, where the first angle is ill determined, the last angle therefore compensates for
+it: the rotation is recovered to rounding error, although the single angles are not.
 """
 
 import jax.numpy as jnp
@@ -11,20 +11,31 @@ from jaxlie import SO3
 from jaxtyping import Array, Float
 
 GIMBAL = 1e-10
-"""Cosine (or sine) of the middle angle under which the outer angles are one angle.
+"""Limit on the cosine (or sine) of the middle angle, below which a pose is at gimbal lock.
 
-Far above rounding, so that composed transforms that should be at the gimbal are; far below any
-angle that matters, since the rotation is wrong by about this much there.
+At gimbal lock only the sum or difference of the outer angles is defined. The limit is far above
+rounding error, so that composed transforms that should be at gimbal lock are recognised, and far
+below any angle that matters, since the rotation is wrong by about this much there.
 """
 
 
 def rotation_from_ypr(ypr: Float[Array, "*batch 3"]) -> SO3:
-    """`Rz(yaw) Ry(pitch) Rx(roll)`, rad (Eq. 16: psi_z, psi_y, psi_x)."""
+    """Return the rotation `Rz(yaw) Ry(pitch) Rx(roll)` of angles in rad.
+
+    In Eq. 16 the angles are called psi_z, psi_y, psi_x.
+    """
     return SO3.from_rpy_radians(ypr[..., 2], ypr[..., 1], ypr[..., 0])
 
 
 def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
-    """Yaw, pitch, roll in rad, pitch within +-90 degrees; at +-90 degrees roll is zero."""
+    """Return yaw, pitch and roll of a rotation, in rad.
+
+    Pitch is within +-90 degrees. At +-90 degrees, where only yaw plus or minus roll is defined,
+    roll is zero.
+    """
+    # R = Rz(yaw) Ry(pitch) Rx(roll) has
+    #   R_11 = cos yaw cos pitch,  R_21 = sin yaw cos pitch,  R_31 = -sin pitch,
+    # and with roll = 0 also R_12 = -sin yaw, R_22 = cos yaw, which are used at gimbal lock.
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 0], R[..., 1, 0])
     gimbal = cosine < GIMBAL
@@ -43,18 +54,27 @@ def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
 
 
 def rotation_from_zyz(angles: Float[Array, "*batch 3"]) -> SO3:
-    """`Rz(first) Ry(second) Rz(third)`, rad: Kawasaki's O, A, T."""
+    """Return the rotation `Rz(first) Ry(second) Rz(third)` of angles in rad.
+
+    Kawasaki calls these angles O, A, T.
+    """
     first, second, third = angles[..., 0], angles[..., 1], angles[..., 2]
     return SO3.from_z_radians(first) @ SO3.from_y_radians(second) @ SO3.from_z_radians(third)
 
 
 def zyz_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
-    """The three angles in rad, the second in [0, 180] degrees; at its ends the first is zero."""
+    """Return the z-y-z angles of a rotation, in rad.
+
+    The second angle is in [0, 180] degrees. At 0 and 180 degrees, where only the sum or the
+    difference of the outer angles is defined, the first angle is zero.
+    """
+    # R = Rz(first) Ry(second) Rz(third) has the last column
+    #   (cos first sin second, sin first sin second, cos second).
     R = rotation.as_matrix()
     sine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
     gimbal = sine < GIMBAL
     second = jnp.arctan2(sine, R[..., 2, 2])
-    # The inner `where` keeps the derivative of the branch not taken finite.
+    # The inner `where` keeps the derivative of the unused branch finite: JAX differentiates both.
     first = jnp.arctan2(R[..., 1, 2], jnp.where(gimbal, 1.0, R[..., 0, 2]))
     first = jnp.where(gimbal, 0.0, first)
     # The second row of Rz(-first) R = Ry(second) Rz(third) is (sin third, cos third, 0).

@@ -1,12 +1,14 @@
-"""VAL's orientation angles O, A, T, and the six-number pose XYZOAT (Eq. 18).
+"""Convert poses to and from VAL's six numbers X, Y, Z, O, A, T (Eq. 18).
+
+The orientation angles are defined by
 
     R = Rz(O) Rx(A) M0 Rz(T) = Rz(O) M0 Ry(A) Rz(T),   M0 = [[0,1,0],[0,0,-1],[-1,0,0]]
 
-At O = A = T = 0 the tool points along -y. At A = +-90 degrees it points straight down or up, which
-is how one looks at a table, and only T - O (or T + O) is defined there. So this is a format for
-files and commands only: nothing is estimated, averaged or interpolated in it. O and T belong
-together: near the gimbal each varies wildly from pose to pose, and the O of one pose with the T of
-another is no orientation near either.
+At O = A = T = 0 the tool points along -y. At A = +-90 degrees it points straight down or up, as it
+does when a camera looks at a table, and only T - O (or T + O) is defined there. Therefore this
+format is used for files and commands only: nothing is estimated, averaged or interpolated in it.
+Near this gimbal lock O and T vary strongly from pose to pose, and only their combination is
+meaningful: the O of one pose with the T of another gives an orientation that is near neither.
 
 Reference: UNIMATION, VAL, 1977; the paper's Eq. 18.
 """
@@ -22,7 +24,8 @@ _M0 = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
 
 
 def rotation_from_oat(oat: Float[Array, "*batch 3"]) -> SO3:
-    """The rotation of angles O, A, T, in rad."""
+    """Return the rotation of the angles O, A, T in rad (Eq. 18)."""
+    # R = Rz(O) M0 Ry(A) Rz(T)
     O, A, T = oat[..., 0], oat[..., 1], oat[..., 2]
     middle = SO3.from_matrix(jnp.broadcast_to(jnp.array(_M0), (*O.shape, 3, 3)))
     return SO3.from_z_radians(O) @ middle @ SO3.from_y_radians(A) @ SO3.from_z_radians(T)
@@ -33,22 +36,25 @@ def oat_from_rotation(
     other_branch: bool = False,
     gimbal_o: float | Float[Array, "*#batch"] = 0.0,
 ) -> Float[Array, "*batch 3"]:
-    """O, A, T in rad, A within +-90 degrees.
+    """Return the angles O, A, T of a rotation in rad, with A within +-90 degrees.
 
     Args:
         rotation: `(*batch)`.
-        other_branch: the same rotation as `(O + pi, pi - A, T + pi)`.
-        gimbal_o: O where the tool points straight down or up, such as the last commanded one, for
-            all rotations or for each; in the other branch it, too, is turned by pi.
+        other_branch: return the second solution `(O + pi, pi - A, T + pi)` of the same rotation.
+        gimbal_o: the O to return where the tool points straight down or up, such as the last
+            commanded one; one for all rotations or one for each. In the other branch pi is added
+            to it, too.
     """
+    # R = Rz(O) M0 Ry(A) Rz(T) has the last column (sin O cos A, -cos O cos A, -sin A).
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
     gimbal = cosine < GIMBAL
     A = jnp.arctan2(-R[..., 2, 2], cosine)
-    # The inner `where` keeps the derivative of the branch not taken finite.
+    # The inner `where` keeps the derivative of the unused branch finite: JAX differentiates both.
     O = jnp.arctan2(jnp.where(gimbal, 1.0, R[..., 0, 2]), -R[..., 1, 2])
     O = jnp.where(gimbal, jnp.broadcast_to(jnp.asarray(gimbal_o, R.dtype), O.shape), O)
-    # The first row of Rz(-O) R = M0 Ry(A) Rz(T) is (sin T, cos T, 0): T fits whatever O there is.
+    # The first row of Rz(-O) R = M0 Ry(A) Rz(T) is (sin T, cos T, 0), so T is consistent with the
+    # O that was chosen, at gimbal lock too.
     s, c = jnp.sin(O), jnp.cos(O)
     T = jnp.arctan2(c * R[..., 0, 0] + s * R[..., 1, 0], c * R[..., 0, 1] + s * R[..., 1, 1])
     if other_branch:
@@ -59,9 +65,12 @@ def oat_from_rotation(
 def xyzoat(
     base_from_tool: PoseLike, gimbal_o: float | Float[Array, "*#batch"] = 0.0
 ) -> Float[Array, "*batch 6"]:
-    """A pose as VAL writes it: x, y, z in m, then O, A, T in rad, A within +-90 degrees.
+    """Return a pose in VAL's format: x, y, z in m, then O, A, T in rad, A within +-90 degrees.
 
-    `gimbal_o` is O where the tool points straight down or up, as in `oat_from_rotation`.
+    Args:
+        base_from_tool: `(*batch)`.
+        gimbal_o: the O to return where the tool points straight down or up, as in
+            `oat_from_rotation`.
     """
     pose = as_se3(base_from_tool)
     angles = oat_from_rotation(pose.rotation(), gimbal_o=gimbal_o)
@@ -69,10 +78,11 @@ def xyzoat(
 
 
 def se3_from_xyzoat(numbers: Float[Array, "*batch 6"]) -> SE3:
-    """The pose of x, y, z (m) and O, A, T (rad)."""
+    """Return the pose with the given x, y, z (m) and O, A, T (rad)."""
     rotation = rotation_from_oat(numbers[..., 3:])
     return SE3.from_rotation_and_translation(rotation, numbers[..., :3])
 
 
 def _wrapped(angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Return the same angle in [-pi, pi], rad."""
     return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))

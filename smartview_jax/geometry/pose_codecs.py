@@ -1,6 +1,7 @@
-"""Poses as rows of numbers, in the formats that robots and files use, by name.
+"""Read and write poses as rows of numbers in the named formats of robots and files.
 
-A codec turns rows into transforms and back. Units are stated, never guessed; the vendors' own are
+A codec converts rows to transforms and back. Units are stated by the caller, never guessed. The
+formats, and the units that the vendors' own programs use, are
 
 | name | rotation | columns after x, y, z | units |
 |---|---|---|---|
@@ -32,16 +33,19 @@ from .oat import oat_from_rotation, rotation_from_oat
 from .rigid import as_se3, check_rigid
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+"""Size of each known unit of length, m."""
+
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
+"""Size of each known unit of angle, rad."""
 
 _UNIT_TOLERANCE = 1e-3
-"""How far a quaternion's length may be from 1: files have few digits."""
+"""Largest accepted difference of a quaternion's length from 1, because files have few digits."""
 
 _MOST_RADIANS = 4.0 * np.pi
-"""Angle that no controller writes in radians."""
+"""Largest accepted angle, rad. A larger number where radians are stated must be in degrees."""
 
 _NAMED = 5
-"""How many bad rows a message names: in a wrong unit or format all of them are bad."""
+"""Largest number of bad rows that a message names; in a wrong unit or format all rows are bad."""
 
 
 _SI, _MM_DEG = ("m", "rad"), ("mm", "deg")
@@ -49,17 +53,18 @@ _SI, _MM_DEG = ("m", "rad"), ("mm", "deg")
 
 @dataclasses.dataclass(frozen=True)
 class PoseCodec:
-    """One way of writing a rigid transform as a row of numbers.
+    """A format that writes a rigid transform as a row of numbers.
 
     Attributes:
-        name: of the format.
-        columns: what each number is.
-        lengths: which columns are lengths, by index.
-        angles: which columns are angles, by index.
-        to_se3: transforms `(*batch)` of rows `(*batch, columns)` in m and rad; pure JAX.
-        from_se3: the inverse.
-        check: a sentence for each of the labelled rows `(n, columns)` that is no transform.
-        units: of length and angle that the maker's own programs have.
+        name: name of the format.
+        columns: name of each number.
+        lengths: indices of the columns that are lengths.
+        angles: indices of the columns that are angles.
+        to_se3: converts rows `(*batch, columns)` in m and rad to transforms `(*batch)`; pure JAX.
+        from_se3: the inverse of `to_se3`.
+        check: returns an error text for each of the labelled rows `(n, columns)` that is not a
+            rigid transform.
+        units: units of length and angle that the manufacturer's own programs use.
     """
 
     name: str
@@ -78,11 +83,18 @@ class PoseCodec:
         angle_unit: str = "rad",
         labels: Sequence[str] | None = None,
     ) -> SE3:
-        """Transforms `(*batch)` of rows `(*batch, columns)`.
+        """Return the transforms `(*batch)` that rows `(*batch, columns)` describe.
+
+        Args:
+            rows: the numbers, in the stated units.
+            length_unit: a key of `LENGTH_UNITS`.
+            angle_unit: a key of `ANGLE_UNITS`.
+            labels: one name a row, for messages; by default the row's number.
 
         Raises:
-            ValueError: an unknown unit, a wrong number of columns, or a row that is no rigid
-                transform, named by its label (by default its number).
+            ValueError: an unknown unit, a wrong number of columns, angles too large for radians,
+                another number of labels than rows, or a row that is not a rigid transform, named
+                by its label.
         """
         numbers = np.array(rows, dtype=float)
         if numbers.ndim == 0 or numbers.shape[-1] != len(self.columns):
@@ -107,10 +119,15 @@ class PoseCodec:
     def encode(
         self, poses: SE3, length_unit: str = "m", angle_unit: str = "rad"
     ) -> Float[np.ndarray, "*batch columns"]:
-        """Rows `(*batch, columns)` of transforms `(*batch)`."""
+        """Return transforms `(*batch)` as rows `(*batch, columns)` in the stated units.
+
+        Raises:
+            ValueError: an unknown unit.
+        """
         return np.asarray(self.from_se3(poses)) / self._units(length_unit, angle_unit)
 
     def _refuse(self, rows: np.ndarray, names: tuple[str, ...]) -> None:
+        """Raise a ValueError that names the rows that are not rigid transforms, if any."""
         problems = [
             f"row {name} contains NaN or infinity"
             for name, row in zip(names, rows, strict=True)
@@ -123,6 +140,11 @@ class PoseCodec:
             raise ValueError(f"{self.name}: {'; '.join(problems[:_NAMED])}{rest}")
 
     def _units(self, length_unit: str, angle_unit: str) -> np.ndarray:
+        """Return the factor of each column that converts it to m or rad.
+
+        Raises:
+            ValueError: an unknown unit.
+        """
         for unit, known, what in (
             (length_unit, LENGTH_UNITS, "length_unit"),
             (angle_unit, ANGLE_UNITS, "angle_unit"),
@@ -136,6 +158,8 @@ class PoseCodec:
 
 
 def _matrix() -> PoseCodec:
+    """Return the codec of 4x4 matrices, written row by row."""
+
     def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
         problems = check_rigid(rows.reshape(-1, 4, 4), names)
         return [f"row {name}: {text}" for name, text in problems.items()]
@@ -154,7 +178,15 @@ def _matrix() -> PoseCodec:
 def _quaternion(
     name: str, columns: tuple[str, ...], wxyz: tuple[int, ...], units: tuple[str, str] = _SI
 ) -> PoseCodec:
-    """`wxyz`: where w, x, y and z stand among the last four columns."""
+    """Return a codec of x, y, z and a unit quaternion.
+
+    Args:
+        name: name of the format.
+        columns: names of the last four columns.
+        wxyz: indices of w, x, y and z among the last four columns.
+        units: units of length and angle of the format.
+    """
+    # (w, x, y, z) = row[wxyz], so that row = (w, x, y, z)[argsort(wxyz)], the inverse permutation.
     written = tuple(int(k) for k in np.argsort(wxyz))
 
     def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
@@ -183,6 +215,7 @@ def _angles(
     from_rotation: Callable[[SO3], Array],
     units: tuple[str, str] = _SI,
 ) -> PoseCodec:
+    """Return a codec of x, y, z and three numbers in units of angle."""
     return _three_and(
         name, columns, (3, 4, 5), to_rotation, from_rotation, lambda rows, names: [], units
     )
@@ -197,7 +230,17 @@ def _three_and(
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
     units: tuple[str, str],
 ) -> PoseCodec:
-    """x, y, z, and then the rotation."""
+    """Return a codec whose rows are x, y, z and then the numbers of the rotation.
+
+    Args:
+        name: name of the format.
+        columns: names of the rotation's columns.
+        angles: indices, in the whole row, of the columns that are angles.
+        to_rotation: converts the rotation's columns to a rotation.
+        from_rotation: the inverse of `to_rotation`.
+        check: as in `PoseCodec`.
+        units: units of length and angle of the format.
+    """
     return PoseCodec(
         name=name,
         columns=("x", "y", "z", *columns),
@@ -238,14 +281,14 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _quaternion("abb", ("q1", "q2", "q3", "q4"), (0, 1, 2, 3), ("mm", "rad")),
     )
 }
-"""Every pose format, by name."""
+"""Codec of every known pose format, by name."""
 
 
 def pose_codec(name: str) -> PoseCodec:
-    """The codec of a pose format.
+    """Return the codec of a named pose format.
 
     Raises:
-        ValueError: an unknown name; the message lists those there are.
+        ValueError: an unknown name; the message lists the known ones.
     """
     if name not in POSE_CODECS:
         raise ValueError(f"pose format is one of {', '.join(POSE_CODECS)}; found {name!r}")

@@ -1,7 +1,8 @@
-"""Rigid transforms: a thin layer over `jaxlie`, which holds the group and its derivatives.
+"""Check, apply, average and differentiate rigid transforms, as a thin layer over `jaxlie`.
 
-A transform named `target_from_source` maps points of `source` into `target`. Tangents are
-jaxlie's: translation (m) first, then rotation (rad).
+The library `jaxlie` provides the group SE(3) and its derivatives. A transform named
+`target_from_source` maps points of `source` into `target`. Tangents are jaxlie's: translation (m)
+first, then rotation (rad).
 """
 
 from typing import TypeAlias
@@ -13,15 +14,18 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
-"""A rigid transform as this library takes it: an `SE3`, or 4x4 matrices."""
+"""Type of a rigid transform in the arguments of this library: an `SE3`, or 4x4 matrices."""
 
 
 def as_se3(pose: PoseLike) -> SE3:
-    """An `SE3` from either form of a rigid transform.
+    """Return a rigid transform as an `SE3`, whether it is given as one or as 4x4 matrices.
 
-    Matrices are trusted to be rigid here: `check_rigid` is the test at the library's edge. Their
-    rounding is removed, though: what jaxlie makes of a matrix of few digits is a quaternion not
-    quite of length 1, and that would scale every point it is applied to.
+    Matrices are assumed to be rigid here; `check_rigid` tests them where they enter the library.
+    Their rounding error is removed: from a matrix of few digits jaxlie computes a quaternion whose
+    length is not quite 1, which would scale every point that it is applied to.
+
+    Raises:
+        ValueError: an array whose last two axes are not 4 and 4.
     """
     if isinstance(pose, SE3):
         return pose
@@ -34,13 +38,16 @@ def as_se3(pose: PoseLike) -> SE3:
 def check_rigid(
     matrices: np.ndarray, labels: tuple[str, ...], tolerance: float = 2e-4
 ) -> dict[str, str]:
-    """What is wrong with each 4x4 matrix, by label; empty where all are rigid transforms.
+    """Return an error text for each 4x4 matrix that is not a rigid transform, by its label.
 
     Args:
         matrices: `(views, 4, 4)`.
-        labels: one name per matrix, used as key of the answer.
-        tolerance: largest entry of `R^T R - I` accepted. Four decimals, the fewest in use, make
-            it 2 sqrt(3) 0.5e-4 at most.
+        labels: one name per matrix, the key in the result.
+        tolerance: largest accepted entry of `R^T R - I`. Matrices written with four decimals, the
+            fewest in use, have at most 2 sqrt(3) 0.5e-4.
+
+    Returns:
+        A dictionary that is empty if all matrices are rigid transforms.
     """
     problems: dict[str, str] = {}
     for label, matrix in zip(labels, np.asarray(matrices, dtype=float), strict=True):
@@ -59,14 +66,22 @@ def check_rigid(
 
 
 def rotation_angle(rotation: SO3) -> Float[Array, "*batch"]:
-    """Angle of a rotation in radians, in [0, pi]; differentiable away from the identity."""
+    """Return the angle of a rotation, in [0, pi] rad; it is differentiable except at angle zero."""
     return jnp.linalg.norm(rotation.log(), axis=-1)
 
 
 def transform_points(
     target_from_source: SE3, points: Float[Array, "*points 3"]
 ) -> Float[Array, "*moved 3"]:
-    """Points under a batch of transforms `(*batch)`: `(N, 3)` for all, or `(*batch, N, 3)`."""
+    """Apply a batch of transforms to points.
+
+    Args:
+        target_from_source: `(*batch)`.
+        points: `(N, 3)`, the same for all transforms, or `(*batch, N, 3)`.
+
+    Returns:
+        `(*batch, N, 3)`.
+    """
     rank = len(target_from_source.get_batch_axes()) + 2
     points = points.reshape((1,) * (rank - points.ndim) + points.shape)
     return SE3(target_from_source.wxyz_xyz[..., None, :]).apply(points)
@@ -74,11 +89,13 @@ def transform_points(
 
 @jax.custom_jvp
 def nearest_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """The rotation closest to a matrix in the Frobenius norm.
+    """Return the rotation that is closest to a matrix in the Frobenius norm.
 
-    Differentiable wherever that rotation is unique; the derivative of the singular vectors is not,
-    being undefined at every rotation and every mean of equal rotations.
+    It has its own derivative, which exists wherever the closest rotation is unique. The singular
+    vectors that it is computed from are not differentiable where singular values are equal, which
+    they are at every rotation and at every mean of equal rotations.
     """
+    # M = U S V^T   gives   R = U diag(1, 1, det(U V^T)) V^T.
     U, _, Vt = jnp.linalg.svd(matrix)
     sign = jnp.linalg.det(U @ Vt)
     return (U * jnp.stack([jnp.ones(()), jnp.ones(()), sign])[None]) @ Vt
@@ -88,10 +105,11 @@ def nearest_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 def _nearest_rotation_jvp(
     primals: tuple[Array], tangents: tuple[Array]
 ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-    """From `M = R P`, P symmetric: `R^T dM - dM^T R = W P + P W`, with `dR = R W`, W skew.
-
-    For the axial vectors of the two sides that is `k = (trace(P) I - P) w`.
-    """
+    """Return the nearest rotation and its directional derivative."""
+    # M = R P with P symmetric (polar decomposition), and dR = R W with W skew-symmetric, give
+    #   R^T dM - dM^T R = W P + P W,
+    # which for the axial vectors k of the left side and w of W is
+    #   k = (trace(P) I - P) w.
     (M,), (dM,) = primals, tangents
     R = nearest_rotation(M)
     P = R.T @ M
@@ -102,11 +120,14 @@ def _nearest_rotation_jvp(
 
 
 def mean_pose(poses: SE3, weights: Float[Array, "poses"] | None = None) -> SE3:
-    """Chordal mean: nearest rotation to the weighted mean matrix, weighted mean translation.
+    """Return the chordal mean of poses.
+
+    Its rotation is the one nearest to the weighted mean of the rotation matrices, and its
+    translation the weighted mean of the translations.
 
     Args:
         poses: `(poses)`.
-        weights: not negative, not all zero; by default all alike.
+        weights: not negative, not all zero; equal by default.
     """
     if weights is None:
         weights = jnp.ones(poses.get_batch_axes())
@@ -116,13 +137,18 @@ def mean_pose(poses: SE3, weights: Float[Array, "poses"] | None = None) -> SE3:
 
 
 def exp_jacobian(tangent: Float[Array, "6"]) -> Float[Array, "6 6"]:
-    """Left Jacobian J of `SE3.exp`: `exp(tangent + d) = exp(J d) @ exp(tangent)` for small d.
+    """Return the left Jacobian J of `SE3.exp` at a tangent.
 
-    Its last three rows and columns are the left Jacobian of `SO3.exp`.
+    For small d, `exp(tangent + d) = exp(J d) @ exp(tangent)`. The last three rows and columns of J
+    are the left Jacobian of `SO3.exp`.
     """
+    # exp(v, w) = (t, R) with t = V(w) v, and dR = [V dw]x R. Applying exp(J d) on the left changes
+    # the translation by (J d)_t + (J d)_w x t, so that
+    #   J = [ V   dt/dw + [t]x V ]
+    #       [ 0   V              ]
+    # Only the translation is differentiated: dt/dv is V itself.
     start = SE3.exp(tangent).translation()
     moved = jax.jacfwd(lambda t: SE3.exp(t).translation())(tangent)
-    # `t = V v`: the derivative by v is V, which is the Jacobian of the rotation as well.
     V = moved[:, :3]
     shift = moved[:, 3:] + jnp.cross(start[None], V.T).T
     return jnp.block([[V, shift], [jnp.zeros((3, 3)), V]])

@@ -1,4 +1,4 @@
-"""A rigid transform as plain numbers with their names, as files have it."""
+"""Convert rigid transforms to and from the mappings of plain numbers that files contain."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from jaxlie import SE3, SO3
 
 
 def transform_to_dict(transform: SE3) -> dict[str, list[float]]:
-    """Translation, m, and unit quaternion."""
+    """Return the translation (m) and the unit quaternion (real part first) of a transform."""
     return {
         "translation": np.asarray(transform.translation()).tolist(),
         "quaternion_wxyz": np.asarray(transform.rotation().wxyz).tolist(),
@@ -16,7 +16,11 @@ def transform_to_dict(transform: SE3) -> dict[str, list[float]]:
 
 
 def transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
-    """The inverse of `transform_to_dict`.
+    """Return the transform that a mapping describes, the inverse of `transform_to_dict`.
+
+    Args:
+        name: name of the transform, for messages.
+        content: `translation` and `quaternion_wxyz`.
 
     Raises:
         ValueError: not a rigid transform; the message has its name.

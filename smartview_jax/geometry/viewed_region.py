@@ -1,7 +1,8 @@
-"""From where a target was seen: what a calibration knows about, and which side of the target.
+"""Describe the region of camera positions from which a calibration's views were taken.
 
-Of flat boards the frame says little: with z into the board, as OpenCV has it, the camera stands
-where z is negative. So the side is taken from the views, and so is how far they reach.
+Commands outside this region are extrapolations. The side of the target on which the cameras stood
+is computed from the views, because the frame of a flat board does not show it: with z into the
+board, as in OpenCV, the cameras are where z is negative.
 """
 
 from typing import Any
@@ -12,26 +13,33 @@ import numpy as np
 from jaxtyping import Array, Float
 
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
+"""Value of `ViewedRegion.side` for each name that a file may contain."""
 
 LEAST_REACH = 0.1
-"""Of the distance to the target: views that all stand in one place know that much about them."""
+"""Smallest reach of a region, as a fraction of the mean distance to the target.
+
+Views that were all taken from one position would otherwise have a region of size zero.
+"""
 
 
 def _number(value: object) -> Float[Array, "..."]:
+    """Return a value as a float array."""
     return jnp.asarray(value, dtype=float)
 
 
 class ViewedRegion(eqx.Module):
-    """Where cameras stood, in the target's (= world) frame.
+    """A region of camera positions in the target's (= world) frame.
 
     Attributes:
-        side: 1 where all cameras stood on the side of +z of the target, -1 of -z, 0 on both.
-        plane: z of the target's plane; of points at several heights the farthest, m.
-        middle: mean of the cameras' centres, m.
+        side: 1 if all cameras were on the +z side of the target, -1 if all were on the -z side,
+            0 otherwise.
+        plane: z of the target's plane, m; for points at several heights, z of those farthest from
+            the cameras.
+        middle: mean of the camera centres, m.
         reach: distance of the farthest camera from that mean, m.
-        distance: least and greatest, from the cameras to the middle of the target, m.
-        lowest_tool: least height of the tool's origin over the target's plane, on the side of the
-            cameras, m; infinite where the target is on the tool, or was seen from both sides.
+        distance: smallest and largest distance from the cameras to the middle of the target, m.
+        lowest_tool: smallest height of the tool's origin over the target's plane, on the side of
+            the cameras, m; infinite if the target is on the tool, or was seen from both sides.
     """
 
     side: Float[Array, ""] = eqx.field(converter=_number)
@@ -48,12 +56,12 @@ class ViewedRegion(eqx.Module):
         points: Float[np.ndarray, "points 3"],
         tools: Float[np.ndarray, "views 3"] | None = None,
     ) -> "ViewedRegion":
-        """The region of cameras and tools at these places.
+        """Return the region of the given camera and tool positions.
 
         Args:
-            cameras: their centres in the target's frame, m.
-            points: of the target in its own frame, in true size, m.
-            tools: origins of the tool in the target's frame, m; None where the target is on it.
+            cameras: camera centres in the target's frame, m.
+            points: points of the target in its own frame, in true size, m.
+            tools: origins of the tool in the target's frame, m; None if the target is on the tool.
         """
         height, low, high = cameras[:, 2], points[:, 2].min(), points[:, 2].max()
         side = 1.0 if (height > high).all() else -1.0 if (height < low).all() else 0.0
@@ -75,21 +83,31 @@ class ViewedRegion(eqx.Module):
 
     @property
     def above(self) -> bool | None:
-        """Whether the cameras stood on the side of +z; None where they stood on both sides."""
+        """Whether the cameras were on the +z side of the target; None if on both sides."""
         return None if float(self.side) == 0.0 else float(self.side) > 0.0
 
     def height(self, place: Float[Array, "*views 3"] | np.ndarray) -> Float[Array, "*views"]:
-        """Height of places over the target's plane, on the side that was seen, m."""
+        """Return the height of positions over the target's plane, m, positive on the viewed side.
+
+        It is zero for a target that was seen from both sides.
+
+        Args:
+            place: positions in the target's frame, m.
+        """
         return self.side * (place[..., 2] - self.plane)
 
     def extent(self, cameras: Float[Array, "*views 3"] | np.ndarray) -> Float[Array, "*views"]:
-        """How far from the middle cameras stand, in multiples of the farthest that was used."""
+        """Return the distance of cameras from the middle, as a multiple of `reach`.
+
+        Args:
+            cameras: camera centres in the target's frame, m.
+        """
         offset = cameras - jnp.broadcast_to(self.middle, cameras.shape)
         return jnp.linalg.norm(offset, axis=-1) / self.reach
 
 
 def region_to_dict(region: ViewedRegion) -> dict[str, Any]:
-    """Plain numbers in metres with their names, as `calibration.yaml` has them."""
+    """Return a region as plain numbers in metres by name, as in `calibration.yaml`."""
     side = next(name for name, sign in _SIDES.items() if sign == float(region.side))
     content: dict[str, Any] = {
         "side": side,
@@ -104,7 +122,11 @@ def region_to_dict(region: ViewedRegion) -> dict[str, Any]:
 
 
 def region_from_dict(content: dict[str, Any]) -> ViewedRegion:
-    """The inverse of `region_to_dict`, of content that `schemas.calibration` has checked."""
+    """Return the region that a mapping describes, the inverse of `region_to_dict`.
+
+    Args:
+        content: the mapping, already checked by `schemas.calibration`.
+    """
     lowest = content.get("lowest_tool")
     return ViewedRegion(
         side=_SIDES[content["side"]],

@@ -1,10 +1,12 @@
-"""Poses of cameras that look at a point: by direction, by tilt and azimuth, the paper's five.
+"""Compute poses of cameras that look at a point, the paper's five viewpoints among them.
 
-Without roll, a camera that looks straight down (along the world's -z) has the picture's x along the
-world's x, and so has one that looks straight up, along +z, which is how a board with z into it is
-seen. Any other direction is reached from the nearer of the two by the shortest turn; a horizontal
-one from above. So roll means the same everywhere near the usual views, the one straight down
-included, where conventions by an upright direction break down.
+Roll is measured from the following orientation. A camera that looks straight down (along the
+world's -z) with zero roll has the picture's x along the world's x. The same holds for a camera that
+looks straight up, along +z, as towards a board whose z points into it. For any other direction,
+zero roll is the orientation reached from the nearer of these two by the smallest rotation, and for
+a horizontal direction from the one that looks down. With this definition roll varies smoothly near
+the usual views. Definitions by an upright direction are singular where the camera looks straight
+down.
 """
 
 import jax.numpy as jnp
@@ -13,13 +15,16 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 FIVE_STEP = float(np.deg2rad(9.5))
-"""Angle between neighbours of the paper's five viewpoints, seen from the object (Section 5)."""
+"""Angle between neighbours of the paper's five viewpoints from the object, rad (Section 5)."""
 
 FIVE_PATTERNS = {
     "cross": ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)),
     "L": ((0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (0.0, 1.0), (0.0, 2.0)),
 }
-"""Steps along X and along Y of five viewpoints: the paper's, and one that reaches twice as far."""
+"""Offsets along X and along Y of the five viewpoints of each pattern, in steps.
+
+The cross is the paper's pattern; the L has viewpoints twice as far from the first one.
+"""
 
 
 def look_at(
@@ -28,19 +33,22 @@ def look_at(
     distance: float | Float[Array, "*#views"] | np.ndarray,
     roll: float | Float[Array, "*#views"] | np.ndarray = 0.0,
 ) -> SE3:
-    """`camera_from_world` of cameras that look at a point.
+    """Return `camera_from_world` of cameras that look at a point.
 
     Args:
-        point: that is to be on the optical axis, in the world's frame, m.
-        direction: in which the camera looks, in the world's frame; of any length but zero, for
-            which NaN comes back.
-        distance: of the point along the optical axis, m.
-        roll: by which the camera turns about its optical axis, from x towards y of the picture,
-            rad; see the module for where it begins.
+        point: the point on the optical axis, in the world's frame, m.
+        direction: viewing direction in the world's frame, of any length except zero, for which the
+            result is NaN.
+        distance: distance of the point from the camera along the optical axis, m.
+        roll: rotation of the camera about its optical axis, from x towards y of the picture, rad;
+            the module's docstring defines its zero.
 
     Returns:
-        Transforms with the broadcast shape of all four.
+        Transforms with the broadcast shape of all four arguments.
     """
+    # With d the unit direction and S the smallest rotation from the start axis (+z or -z) to d:
+    #   camera_from_world = (R, t),   R = Rz(-roll) start S^-1,   t = (0, 0, distance) - R point,
+    # where `start` is the identity for +z and half a rotation about x for -z.
     point, direction = jnp.asarray(point, dtype=float), jnp.asarray(direction, dtype=float)
     away, turn = jnp.asarray(distance, dtype=float), jnp.asarray(roll, dtype=float)
     views = jnp.broadcast_shapes(point.shape[:-1], direction.shape[:-1], away.shape, turn.shape)
@@ -49,7 +57,9 @@ def look_at(
     away, turn = jnp.broadcast_to(away, views), jnp.broadcast_to(turn, views)
     x, y, z = jnp.moveaxis(direction / jnp.linalg.norm(direction, axis=-1, keepdims=True), -1, 0)
     zero = jnp.zeros_like(z)
-    # Shortest turns onto the direction: from +z, then from -z; half their angle is at most 45 deg.
+    # The smallest rotation from +-z to (x, y, z) has the quaternion (1 + |z|, -+y, +-x, 0) before
+    # normalisation. With the nearer axis the angle is at most 90 degrees and the real part at
+    # least 1, so that the norm cannot vanish.
     upward = jnp.stack([1.0 + jnp.abs(z), -y, x, zero], axis=-1)
     downward = jnp.stack([1.0 + jnp.abs(z), y, -x, zero], axis=-1)
     up = z > 0.0
@@ -66,13 +76,14 @@ def direction_of(
     azimuth: float | Float[Array, "*#views"] | np.ndarray,
     above: bool = True,
 ) -> Float[Array, "*views 3"]:
-    """Unit vector in which a camera looks that stands at these angles, as seen from its object.
+    """Return the unit viewing direction of a camera given by tilt and azimuth from its object.
 
     Args:
-        tilt: between the way to the camera and the world's z axis, rad.
-        azimuth: of the way to the camera about the world's z axis, from x, rad.
-        above: the camera stands on the side of +z; False for a board with z into it, as OpenCV
-            has it, where the tilt is from -z.
+        tilt: angle between the direction from object to camera and the world's z axis, rad.
+        azimuth: angle of the direction from object to camera about the world's z axis, measured
+            from x, rad.
+        above: whether the camera is on the +z side; False for a board with z into it, as in
+            OpenCV, where the tilt is measured from -z.
     """
     lean, around = jnp.broadcast_arrays(jnp.asarray(tilt, float), jnp.asarray(azimuth, float))
     flat, height = jnp.sin(lean), jnp.cos(lean)
@@ -90,22 +101,23 @@ def five_viewpoints(
 ) -> SE3:
     """Return the paper's viewpoints (Fig. 6): one from above, and two each along X and Y.
 
-    Without roll the hand-eye transform is poorly determined: a roll for each view is well spent.
+    If all views have the same roll, the hand-eye transform is poorly determined; a different roll
+    for each view is recommended.
 
     Args:
-        point: that all look at, or a point for each, m.
-        distance: of the cameras from it, m.
-        roll: about the optical axis, for all or for each, rad.
+        point: the point that all cameras look at, or one for each camera, m.
+        distance: distance of the cameras from the point, m.
+        roll: rotation about the optical axis, for all cameras or for each, rad.
         step: angle between neighbours as seen from the point, rad.
         above: as in `direction_of`.
-        pattern: `"cross"`, a step to either side along X and along Y; or `"L"`, one and two steps
+        pattern: `"cross"`, one step to either side along X and along Y; or `"L"`, one and two steps
             to the same side.
 
     Returns:
         `camera_from_world`, `(5)`.
 
     Raises:
-        ValueError: a pattern that is not known.
+        ValueError: an unknown pattern.
     """
     if pattern not in FIVE_PATTERNS:
         known = ", ".join(FIVE_PATTERNS)
