@@ -1,6 +1,4 @@
-"""Calibrate by the staged pipeline and then by the joint fit, with the defaults of the command
-line.
-"""
+"""Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
 import dataclasses
 from collections.abc import Callable
@@ -57,8 +55,8 @@ class CalibrationFit(eqx.Module):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The reasons to doubt the answer: the joint fit's own, and from comparing it with the
-        staged fit.
+        """The reasons to doubt the answer: the joint fit's own, and differences from the staged
+        fit.
         """
         return (*self.joint.warnings, *_beside_staged(self))
 
@@ -132,9 +130,7 @@ def best_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
 
 
 def _beside_staged(fit: CalibrationFit) -> tuple[str, ...]:
-    """Return the warnings that follow from comparing the joint fit's residuals with the staged
-    fit's.
-    """
+    """Return the warnings from comparing the joint fit's residuals with the staged fit's."""
     joint = fit.joint
     seen = np.asarray(joint.inliers)
 

@@ -73,9 +73,7 @@ class KinematicFit(eqx.Module):
 
     @property
     def rms_degrees(self) -> float:
-        """The root mean square angle between measured and fitted orientations of the target,
-        degrees.
-        """
+        """The root mean square angle between measured and fitted orientations, degrees."""
         return float(np.rad2deg(_rms(self.residuals[:, 3:])))
 
 
@@ -88,8 +86,7 @@ def fit_kinematics(
     prismatic: Sequence[bool] | None = None,
     metres_per_radian: float = 1.0,
 ) -> KinematicFit:
-    """Fit an arm's joint axes and ratios, its base pose and the target's pose on it to measured
-    poses.
+    """Fit an arm's axes and ratios, and the poses of its base and of the target, to measured poses.
 
     Args:
         joints: readings, `(views, joints)`, rad or m.
@@ -139,10 +136,10 @@ def fit_kinematics(
 
 
 def _numbers(slides: tuple[bool, ...], free_ratios: bool) -> tuple[list[str], Int[np.ndarray, "n"]]:
-    """Return the names of the free numbers and their indices among five per joint and six of the
-    target.
+    """Return the names of the free parameters, and their indices among all.
 
-    Of a prismatic joint's axis only the direction is free: its position has no effect.
+    All are five per joint, then six of the target. Of a prismatic joint's axis only the direction
+    is free: its position has no effect.
     """
     names, free = [], []
     for k, slide in enumerate(slides):

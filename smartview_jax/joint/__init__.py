@@ -1,4 +1,4 @@
-"""The joint fit: camera, hand-eye, world and the robot's error from all pixels at once."""
+"""Fit camera, hand-eye transform, target pose and robot error to all pixels at once."""
 
 from ..moved import moved as _moved
 from .camera_fit import CameraFit as CameraFit
@@ -24,7 +24,8 @@ _PLACES = {
     "calibrate_data": "CalibrationFit best_uncorrected calibrate",
 }
 
-# The last two are above: opened only by a name that moved there.
+# `arm_identification` and `calibrate_data` are higher layers. They are imported only when an old
+# name is requested, which avoids a circular import.
 __getattr__ = _moved(
     __name__,
     {name: f"smartview_jax.{room}" for room, names in _PLACES.items() for name in names.split()},

@@ -1,4 +1,4 @@
-"""The joint fit: every observation through the whole chain at once."""
+"""Fit all parameters of the chain to every observation in one nonlinear least squares problem."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -51,53 +51,59 @@ from .plausibility import UNUSUAL, doubts
 from .screening import screened, without_views
 
 GATE = 2.0 * np.log(1e4)
-"""Squared whitened deviation that one good point in ten thousand exceeds (chi-square, 2 dof)."""
+"""The squared whitened residual that one good point in ten thousand exceeds (chi-square, 2 dof)."""
 
 ABSURD = 1e-6
-"""Chance, over all views, of a pose as far off as one that is left out.
+"""The probability, over all views, of a pose error as large as that of a view that is left out.
 
-Far below the usual level: real robots' errors have longer tails than the normal distribution.
+It is far below the usual significance level because real robots' errors have longer tails than the
+normal distribution.
 """
 
 SPOILS = 3.0
-"""Ratio of the sizes of errors of reported poses with and without a view, if its pose is wrong."""
+"""The ratio of pose standard deviations with and without a view above which its pose is wrong."""
 
 BAD_VIEWS = ("keep", "leave_out")
+"""The accepted values of `bad_views`."""
 
 SIGMA_ROUNDS = 10
-"""Of fitting anew with the sigma that the residuals tell, at most."""
+"""The largest number of refits with the pixel sigma re-estimated from the residuals."""
 
 SIGMA_SETTLED = 1e-3
-"""Share by which it then still changes."""
+"""The relative change of the pixel sigma below which refitting stops."""
 
 
 class JointFit(eqx.Module):
-    """What the joint fit found.
+    """The result of a joint fit.
 
     Attributes:
-        calibration: camera, hand-eye, world (and target scale, if free).
-        covariance: of the free parameters that all views share, in the order of
+        calibration: camera, hand-eye transform, target pose (and target scale, if free).
+        covariance: covariance of the free parameters that all views have in common, in the order of
             `parameter_names`, own units.
-        std: standard deviation by name, of pose corrections too; infinite where the data do not
-            tell.
-        freedom: degrees of freedom that the deviations of the shared parameters rest on, by name;
-            infinite where the sizes of errors were not estimated.
-        noise: as assumed or estimated; None where the robot was to be trusted. Where likelihood
-            trusts it, the sizes of its errors are next to nothing.
-        estimate: how the noise was estimated, and what the alternatives would have given; None
-            where it was not.
-        pixel_sigma: of u and of v, px: as given, or from the residuals' degrees of freedom.
+        std: standard deviation by name, of pose corrections too; infinite for parameters that the
+            data do not determine.
+        freedom: degrees of freedom of each common parameter's standard deviation, by name; infinite
+            where the variance components were not estimated.
+        noise: the noise model, given or estimated; None with `noise="trusted"`. Where the
+            likelihood finds the robot exact, the standard deviations of its errors are close to
+            zero.
+        estimate: the estimate of the noise model and its alternatives; None where it was not
+            estimated.
+        pixel_sigma: standard deviation of u and of v, px: as given, or from the residuals and their
+            degrees of freedom.
         residuals: measured minus predicted through the chain *without* pose corrections, px.
-        inliers: observations within the gate around the fit; what is outside counted all the same.
-        rejected: what was left out: view id, point index (None for a whole view), reason.
-        pose_corrections: per view, translation (m) then rotation (rad), at the tool.
-        observability: what the data cannot tell.
-        parameter_names: of the free parameters that all views share.
-        view_ids: of the data's views.
-        start: where the fit began; with estimated noise, where the estimate ended.
-        problem: that was solved.
-        solution: iterations and costs.
-        result: whether it converged.
+        inliers: observations within the chi-square gate around the fit; those outside it were still
+            used.
+        rejected: observations left out: view id, point index (None for a whole view), reason.
+        pose_corrections: one twist per view, translation (m) then rotation (rad), at the tool.
+        observability: the directions that the data do not determine.
+        parameter_names: names of the free parameters that all views have in common.
+        view_ids: names of the data's views.
+        start: the calibration from which the fit started; with estimated noise, where the estimate
+            ended.
+        problem: the least squares problem that was solved.
+        solution: the final step, with iterations and costs.
+        result: whether the fit converged.
     """
 
     calibration: Calibration
@@ -121,32 +127,35 @@ class JointFit(eqx.Module):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against the answer, a sentence each; nothing where all is well."""
+        """The reasons to doubt the answer, a sentence each; empty where there are none."""
         return doubts(self)
 
     def margin(self, name: str, level: float = 0.95) -> float:
-        """How far either way of what was found a shared parameter's true value is, at most.
+        """Return the half width of a parameter's confidence interval, in its own unit.
 
         Args:
             name: as in `parameter_names`.
-            level: chance of that, by Student's t with the parameter's `freedom`.
+            level: probability that the interval contains the true value, by Student's t with the
+                parameter's `freedom`.
         """
         freedom, p = self.freedom[name], 0.5 + 0.5 * level
         return self.std[name] * float(stdtrit(freedom, p) if np.isfinite(freedom) else ndtri(p))
 
     def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
-        """Chance of a fit as far off as this one, or farther, were `truth` true.
+        """Return the p-value of the hypothesis that some of the parameters are those of `truth`.
 
-        Small, say below 0.05, where the pictures contradict it: a mount off the drawing board, or
-        one that was measured before a collision.
+        It is the probability of a fit at least as far from `truth` as this one if `truth` were
+        true. A small value, say below 0.05, means that the pictures contradict `truth`, for
+        instance a mount taken from a drawing, or one measured before a collision.
 
         Args:
-            truth: with the same lens, mount and field; only what the paths name is looked at.
-            paths: of fitted parameters, all at once; by default the hand-eye transform.
+            truth: a calibration with the same lens, mount and field; only the parameters that the
+                paths name are compared.
+            paths: paths of fitted parameters, tested jointly; by default the hand-eye transform.
 
         Raises:
             ValueError: calibrations of different parameters, an unknown path or one that was not
-                fitted, or parameters that the data leave open.
+                fitted, or parameters that the data do not determine.
         """
         paths = self.calibration.transform_names[:1] if paths is None else paths
         chosen = np.flatnonzero(select(self.parameter_names, paths))
@@ -159,6 +168,8 @@ class JointFit(eqx.Module):
             raise ValueError(
                 f"truth: its parameters are {', '.join(there)}; those of the fit {', '.join(known)}"
             )
+        # d^T P^-1 d for the difference d under its covariance P: chi-square where the variance
+        # components are known, otherwise F with the Kenward-Roger correction (`doubt`).
         offset = np.asarray(Parameters(truth).step_to(self.calibration))
         return p_value(
             offset[[known.index(name) for name in names]],
@@ -183,32 +194,32 @@ def fit_joint(
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
 ) -> JointFit:
-    """Fit camera, hand-eye and world (and more, if asked) to all pixels at once.
+    """Fit camera, hand-eye transform, target pose and optional parameters to all pixels at once.
 
     Args:
-        data: at least three views with four visible points each, unless priors say the rest.
+        data: at least three views with four visible points each, unless priors determine the rest.
         start: any calibration near enough, such as the staged fit's.
-        lens: another model than the start's own.
-        noise: `"estimated"` finds the sizes of all errors, and chooses a field, by likelihood; a
-            `Noise` states them, and lets every view correct its pose under a prior; `"trusted"`
-            takes the reported poses as exact.
-        field: of the robot's error: one of `robot_errors`, or your own. None: chosen by likelihood
-            where the noise is estimated, otherwise the start's own stays as it is; False: none.
+        lens: another lens model than the start's own.
+        noise: `"estimated"` estimates the variance components, and chooses a robot error field, by
+            restricted likelihood; a `Noise` states the standard deviations and gives every view a
+            pose correction with a prior; `"trusted"` takes the reported poses as exact.
+        field: the robot error field: one of `robot_errors`, or your own. None: chosen by likelihood
+            where the noise is estimated, otherwise the start's own is kept; False: none.
         loss: robust loss on the points: a name or an `AbstractLoss`. Its scale, and the weight of
-            priors, are in deviations of a pixel: the noise's, or where the robot is trusted those
-            that the residuals tell.
+            priors, are in standard deviations of a pixel: the noise model's, or with a trusted
+            robot those estimated from the residuals.
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
         priors: a `Prior` by path.
         solver: any optimistix least-squares solver.
-        devices: to deal the views out to, such as `jax.devices()`, also those of other processes;
-            by default the fit runs on one.
+        devices: devices over which the views are distributed, such as `jax.devices()`, also those
+            of other processes; by default the fit runs on one.
         bad_views: `"leave_out"` also leaves out gross outliers and views whose pose contradicts the
             others', and lists them in `rejected`; `"keep"` takes the data as they are, and so does
             None unless the noise is estimated.
-        progress: told what is being done.
-        robot_prior: how large errors of arms usually are, where the noise is estimated; by default
-            those of good industrial arms.
+        progress: called with a line of text for each stage.
+        robot_prior: prior on the standard deviations of the robot's errors where the noise is
+            estimated; by default that of good industrial arms.
 
     Raises:
         ValueError: an unknown path or name, too few views, or a start from which a view's points
@@ -243,6 +254,10 @@ def fit_joint(
 
     if bad_views == "keep" or (bad_views is None and noise != "estimated"):
         return _seen(fit(data, ())[0], data)
+    # Gross errors first, then one view at a time: the view rejected by its posterior pose
+    # correction, or, where all poses look poor, the view without which the pose standard deviations
+    # collapse. The noise is estimated anew after each, since one wrong pose inflates it for all
+    # views.
     used, apart = screened(data, start, fixed, priors, progress)
     found, matrix = fit(used, apart)
     while True:
@@ -250,7 +265,8 @@ def fit_joint(
             used = without_views(used, dict([doubt]))
             found, matrix = fit(used, apart)
         elif (suspect := _suspect_view(used, found, matrix)) is not None:
-            # One wrong pose makes all of them look bad: judged by what is left without it.
+            # One wrong pose inflates the pose standard deviations of all views, so no view exceeds
+            # the test. Compare the fits with and without the suspect instead.
             without = without_views(used, {suspect: ""})
             other, matrix = fit(without, apart)
             if (reason := _spoiled(found, other)) is None:
@@ -259,24 +275,30 @@ def fit_joint(
             found, matrix = fit(used, apart)
         else:
             break
-    # What was left out is predicted all the same.
+    # Residuals are reported for rejected observations too.
     everything = chain_residuals(found.calibration, data.observations)
     return _seen(eqx.tree_at(lambda f: f.residuals, found, everything), used)
 
 
 def _seen(fit: JointFit, data: Dataset) -> JointFit:
-    """The fit with the region from which the target was seen in its calibration."""
+    """Return the fit with the region of viewpoints that the data cover in its calibration."""
     return dataclasses.replace(fit, calibration=with_region(fit.calibration, data))
 
 
 def _settled(
     built: Built, run: Callable[[JointProblem], tuple[Solution, NormalEquations]]
 ) -> tuple[Built, Solution, NormalEquations]:
-    """Solved, with a pixel's sigma that agrees with the residuals where the answer needs one."""
+    """Solve, with a pixel sigma that agrees with the residuals where the answer depends on it.
+
+    It does with a robust loss or priors and an unknown sigma: both weigh residuals in units of
+    sigma.
+    """
     solution, equations = run(built.problem)
     if built.sigma_known or not built.sigma_matters:
         return built, solution, equations
     for _ in range(SIGMA_ROUNDS):
+        # sigma <- sigma sqrt(f), with f the variance factor: residual sum of squares over degrees
+        # of freedom.
         before = float(built.problem.pixel_sigma)
         factor = float(_variance_factor(built.problem, solution.z))
         sigma = max(before * np.sqrt(factor), FINEST)
@@ -288,7 +310,7 @@ def _settled(
 
 
 def view_influence(fit: JointFit) -> Influence:
-    """How far each view moves the fit: where it would be without that view, to first order."""
+    """Return how far each view moves the fit: its change without that view, to first order."""
     moves = np.asarray(moves_without(fit.problem, fit.solution.z))
     std = np.array([fit.std[name] for name in fit.parameter_names])
     mount = fit.calibration.transform_names[0]
@@ -296,12 +318,17 @@ def view_influence(fit: JointFit) -> Influence:
 
 
 def _doubtful_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
-    """The view whose pose the others make least believable, if it is absurd, and why."""
+    """Return the view whose pose is least compatible with the others', and why.
+
+    None where even that one is not significant, where poses have no prior, or with too few views to
+    decide which of them is wrong.
+    """
     if fit.noise is None or len(data.usable_views()) <= FEWEST:
         return None
     scores = pose_scores(fit.problem, fit.solution.z, matrix, fit.estimate is None)
     distance, chance = np.asarray(scores.distance), np.asarray(scores.p_value)
     worst = int(np.argmin(chance))
+    # Bonferroni: the smallest p-value of n views is tested at the level ABSURD / n.
     if not chance[worst] * len(data.usable_views()) < ABSURD:
         return None
     return worst, (
@@ -311,7 +338,10 @@ def _doubtful_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[in
 
 
 def _suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None:
-    """Return the view whose pose is least believable, where poses err more than robots do."""
+    """Return the view whose pose is least compatible with the others', if poses err too much.
+
+    None where the pose standard deviations are within what robots usually have.
+    """
     estimate, noise = fit.estimate, fit.noise
     if estimate is None or noise is None or len(data.usable_views()) <= FEWEST:
         return None
@@ -323,7 +353,10 @@ def _suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | Non
 
 
 def _spoiled(fit: JointFit, without: JointFit) -> str | None:
-    """Return why a view is left out: what the others' poses err by with it, and without it."""
+    """Return why a view is left out, from the other views' pose errors with it and without it.
+
+    None where the view is to be kept.
+    """
     assert fit.noise is not None
     assert without.noise is not None
     for name, unit, times in (
@@ -347,23 +380,29 @@ def _assemble(
     estimate: NoiseEstimate | None,
     apart: tuple[Rejection, ...],
 ) -> JointFit:
+    """Build the result: covariances, degrees of freedom, inliers and rejections at the solution."""
     problem = built.problem
     at_solution = _at_solution(problem, solution.z, equations.matrix)
     calibration, corrections, square, estimated, spread, parts, own_inverse = at_solution
     visible, square = np.asarray(problem.observations.visible), np.asarray(square)
     factor = 1.0 if built.sigma_known else float(estimated)
 
+    # Covariance f R^-1, with R the Schur complement of the corrections, f the variance factor. Unit
+    # columns keep pixels and radians apart in the singular values.
     lengths = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     columns = UnitColumns(np.asarray(parts.reduced), lengths)
     full, std = covariance(columns, factor)
     freedom = np.full(len(std), np.inf)
     if estimate is not None:
+        # Estimated variance components add the Kenward-Roger term and finite degrees of freedom.
         doubt = estimate.doubt_of(built.names)
         full, freedom = full + doubt.covariance, doubt.freedom
         std = np.sqrt(std**2 + np.diagonal(doubt.covariance))
+    # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
     own = own_std(np.asarray(own_inverse), np.asarray(parts.gain), full, factor)
     own = own[np.asarray(problem.own_free)]
 
+    # The robust variance widens the gate where residuals are larger than the noise model states.
     limit = GATE * (max(1.0, float(spread)) if built.sigma_known else float(spread))
     inliers = visible & (square <= limit)
     names = (*built.names, *built.own_names)
@@ -391,6 +430,7 @@ def _assemble(
 
 @compiled
 def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
+    """Compute what the result needs from the normal equations and residuals at the solution."""
     calibration, corrections = problem.calibration(z)
     parts = eliminate(matrix)
     squares = problem.squares(z)
@@ -407,12 +447,14 @@ def _at_solution(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
 
 @compiled
 def _variance_factor(problem: JointProblem, z: Step) -> Float[Array, ""]:
+    """Return the ratio of the residuals' variance to the assumed one."""
     return variance_factor(problem, problem.squares(z))
 
 
 def _rejected(
     data: Dataset, apart: tuple[Rejection, ...], lost: np.ndarray
 ) -> tuple[Rejection, ...]:
+    """Return all rejections: whole views, single points, and points outside the start's domain."""
     whole = [Rejection(view, None, reason) for view, reason in data.masked_views]
     blind = [
         Rejection(data.view_ids[view], int(point), "cannot be projected from the start")
@@ -422,7 +464,8 @@ def _rejected(
 
 
 def _result(solution: Solution) -> FitResult:
-    # Not of the whole calibration: an arm has joints without limits.
+    """Return whether the solver converged, with a message."""
+    # The solution only is checked: a calibration may hold infinite joint limits of an arm.
     finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(solution.z))
     if not finite:
         return FitResult(FitCode.DIVERGED, "the fit diverged: its parameters are not finite")

@@ -1,7 +1,7 @@
-"""Many calibrations of the same shape at once: simulations, bootstraps, a fleet of robots.
+"""Fit many data sets of the same shape at once: simulations, bootstraps, a fleet of robots.
 
-They run one after the other in one compiled loop, which on a CPU is several times faster than
-`vmap` over small matrices, and on as many devices side by side as there are.
+The fits run one after the other in one compiled loop, which on a CPU is several times faster than
+`vmap` over small matrices, and in parallel on as many devices as there are.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,27 +44,30 @@ from ..robot_errors import AbstractField
 from ..variance import FINEST
 
 OwnParts = tuple[Calibration, Observations, Any]
-"""Where a fit starts, what was seen, and which of each view's own six may move."""
+"""The parts of a problem that differ between fits: start, observations, free pose corrections."""
 
 SIGMA_ROUNDS = 6
-"""Of fitting anew with the sigma that the residuals tell; the last ones change next to nothing."""
+"""The number of refits with the pixel sigma re-estimated from the residuals.
+
+The last ones change it very little; the number is fixed so that one compiled loop serves all fits.
+"""
 
 FITS = "fits"
-"""Name of the mesh axis along which fits are dealt out to devices."""
+"""The name of the mesh axis along which fits are distributed over devices."""
 
 
 class ManyFits(eqx.Module):
-    """Fits side by side: every array has one entry a fit, first.
+    """The results of many fits: every array has one entry per fit along its first axis.
 
     Attributes:
-        calibrations: one `Calibration` whose arrays are stacked; `fits[k]` is one of them.
+        calibrations: one `Calibration` whose arrays are stacked; `fits[k]` is the k-th.
         pose_corrections: as in `JointFit`.
-        covariance: of the free shared parameters, in the order of `parameter_names`; infinite
-            where the data do not determine them all.
+        covariance: covariance of the free common parameters, in the order of `parameter_names`;
+            infinite where the data do not determine them all.
         cost: half the sum of squared residuals in pixel sigmas, at the end.
-        steps: solver steps.
-        converged: whether one more step would gain next to nothing.
-        parameter_names: of the free parameters that all views share.
+        steps: number of solver steps.
+        converged: whether a further step would lower the cost by a negligible amount.
+        parameter_names: names of the free parameters that all views have in common.
     """
 
     calibrations: Calibration
@@ -79,7 +82,7 @@ class ManyFits(eqx.Module):
         return len(self.cost)
 
     def __getitem__(self, index: int) -> Calibration:
-        # Arrays of JAX take any index for the nearest there is.
+        # JAX arrays clamp an index out of range instead of raising; `range` raises.
         place = range(len(self))[index]
         return jax.tree.map(lambda x: x[place], self.calibrations)
 
@@ -96,13 +99,15 @@ def fit_many(
     field: AbstractField | Literal[False] | None = None,
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
-    """Fit many data sets, as `fit_joint` fits one.
+    """Fit many data sets, each as `fit_joint` does.
 
     Args:
-        data: all with the same numbers of views and points; what is not visible does not count.
+        data: data sets with the same numbers of views and points; what is not visible does not
+            count.
         start: one for all, or one each, with the same lens and mount.
-        lens, noise, loss, fixed, free, priors, field: as in `fit_joint`, for all alike.
-        devices: to deal the fits out to, such as `jax.devices()`; by default they run on one.
+        lens, noise, loss, fixed, free, priors, field: as in `fit_joint`, the same for all.
+        devices: devices over which the fits are distributed, such as `jax.devices()`; by default
+            they run on one.
 
     Raises:
         ValueError: as `fit_joint` does, and where shapes, lenses or mounts differ.
@@ -114,7 +119,8 @@ def fit_many(
     if field is False:
         starts, field = [one.uncorrected for one in starts], None
     starts = [with_field(with_lens(one, lens), field) for one in starts]
-    # Which poses may move hangs on which views can be placed, and on nothing else.
+    # The free pose corrections depend only on which views are usable, so problems with the same
+    # usable views are built once.
     usable, alike = [tuple(map(int, one.usable_views())) for one in data], {}
     for k, views in enumerate(usable):
         if views not in alike:
@@ -141,11 +147,12 @@ def fit_many(
 
 
 def _own_parts(problem: JointProblem) -> OwnParts:
-    """What differs from one fit to the next."""
+    """Return the parts of a problem that differ from one fit to the next."""
     return problem.parameters.start, problem.observations, problem.own_free
 
 
 def _require_alike(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:
+    """Raise a `ValueError` unless data sets and starts agree in shape, mount and structure."""
     if not data:
         raise ValueError("fit_many: expected at least one data set, found none")
     if len(starts) != len(data):
@@ -166,19 +173,22 @@ def _require_alike(data: Sequence[Dataset], starts: Sequence[Calibration]) -> No
 
 
 def _stacked(parts: Sequence[Any]) -> Any:
+    """Return pytrees of equal structure as one, arrays stacked along a new first axis."""
     return jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *parts)
 
 
 @optimised
 def _solve_all(problems: JointProblem, sigma_known: bool, rounds: int, mesh: Mesh | None) -> tuple:
-    """Every fit's answer; the fits are spread over a mesh's devices, evened out by copies."""
+    """Return every fit's answer, with the fits distributed over the devices of a mesh."""
     parts = _own_parts(problems)
 
     def one(part: OwnParts) -> tuple:
         return _solve_one(eqx.tree_at(_own_parts, problems, part), sigma_known, rounds)
 
     if mesh is None:
+        # One after the other on each device: `vmap` over small matrices was several times slower.
         return jax.lax.map(one, parts)
+    # Copies of the last fit make the fits divide evenly over the devices.
     extra = -len(parts[1].visible) % mesh.size
     spread = jax.shard_map(
         lambda some: jax.lax.map(one, some),
@@ -191,7 +201,12 @@ def _solve_all(problems: JointProblem, sigma_known: bool, rounds: int, mesh: Mes
 
 
 def _solve_one(problem: JointProblem, sigma_known: bool, rounds: int) -> tuple:
-    """Calibration, corrections, covariance, cost, steps, whether it converged; views lost."""
+    """Solve one fit, re-estimating the pixel sigma in between.
+
+    Returns:
+        Calibration, corrections, covariance, cost, steps, whether it converged, and which views
+        have points of which none can be projected.
+    """
     valid, seen = valid_at_start(problem), problem.observations.visible
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, seen & valid)
     blind = jnp.any(seen, axis=1) & ~jnp.any(seen & valid, axis=1)
@@ -202,16 +217,20 @@ def _solve_one(problem: JointProblem, sigma_known: bool, rounds: int) -> tuple:
     def closer(at: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
         there = weighed(at[0])
         z = run(there, StructuredLM(), MAXIMUM_STEPS, at[1])[0]
+        # sigma <- sigma sqrt(f), f the residual variance over the assumed one, starting the next
+        # fit at the last solution.
         told = at[0] * jnp.sqrt(variance_factor(there, there.squares(z)))
         return (jnp.maximum(told, FINEST), z), None
 
     sigma, ahead = problem.pixel_sigma, problem.start()
-    # A loop of no rounds would be compiled all the same, with the whole solver in it.
+    # A scan of length zero would still be compiled, with the whole solver in it.
     if rounds:
         (sigma, ahead), _ = jax.lax.scan(closer, (sigma, ahead), length=rounds)
     problem = weighed(sigma)
     z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS, ahead)
     calibration, corrections = problem.calibration(z)
+    # Covariance f R^-1, with the reduced matrix R = A - sum_v B_v^T C_v^-1 B_v of the arrow-shaped
+    # normal equations [[A, B^T], [B, C]]: pose corrections eliminated view by view.
     factor = 1.0 if sigma_known else variance_factor(problem, problem.squares(z))
     return (
         calibration,
@@ -225,10 +244,12 @@ def _solve_one(problem: JointProblem, sigma_known: bool, rounds: int) -> tuple:
 
 
 def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Of a positive definite matrix; infinite where a direction is not determined."""
+    """Return the inverse of a positive definite matrix; infinite where it is close to singular."""
+    # Scale to a unit diagonal first: px, m and rad differ by orders of magnitude.
     lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 0.0))
     unit = 1.0 / jnp.where(lengths > 0.0, lengths, 1.0)
     inverse = cho_solve(cho_factor(matrix * unit[:, None] * unit[None]), jnp.eye(len(matrix)))
-    # The largest eigenvalue of the inverse is its trace, but for a factor of n.
+    # The largest eigenvalue of the inverse lies between trace / n and trace, so the trace bounds
+    # the smallest singular value of the Jacobian without an eigendecomposition.
     seen = jnp.trace(inverse) < NULL**-2
     return jnp.where(seen, inverse * unit[:, None] * unit[None], jnp.inf)

@@ -1,9 +1,9 @@
-"""Is what a fit found possible? Doubts about its answer, in words.
+"""Check whether a joint fit's answer is physically plausible, and state the doubts in words.
 
-A fit that converged with small residuals can still be wrong: residuals say how well a model bends
-to the data, not whether arms, targets and mounts are like that. What a fit found is held against
-what is known of arms, against itself without the smooth error of the robot, and against what a
-hand-eye calibration is for.
+A fit that converged with small residuals can still be wrong: residuals show how well a model can
+follow the data, not whether arms, targets and mounts have such values. The answer is compared with
+typical errors of arms, with the fit without a smooth robot error, and with the accuracy that
+hand-eye calibration needs.
 """
 
 from typing import TYPE_CHECKING
@@ -20,32 +20,32 @@ if TYPE_CHECKING:
     from .fit import JointFit
 
 LARGEST_TRANSLATION, LARGEST_ROTATION = 5e-3, float(np.deg2rad(1.5))
-"""Correction of a reported pose, m and rad, beyond which arms do not err smoothly."""
+"""The largest plausible smooth correction of a reported pose, m and rad."""
 
 UNUSUAL = 3.0
-"""Prior standard deviations beyond which the size of an error is unusual."""
+"""The number of prior standard deviations beyond which the size of an error is unusual."""
 
 COARSE_TRANSLATION, COARSE_ROTATION = 5e-3, float(np.deg2rad(0.5))
-"""Half widths of 95 % intervals of the hand-eye transform, m and rad, too coarse to work with."""
+"""The half width of the hand-eye transform's 95 % intervals that is too coarse, m and rad."""
 
 MOVED = 2.0
-"""Standard deviations by which correcting the robot may move the mount unmentioned."""
+"""The change of the mount by the robot correction that gives a warning, in standard deviations."""
 
 SCATTERED = 5.0
-"""Effective over white sigma of the pixels above which camera or target are not as modelled."""
+"""The ratio of effective to white pixel sigma above which the camera or target model is wrong."""
 
 FAR_OFF_RMS = 20.0
-"""RMS of the chain's residuals, px, that no lens and no arm explains."""
+"""The RMS residual of the chain, px, that no lens and no arm explains."""
 
 POSSIBLE = 0.05
-"""Probability of another size of the target from which it is mentioned."""
+"""The probability of another target size from which a warning mentions it."""
 
 
 def doubts(fit: "JointFit") -> tuple[str, ...]:
-    """Return what speaks against a joint fit's answer, a sentence each; nothing where all is well.
+    """Return the reasons to doubt a joint fit's answer, a sentence each; empty if there are none.
 
     Args:
-        fit: to judge.
+        fit: the fit to judge.
     """
     found = [] if fit.result.converged else [fit.result.message]
     found += _of_residuals(fit)
@@ -62,8 +62,10 @@ def doubts(fit: "JointFit") -> tuple[str, ...]:
 
 
 def _of_residuals(fit: "JointFit") -> list[str]:
+    """Return doubts about the residuals: a chain that does not fit, or views that disagree."""
     seen = np.asarray(fit.inliers)
     squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)
+    # A negated comparison below, so that NaN gives a warning too.
     rms = float(np.sqrt(np.mean(squares[seen]))) if seen.any() else np.nan
     found = []
     if not rms <= FAR_OFF_RMS:
@@ -81,6 +83,7 @@ def _of_residuals(fit: "JointFit") -> list[str]:
 
 
 def _of_target(fit: "JointFit") -> list[str]:
+    """Return doubts about the stated size of the target."""
     scale = None if fit.estimate is None else fit.estimate.scale
     if scale is None or scale.probability < POSSIBLE:
         return []
@@ -92,6 +95,7 @@ def _of_target(fit: "JointFit") -> list[str]:
 
 
 def _of_robot(fit: "JointFit") -> list[str]:
+    """Return doubts about the robot's errors: unusually large components or corrections."""
     if fit.estimate is None or fit.noise is None:
         return []
     noise, prior, field = fit.noise, fit.estimate.prior, fit.calibration.field
@@ -99,6 +103,7 @@ def _of_robot(fit: "JointFit") -> list[str]:
     names = ["translation of reported poses", "rotation of reported poses"]
     names += [] if field is None else [name for name, _ in field.groups]
     medians, spreads = prior.medians(field), prior.spreads(field)
+    # Log-normal prior: unusual is log(size / median) > UNUSUAL spreads.
     beyond = np.log(sizes / medians) > UNUSUAL * spreads
     found = [
         f"errors of the robot are larger than arms have: {names[k]} {sizes[k]:.2g}, "
@@ -109,6 +114,8 @@ def _of_robot(fit: "JointFit") -> list[str]:
     if error is not None:
         twists = np.asarray(_corrections(error, fit.problem.observations))
         seen = np.asarray(fit.inliers).any(axis=1)
+        # The mean correction is removed: it cannot be separated from the mount, and is no error of
+        # the arm.
         off = twists[seen] - twists[seen].mean(axis=0)
         shift, turn = (np.linalg.norm(part, axis=1).max() for part in (off[:, :3], off[:, 3:]))
         if shift > LARGEST_TRANSLATION or turn > LARGEST_ROTATION:
@@ -126,6 +133,7 @@ def _corrections(error: RobotError, seen: Observations) -> Float[Array, "views 6
 
 
 def _of_mount(fit: "JointFit") -> list[str]:
+    """Return doubts about the hand-eye transform: wide intervals, or a large robot correction."""
     mount = fit.calibration.transform_names[0]
     found, vague = [], set()
     for part, limit, unit, times in (
@@ -142,7 +150,8 @@ def _of_mount(fit: "JointFit") -> list[str]:
                 f"{worst} is known to +- {times * coarse[worst]:.3g} {unit} only (95 %): "
                 f"take more views, turned about more axes"
             )
-    # Directions that are weak beside others may be known well enough all the same.
+    # A direction that is weak relative to others may be determined well enough in absolute terms:
+    # report it only where it contains a coarse component.
     found += [
         f"the data hardly tell: {one.words}"
         for one in fit.observability.weak

@@ -1,7 +1,8 @@
-"""Compile the later steps while the first ones run.
+"""Compile the later steps of a calibration while its first steps run.
 
-In a new process compilation takes far longer than the fits. XLA compiles outside Python's lock, so
-a second thread takes the later steps through made-up data of the same shape meanwhile.
+In a new process compilation takes far longer than the fits. XLA compiles without holding Python's
+interpreter lock, so a second thread meanwhile runs the later steps on synthetic data of the same
+shape.
 """
 
 import equinox as eqx
@@ -19,11 +20,12 @@ _rehearsed: set[tuple] = set()
 
 
 def rehearse(data: Dataset, lens: str | AbstractLens, camera: Camera | None, options: dict) -> None:
-    """Run Step 3 and the joint fit once on made-up data, unless this shape has been seen."""
+    """Run Step 3 and the joint fit once on synthetic data, unless this shape was run before."""
     key = (data.pixels.shape, data.mount, str(lens), camera is None, repr(sorted(options.items())))
     if key in _rehearsed:
         return
     _rehearsed.add(key)
+    # Identical poses are enough: compilation depends on shapes, not on values.
     solve_hand_eye(data.base_from_tool, data.base_from_tool)
     width, height = data.image_size
     if camera is None:

@@ -1,9 +1,9 @@
-"""Gross errors, found where the robot has no say: every view with a pose of its own.
+"""Find gross errors before the joint fit, using a free pose for every view instead of the robot's.
 
-There a point that is off stands out by itself, since a view's other points hold its pose, whatever
-the robot reported. The poses are found with a loss that lets go of outliers, and the points beyond
-a chi-square gate about them are left out; then the views whose pose no hand-eye transform explains
-together with the others'. Smaller disagreement only the sizes of all errors can judge
+With a free pose, an outlying point stands out by itself, because the view's other points hold its
+pose, whatever the robot reported. The poses are fitted with a robust loss, and points beyond a
+chi-square gate around them are left out; then views whose pose is inconsistent with one hand-eye
+transform for all. Smaller disagreement can only be judged with the variance components
 (`influence.py`).
 """
 
@@ -37,27 +37,33 @@ from ..staged import agreeing_views, locate_views, median_deviation
 from ..variance import FINEST
 
 GROSS = 144.0
-"""Squared whitened deviation from a view's own best pose beyond which a point is left out.
+"""The squared whitened residual from a view's own best pose beyond which a point is left out.
 
-Far above the gate of the fit itself: there one corner in sixty of a good real data set would go,
-and at half of this the corners of a picture whose lens is a little more than its model can say.
+It is far above the gate of the fit itself. With that gate one corner in sixty of a good real data
+set would be rejected; with half of this value, corners of an image whose lens is slightly more
+complex than its model.
 """
 
 ROUNDS = 8
-"""Of fitting with the deviation of a pixel that the fit before left, at most."""
+"""The largest number of fits, each with the pixel sigma estimated from the one before."""
 
 SETTLED = 0.9
-"""Share of itself that this deviation falls to at least while rounds are worth while."""
+"""The ratio of successive pixel sigmas above which further fits are not worth while."""
 
 ASTRAY, PIXELS_ASTRAY = 10.0, 20.0
-"""A view's median deviation from the start's chain, times the median view's and in px, above which
-its pose is looked for from nothing."""
+"""The median residual of a view under the start's chain above which its pose is located anew.
+
+The first is in units of the median view's, the second in px; both must be exceeded.
+"""
 
 MOST = 0.5
-"""Share of a view's points outside the gate above which the whole view is left out."""
+"""The fraction of a view's points outside the gate above which the whole view is left out."""
 
 ROUGHLY = StructuredLM(rtol=1e-3)
-"""Poses that a thousandth of the cost would move say as well which points lie far off."""
+"""The solver of the screening fits, with a loose tolerance.
+
+Poses at which the cost changes by a thousandth identify distant points just as well.
+"""
 
 
 def screened(
@@ -67,14 +73,15 @@ def screened(
     priors: Mapping[str, Prior] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Dataset, tuple[Rejection, ...]]:
-    """The data without gross outliers and without views that contradict the others.
+    """Return the data without gross outliers and without views that contradict the others.
 
     Args:
-        data: what is left out is hidden, not cut out; a whole view's reason is in `masked_views`.
-        start: as for `fit_joint`; views that its chain cannot place are located anew.
-        fixed: as for `fit_joint`; what does not concern the camera is of no consequence here.
-        priors: likewise.
-        progress: told what is left out.
+        data: the data; what is left out is hidden, not deleted, and a whole view's reason is in
+            `masked_views`.
+        start: as for `fit_joint`; views whose chain is far off are located anew.
+        fixed: as for `fit_joint`; paths outside the camera are ignored here.
+        priors: as for `fit_joint`; paths outside the camera are ignored here.
+        progress: called with a line of text on what is left out.
 
     Returns:
         The data, and view id, point and reason of the points left out one by one.
@@ -86,6 +93,7 @@ def screened(
     used = without_views(data, lost)
     sigma, deviations, poses = _robust_poses(used, start, poses, fixed, priors)
     visible = np.asarray(used.visible)
+    # Gate on squared whitened residuals: |r|^2 > GROSS sigma^2.
     outside = visible & (deviations > np.sqrt(GROSS) * sigma)
     count, out = visible.sum(axis=1), outside.sum(axis=1)
     wrong = {
@@ -106,6 +114,7 @@ def screened(
         data.view_ids,
     ).words
 
+    # Points of a rejected view are reported with the view, not one by one.
     outside[list(wrong)] = False
     points = tuple(
         Rejection(data.view_ids[view], int(point), _far(float(deviations[view, point]), sigma))
@@ -118,7 +127,7 @@ def screened(
 
 
 def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
-    """The data with these views hidden, by index, and why."""
+    """Return the data with these views hidden, by index, with the reason for each."""
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
     return dataclasses.replace(
         data.without(list(reasons)), masked_views=(*data.masked_views, *masked)
@@ -126,6 +135,7 @@ def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
 
 
 def _far(deviation: float, sigma: float) -> str:
+    """Return the reason for rejecting a point, with its residual."""
     return (
         f"{deviation:.1f} px from where its view's own best pose puts it, "
         f"{deviation / sigma:.0f} standard deviations"
@@ -135,7 +145,10 @@ def _far(deviation: float, sigma: float) -> str:
 def _start_poses(
     data: Dataset, start: Calibration, placed: Bool[np.ndarray, "views"]
 ) -> tuple[SE3, dict[int, str]]:
-    """`camera_from_world` of every view, by the chain where it will do; and where there is none."""
+    """Return `camera_from_world` of every view, and reasons for views of which no pose was found.
+
+    The pose comes from the chain where that is close; views far off are located from their points.
+    """
     chain = start.camera_from_world(data.command)
     deviations = np.asarray(_from_chain(start, data.observations))
     visible = np.asarray(data.visible)
@@ -163,7 +176,11 @@ def _robust_poses(
     fixed: Sequence[str],
     priors: Mapping[str, Prior] | None,
 ) -> tuple[float, Float[np.ndarray, "views points"], SE3]:
-    """Deviation of a pixel, every point's deviation, px, and every view's own best pose."""
+    """Fit a free pose to every view with a robust loss.
+
+    Returns:
+        The pixel sigma, px; every point's residual, px; every view's best pose.
+    """
     placed, still = without_robot(data, start.camera, poses)
     of_camera = {path: prior for path, prior in (priors or {}).items() if _concerns_camera(path)}
     problem = build_problem(
@@ -179,6 +196,8 @@ def _robust_poses(
     for _ in range(ROUNDS):
         sigma = max(float(np.sqrt(variance)), FINEST)
         weighed = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
+        # Cauchy's loss has the scale sigma, and sigma is estimated from the residuals under it:
+        # alternate until sigma falls by less than a tenth.
         z = solve(weighed, ROUGHLY, start=z)[0].z
         squares, variance = _measured(problem, z)
         if variance > (SETTLED * sigma) ** 2:
@@ -188,6 +207,7 @@ def _robust_poses(
 
 
 def _concerns_camera(path: str) -> bool:
+    """Return whether a path is one of the camera's."""
     return path.split(".")[0] == "camera"
 
 
@@ -195,18 +215,19 @@ def _concerns_camera(path: str) -> bool:
 def _measured(
     problem: JointProblem, z: Step
 ) -> tuple[Float[Array, "views points"], Float[Array, ""]]:
-    """Every point's whitened square, and their variance."""
+    """Return every point's squared whitened residual, and their robust variance."""
     squares = problem.squares(z)
     return squares, robust_variance(squares, problem.observations.visible)
 
 
 @compiled
 def _from_chain(start: Calibration, observations: Observations) -> Float[Array, "views points"]:
-    """How far every point lies from where the chain puts it, px; infinite where nowhere."""
+    """Return every point's residual under the chain, px; infinite where it cannot be projected."""
 
     def view(seen: Observations) -> Float[Array, "points"]:
         predicted, valid = start.project(seen.command, seen.points)
         distance = jnp.linalg.norm(seen.residuals(predicted, valid), axis=-1)
         return jnp.where(valid, distance, jnp.inf)
 
+    # View by view: a projection of all observations at once takes several times the data's memory.
     return jax.lax.map(view, observations)
