@@ -26,15 +26,16 @@ _R = TypeVar("_R")
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit`, optimised only if its arguments are large.
 
-    Two programs are prepared. A call with fewer than `MUCH` array elements on a CPU runs the one that
-    compiles quickly; every other call runs the optimised one.
+    Two programs are prepared. A call with fewer than `MUCH` array elements on a CPU runs the one
+    that compiles quickly; every other call runs the optimised one.
     """
     quickly, well = _compiled(function, 0), _compiled(function, 2)
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         given = sum(x.size for x in jax.tree.leaves((args, kwargs)) if hasattr(x, "size"))
-        # The cost and gain of optimisation were measured on CPUs only, so other backends always get it.
+        # The cost and gain of optimisation were measured on CPUs only, so other backends always get
+        # it.
         little = given < MUCH and jax.default_backend() == "cpu"
         return (quickly if little else well)(*args, **kwargs)
 
@@ -52,7 +53,7 @@ def optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def _compiled(function: Callable[_P, _R], level: int) -> Callable[_P, _R]:
-    """Compile a function with `eqx.filter_jit` at an LLVM optimisation level, without fusion emitters."""
+    """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters."""
     options = {"xla_backend_optimization_level": level, "xla_cpu_use_fusion_emitters": False}
     alone = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.

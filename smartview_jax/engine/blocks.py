@@ -1,12 +1,13 @@
-"""From points to views: one linearisation of all observations, a small matrix a view.
+"""Linearise all observations into one small matrix of normal equations per view.
 
-An observation depends on everything but the camera through the pose of its view alone, and each
-pose parameter moves that pose by a twist. So whatever is being fitted, a point has Jacobian columns
-for the camera's numbers and for the six of a twist in the camera frame, and nothing here knows of
-robots. A view's columns are multiplied out at once, chunk by chunk: memory does not grow with the
-number of points. `chain.py` goes on from there.
+Every parameter except the camera's acts on the pixels of a view only through the pose of that view,
+and a change of a pose is a twist. Whatever is being fitted, the Jacobian of a point therefore has
+columns for the camera's parameters and six columns for a twist in the camera frame; this file does
+not depend on the robot. The products of these columns are formed at once, chunk by chunk, so that
+memory does not grow with the number of points. `chain.py` continues from twists to parameters.
 
-The columns of u and of v are kept apart, since alpha_u and u0 do not move v, nor alpha_v and v0 u.
+The columns of u and of v are kept apart, because v does not depend on alpha_u and u0, nor u on
+alpha_v and v0.
 """
 
 from collections.abc import Callable
@@ -23,24 +24,30 @@ from ..dataset import Observations
 from .losses import AbstractLoss
 
 FAR_OFF = 1e3
-"""Whitened residual of a point that cannot be projected: never cheaper than one that can."""
+"""Whitened residual, in pixel sigmas, of u and of v of a visible point that cannot be projected.
+
+It is so large that a step never gains by moving points out of the lens's domain.
+"""
 
 CHUNK = 4096
-"""Points of a view taken at once; their columns then stay in the processor's cache."""
+"""Largest number of points of a view linearised at once; their columns fit the CPU's cache."""
 
 TOGETHER, MOST_TOGETHER = 1024, 8
-"""Points, and views, taken at once where views show few: every turn of a loop costs some 10 us."""
+"""Largest number of points (TOGETHER) and of chunks (MOST_TOGETHER) linearised in one iteration.
+
+Views with few points are grouped, because every iteration of a compiled loop costs some 10 us.
+"""
 
 
 class ViewBlocks(eqx.Module):
-    """Normal equations of every view in the camera's numbers and a twist of its pose.
+    """The normal equations of every view in the camera's parameters and a twist of its pose.
 
-    The columns are the camera's numbers in the order of its leaves, then `(v, w)` of
+    The columns are the camera's parameters in the order of its leaves, then the twist `(v, w)` of
     `camera_from_world -> exp((v, w)) @ camera_from_world`.
 
     Attributes:
-        gram: sum of `J^T J` over the view's points, whitened.
-        gradient: of the cost.
+        gram: sum of `J^T J` over the points of a view, whitened.
+        gradient: gradient of the cost.
         cost: half the sum of squared whitened residuals, or of the loss.
     """
 
@@ -57,15 +64,17 @@ def linearise_views(
     pixel_sigma: Float[Array, ""],
     loss: AbstractLoss | None,
 ) -> ViewBlocks:
-    """Linearise every observation; see `ViewBlocks`.
+    """Compute the normal equations of every view from all its observations; see `ViewBlocks`.
 
     Args:
-        camera: with any central lens: one whose pixels depend on a point's direction alone.
-        camera_from_world: `(views)`.
-        observations: `(views, points)`; what is not visible does not count.
-        target_scale: by which the points are multiplied.
-        pixel_sigma: of u and of v, px.
-        loss: its weights make the normal equations those of iteratively reweighted least squares.
+        camera: camera with any central lens, one whose pixels depend only on a point's direction.
+        camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
+        observations: observations of shape `(views, points)`; points that are not visible do not
+            count.
+        target_scale: factor by which the points are multiplied.
+        pixel_sigma: standard deviation of u and of v, px.
+        loss: robust loss, whose weights give the normal equations of iteratively reweighted least
+            squares; None is least squares.
     """
     views = len(observations.visible)
     points, pixels, visible = _chunked(observations)
@@ -74,7 +83,9 @@ def linearise_views(
     group = min(pieces, MOST_TOGETHER, max(1, TOGETHER // count))
 
     def together(part: tuple) -> tuple[Array, Array, Array]:
+        """Linearise one group of chunks."""
         rotation, translation, points, pixels, visible = part
+        # p = scale R X + t, with X the point on the target and p the point in the camera frame.
         # A product a piece: batched products of small matrices are several times slower.
         in_camera = jnp.concatenate(
             [
@@ -89,6 +100,7 @@ def linearise_views(
         return _grams(along_u, group), _grams(along_v, group), cost.reshape(group, -1).sum(axis=1)
 
     def grouped(x: Array) -> Array:
+        """Arrange an array of chunks in groups, padded with zeros (unseen points) at the end."""
         wide = jnp.pad(x, ((0, -pieces % group), *((0, 0),) * (x.ndim - 1)))
         return wide.reshape(-1, group, *x.shape[1:])
 
@@ -103,16 +115,20 @@ def linearise_views(
 
 
 def _grams(columns: Float[Array, "rows points"], group: int) -> Float[Array, "group rows rows"]:
-    """`columns @ columns.T` of each piece's points alone."""
+    """Compute `columns @ columns.T` separately for each chunk of points."""
     parts = jnp.split(columns, group, axis=1)
     return jnp.stack([part @ part.T for part in parts])
 
 
 def _chunked(observations: Observations) -> tuple[Array, Array, Array]:
-    """Points, pixels, visibility as `(views * chunks, points, ...)`, padded with unseen points."""
+    """Split points, pixels and visibility into chunks, `(views * chunks, points, ...)`.
+
+    The last chunk of a view is padded with unseen points where the chunks do not come out even.
+    """
     views, count = observations.visible.shape
     least = max(1, -(-count // CHUNK))
-    # Even parts where there are any: padding copies all observations.
+    # A number of chunks that divides the points evenly is preferred: padding copies all
+    # observations.
     chunks = next((k for k in range(least, 2 * least) if count % k == 0), least)
     padding = chunks * -(-count // chunks) - count
 
@@ -131,7 +147,14 @@ def _columns(
     pixel_sigma: Float[Array, ""],
     loss: AbstractLoss | None,
 ) -> tuple[Float[Array, "rows points"], Float[Array, "rows points"], Float[Array, "points"]]:
-    """Columns of u and of v: alpha, centre, lens, twist, the residual; and each point's cost."""
+    """Compute the Jacobian columns of u and of v, and the cost of each point.
+
+    The rows of both results are: alpha, centre, lens parameters, twist, residual.
+
+    A visible point that cannot be projected has zero columns and the cost of `FAR_OFF`.
+    """
+    # u = alpha_u x + u0 and v = alpha_v y + v0, with (x, y) the distorted point on the unit plane;
+    # r = (measured - predicted) / sigma.
     (x, y), valid, by_lens, by_point = _through_lens(camera.lens, in_camera, visible)
     predicted = (camera.alpha_u * x + camera.u0, camera.alpha_v * y + camera.v0)
     residual = [jnp.where(valid, (pixels[k] - predicted[k]) / pixel_sigma, 0.0) for k in range(2)]
@@ -141,14 +164,19 @@ def _columns(
         weight = jnp.ones_like(square)
         cost = 0.5 * square + jnp.where(lost, FAR_OFF**2, 0.0)
     else:
+        # cost = rho(s) / 2 with s = |r|^2; its gradient is rho'(s) J^T r, hence the weight rho'(s).
         rho, weight = jax.jvp(loss.rho, (square,), (jnp.ones_like(square),))
         far_off = loss.rho(jnp.asarray(2.0 * FAR_OFF**2))
         cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(lost, far_off, 0.0))
-    # The root is not for the derivatives alone: XLA computes what is dear once, not per column.
+    # Columns and residual are multiplied by sqrt(weight), so that their products are weighted once.
+    # With the square root XLA evaluates the expensive expression once, not again for every column.
     root = jnp.sqrt(jnp.where(valid, weight, 0.0)) / pixel_sigma
     px, py, pz = in_camera
     found = []
     for k, (plane, alpha) in enumerate(((x, camera.alpha_u), (y, camera.alpha_v))):
+        # Pose Jacobian: the twist (v, w) moves a point by dp = v + w x p. With g = du/dp the chain
+        # rule gives du = g . v + g . (w x p) = g . v + (p x g) . w, so the six columns are (g, p x
+        # g).
         gx, gy, gz = (alpha * root * g[k] for g in by_point)
         found.append(
             jnp.stack(
@@ -172,15 +200,20 @@ def _columns(
 def _through_lens(
     lens: AbstractLens, in_camera: Float[Array, "3 points"], visible: Bool[Array, "points"]
 ) -> tuple[tuple[Array, Array], Bool[Array, "points"], list, list]:
-    """Place on the unit plane, where that is valid, and its derivatives.
+    """Project points onto the unit plane, with derivatives by the lens and by the point.
 
-    The derivatives are by each number of the lens and by x, y, z of the point, all as pairs of
-    components. Points that do not count are moved to the axis, where every lens is smooth.
+    Points that do not count are replaced by a point on the optical axis, where every lens is
+    smooth.
+
+    Returns:
+        The distorted point (x, y), where it is valid, its derivatives by each lens parameter, and
+        its derivatives by the three coordinates of the point; derivatives are pairs of components.
     """
     numbers, tree = jax.tree.flatten(lens)
     px, py, pz = in_camera
 
     def rebuilt(numbers: list) -> AbstractLens:
+        """Return the lens with other parameter values."""
         return jax.tree.unflatten(tree, numbers)
 
     if isinstance(lens, AbstractPerspectiveLens):
@@ -191,11 +224,14 @@ def _through_lens(
         place = tuple(jnp.where(valid, p, 0.0) for p in place)
 
         def plane(numbers: list, x: Array, y: Array) -> tuple[Array, Array]:
+            """Distort points on the unit plane."""
             lens = rebuilt(numbers)
             assert isinstance(lens, AbstractPerspectiveLens)
             distorted = lens.distort_normalised(jnp.stack([x, y], axis=-1))[0]
             return distorted[..., 0], distorted[..., 1]
 
+        # a = px / pz, b = py / pz; by the chain rule d/dpx = (d/da) / pz, d/dpy = (d/db) / pz and
+        # d/dpz = -(a d/da + b d/db) / pz: two derivatives of the lens instead of three.
         value, by_lens, (by_x, by_y) = _derivatives(plane, numbers, place)
         by_point = [
             tuple(inverse_depth * d for d in by_x),
@@ -213,6 +249,7 @@ def _through_lens(
     )
 
     def plane_of_point(numbers: list, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+        """Project points in the camera frame onto the distorted unit plane."""
         distorted = rebuilt(numbers).distort(jnp.stack([x, y, z], axis=-1))[0]
         return distorted[..., 0], distorted[..., 1]
 
@@ -223,15 +260,17 @@ def _through_lens(
 def _derivatives(
     function: Callable, numbers: list, place: tuple[Array, ...]
 ) -> tuple[tuple[Array, Array], list, list]:
-    """Value, and derivatives by every number and every coordinate; the value is computed once.
+    """Compute the value, and the derivatives by every lens parameter and by every coordinate.
 
-    Linearised once, since a lens that solves an equation should solve it once.
+    The function is linearised once: a lens that solves an equation iteratively solves it once.
     """
     value, linear = jax.linearize(function, numbers, *place)
     zeros = ([jnp.zeros_like(n) for n in numbers], *(jnp.zeros_like(p) for p in place))
     flat, tree = jax.tree.flatten(zeros)
 
     def along(k: int) -> tuple[Array, Array]:
+        """Return the derivative along the k-th input, for all points at once."""
+        # Points are independent, so that one tangent of ones gives the derivative of every point.
         tangent = [jnp.ones_like(t) if i == k else t for i, t in enumerate(flat)]
         return linear(*jax.tree.unflatten(tree, tangent))
 
@@ -244,17 +283,23 @@ def _assembled(
     gram_v: Float[Array, "views rows rows"],
     cost: Float[Array, "views"],
 ) -> ViewBlocks:
-    """Both directions' products in one order of columns: alpha_u, alpha_v, u0, v0, lens, twist."""
+    """Add the products of u and of v in one order of columns.
+
+    The order is alpha_u, alpha_v, u0, v0, lens, twist. The last row and column of each product
+    belong to the residual: `J^T r` and `r^T r`.
+    """
     views, rows = gram_u.shape[:2]
     size = rows + 2
     shared = range(4, size)
     whole = jnp.zeros((views, size * size))
     for gram, own in ((gram_u, (0, 2)), (gram_v, (1, 3))):
         where = np.array([*own, *shared])
-        # Where every entry comes from; those that this direction lacks find the zero at the end.
+        # Index of the source of every entry; entries that this direction lacks read the zero
+        # appended at the end.
         source = np.full((size, size), rows * rows)
         source[np.ix_(where, where)] = np.arange(rows * rows).reshape(rows, rows)
         padded = jnp.pad(gram.reshape(views, -1), ((0, 0), (0, 1)))
         whole = whole + padded[:, source.ravel()]
     whole = whole.reshape(views, size, size)
+    # r = measured - predicted and J is the Jacobian of the prediction: the gradient is -J^T r.
     return ViewBlocks(whole[:, :-1, :-1], -whole[:, :-1, -1], cost)

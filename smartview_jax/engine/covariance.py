@@ -30,8 +30,8 @@ class UnitColumns:
             lengths: lengths of the Jacobian's columns before that elimination.
         """
         self.lengths = np.where(lengths > 0.0, lengths, 1.0)
-        # D^-1 (J^T J) D^-1 = V diag(s^2) V^T, with D the lengths: s and V are the singular values and the
-        # right singular vectors of J D^-1.
+        # D^-1 (J^T J) D^-1 = V diag(s^2) V^T, with D the lengths: s and V are the singular values
+        # and the right singular vectors of J D^-1.
         values, vectors = np.linalg.eigh(reduced / np.outer(self.lengths, self.lengths))
         self.singular = np.sqrt(np.maximum(values, 0.0))[::-1]
         self.directions = vectors.T[::-1]
@@ -42,8 +42,8 @@ def variance_factor(
 ) -> Float[Array, ""]:
     """Estimate the factor by which the assumed pixel variance is wrong, from all residuals.
 
-    It is the sum of squared whitened residuals over the degrees of freedom. With a robust loss it is
-    estimated from the median, since outliers must not inflate it.
+    It is the sum of squared whitened residuals over the degrees of freedom. With a robust loss it
+    is estimated from the median, since outliers must not inflate it.
 
     Args:
         problem: the problem; a free parameter with a prior takes no degree of freedom from the
@@ -78,9 +78,9 @@ def covariance(
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
     """Compute the covariance of the free shared parameters, and their standard deviations.
 
-    The covariance is `variance_factor (J^T J)^-1`. A parameter with a component along an unobservable
-    direction has an infinite standard deviation; the covariance of the others is computed from the
-    observable directions.
+    The covariance is `variance_factor (J^T J)^-1`. A parameter with a component along an
+    unobservable direction has an infinite standard deviation; the covariance of the others is
+    computed from the observable directions.
 
     Args:
         columns: decomposition of the Jacobian at the optimum.
@@ -110,8 +110,8 @@ def own_std(
         shared_covariance: covariance of the shared parameters, as `covariance` returns it.
         variance_factor: as in `covariance`.
     """
-    # Cov(own) = f D^-1 + K C K^T, with D the view's own block, K = D^-1 B its gain, C the covariance
-    # of the shared parameters and f the variance factor.
+    # Cov(own) = f D^-1 + K C K^T, with D the view's own block, K = D^-1 B its gain, C the
+    # covariance of the shared parameters and f the variance factor.
     alone = variance_factor * np.diagonal(own_inverse, axis1=1, axis2=2)
     through_shared = np.einsum("vki,ij,vkj->vk", gain, shared_covariance, gain)
     return np.sqrt(alone + through_shared)

@@ -20,7 +20,7 @@ class AbstractLoss(eqx.Module):
 
     @abc.abstractmethod
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
-        """Return the loss of a squared whitened residual: `s` near zero, growing more slowly far out."""
+        """Return the loss of a squared whitened residual: `s` near zero, less far out."""
 
     def whiten(self, residual: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
         """Scale a whitened residual so that its square is the loss."""

@@ -16,14 +16,15 @@ class Noise:
         pixel: effective standard deviation of u and of v, px.
         translation: standard deviation of the reported position, per axis at the tool, m; infinite
             if unknown.
-        rotation: standard deviation of the reported orientation, per axis at the tool, rad; infinite
-            if unknown.
+        rotation: standard deviation of the reported orientation, per axis at the tool, rad;
+            infinite if unknown.
         field: standard deviation of the coefficients of the robot error field, one for each of the
             field's groups.
-        white_pixel: standard deviation of u and of v about a view's own best pose, px; None where it
-            equals `pixel`. Errors of real pixels are correlated within a view, so that a view gives
-            less information on the camera and on its pose than its many points suggest: `pixel`
-            weights them in the fit, and `white_pixel` predicts the scatter of single points.
+        white_pixel: standard deviation of u and of v about a view's own best pose, px; None where
+            it equals `pixel`. Errors of real pixels are correlated within a view, so that a view
+            gives less information on the camera and on its pose than its many points suggest:
+            `pixel` weights them in the fit, and `white_pixel` predicts the scatter of single
+            points.
     """
 
     pixel: float
@@ -42,7 +43,7 @@ class Noise:
 
     @property
     def bounds_poses(self) -> bool:
-        """Whether the reported poses have a finite standard deviation, of translation or of rotation.
+        """Whether reported poses have a finite standard deviation, of translation or rotation.
 
         If not, only the residuals determine the pixel sigma.
         """

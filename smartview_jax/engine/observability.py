@@ -1,4 +1,4 @@
-"""Observability of the parameters: rank and null directions of the scaled Jacobian, as sentences."""
+"""Observability of the parameters: rank and null directions of the scaled Jacobian."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from ..calibration import Calibration
 from .covariance import NULL, UnitColumns
 
 WEAK = 1e-3
-"""Singular value, of the Jacobian with unit columns, below which a direction is reported as weak."""
+"""Singular value, of the Jacobian with unit columns, below which a direction is called weak."""
 
 
 class Direction(NamedTuple):
@@ -16,8 +16,8 @@ class Direction(NamedTuple):
 
     Attributes:
         singular_value: singular value of the Jacobian with unit columns; 1 is the best possible.
-        components: change of each parameter along the direction, in the parameter's own unit, largest
-            effect first.
+        components: change of each parameter along the direction, in the parameter's own unit,
+            largest effect first.
         words: the same as a sentence.
     """
 
@@ -79,8 +79,8 @@ def observability(
 def _words(parts: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
     """Describe a direction as a sentence.
 
-    A shift of the camera on its mount, alone or together with a shift of the target, is described in
-    the frame of the mount; every other direction as a list of parameters.
+    A shift of the camera on its mount, alone or together with a shift of the target, is described
+    in the frame of the mount; every other direction as a list of parameters.
     """
     camera_transform, world_transform = calibration.transform_names
     blocks = {".".join(name.split(".")[:2]) for name, _ in parts}
@@ -100,7 +100,7 @@ def _words(parts: tuple[tuple[str, float], ...], calibration: Calibration) -> st
 
 
 def _axis(vector: np.ndarray) -> str:
-    """Return an axis as its letter if the vector is within ten degrees of it, otherwise as numbers."""
+    """Return a vector's axis as a letter if within ten degrees of it, otherwise as numbers."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
     k = int(np.argmax(np.abs(unit)))
     if abs(unit[k]) > np.cos(np.deg2rad(10.0)):

@@ -1,10 +1,21 @@
-"""The normal equations of the joint fit as a matrix with an arrow's shape, and their solution.
+"""The normal equations of the joint fit as a block arrow matrix, and their solution.
 
     [ shared   border^T ]
     [ border   own      ]
 
-Every view's own numbers meet those that all views share and no other view's, so they are eliminated
-view by view (Schur complement) and one small system is left.
+The parameters of one view are coupled to those that all views share, but not to those of another
+view. They are therefore eliminated view by view (Schur complement), which leaves one small system
+in the shared parameters. With A, B and D the blocks above and the right-hand side (a, b), the
+reduced system is
+
+    (A - sum_v B_v^T D_v^-1 B_v) x = a - sum_v B_v^T D_v^-1 b_v,    y_v = D_v^-1 b_v - D_v^-1 B_v x
+
+The work is divided as follows.
+
+- For every step that is tried: one linearisation of all observations (`problem.py`).
+- For every value of the damping: a Cholesky factorisation of each 6 x 6 block D_v, the gains
+  D_v^-1 B_v, the Schur complement and its Cholesky factorisation (`SchurCholesky.init`).
+- For every right-hand side: triangular solves with these factors (`SchurCholesky.compute`).
 
 Reference: Triggs et al., Bundle adjustment: a modern synthesis, 1999, section 6.
 """
@@ -22,12 +33,12 @@ from .parameters import Step
 
 
 class BlockArrow(lx.AbstractLinearOperator):
-    """A symmetric positive semidefinite operator on `Step`s.
+    """A symmetric positive semidefinite linear operator on `Step`s, with the shape of an arrow.
 
     Attributes:
-        shared: of the numbers that all views share.
-        border: each view's own by the shared.
-        own: each view's own; no views where there are none.
+        shared: block of the parameters that all views share.
+        border: blocks of each view's own parameters (rows) by the shared ones (columns).
+        own: diagonal block of each view's own parameters; no views where there are none.
     """
 
     shared: Float[Array, "shared shared"]
@@ -35,6 +46,7 @@ class BlockArrow(lx.AbstractLinearOperator):
     own: Float[Array, "views 6 6"]
 
     def mv(self, vector: Step) -> Step:
+        """Multiply the matrix by a vector."""
         shared, own = vector.shared, vector.corrections
         return Step(
             self.shared @ shared + jnp.einsum("vki,vk->i", self.border, own),
@@ -42,6 +54,7 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
     def as_matrix(self) -> Float[Array, "all all"]:
+        """Return the dense matrix, the shared parameters first."""
         n, views = len(self.shared), len(self.own)
         dense = jnp.zeros((n + 6 * views, n + 6 * views)).at[:n, :n].set(self.shared)
         border = self.border.reshape(6 * views, n)
@@ -61,11 +74,11 @@ class BlockArrow(lx.AbstractLinearOperator):
         return self.in_structure()
 
     def diagonal(self) -> Step:
-        """The diagonal, as a `Step`."""
+        """Return the diagonal as a `Step`."""
         return Step(jnp.diagonal(self.shared), jnp.diagonal(self.own, axis1=1, axis2=2))
 
     def scaled(self, scale: Step) -> "BlockArrow":
-        """In other units: `diag(scale) @ self @ diag(scale)`."""
+        """Return the matrix in other units, `diag(scale) @ self @ diag(scale)`."""
         shared, own = scale.shared, scale.corrections
         return BlockArrow(
             self.shared * shared[:, None] * shared[None],
@@ -74,7 +87,7 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
     def damped(self, damping: Float[Array, ""]) -> "BlockArrow":
-        """With a number added to the diagonal."""
+        """Return the matrix with a damping added to its diagonal."""
         return BlockArrow(
             self.shared + damping * jnp.eye(len(self.shared)),
             self.border,
@@ -82,6 +95,8 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
 
+# Lineax asks for the properties of an operator by single dispatch; an operator of one's own has to
+# answer each question.
 for _asked, _answer in (
     (lx.is_symmetric, True),
     (lx.is_positive_semidefinite, True),
@@ -98,12 +113,12 @@ for _same in (lx.linearise, lx.materialise, lx.conj):
 
 
 class Elimination(eqx.Module):
-    """A `BlockArrow` with every view's own numbers eliminated.
+    """A `BlockArrow` from which every view's own parameters are eliminated.
 
     Attributes:
-        reduced: Schur complement of the views' own blocks.
+        reduced: Schur complement, the normal equations of the shared parameters alone.
         own_factor: Cholesky factor of each view's own block.
-        gain: each view's own block inverse times its border.
+        gain: inverse of each view's own block times its border block.
     """
 
     reduced: Float[Array, "shared shared"]
@@ -112,20 +127,29 @@ class Elimination(eqx.Module):
 
     @property
     def own_inverse(self) -> Float[Array, "views 6 6"]:
-        """Inverse of each view's own block."""
+        """The inverse of each view's own block."""
         each = jnp.broadcast_to(jnp.eye(6)[None], self.own_factor.shape)
         return cho_solve((self.own_factor, False), each)
 
     def own_covariance(
         self, shared_covariance: Float[Array, "shared shared"]
     ) -> Float[Array, "views 6 6"]:
-        """Of each view's own numbers: by themselves, and through the shared parameters."""
+        """Compute the covariance of each view's own parameters.
+
+        It is the covariance for known shared parameters, plus the contribution of their
+        uncertainty.
+        """
+        # Cov(y_v) = D_v^-1 + K_v C K_v^T with the gain K_v = D_v^-1 B_v and C = Cov(x).
         carried = self.gain @ shared_covariance
         return self.own_inverse + jnp.einsum("vki,vli->vkl", carried, self.gain)
 
 
 def eliminate(operator: BlockArrow) -> Elimination:
-    """Eliminate every view's own numbers; a block that is not positive definite gives NaN."""
+    """Eliminate every view's own parameters from the normal equations.
+
+    A block that is not positive definite gives NaN, not an error.
+    """
+    # K_v = D_v^-1 B_v,  S = A - sum_v B_v^T K_v
     factor, _ = cho_factor(operator.own)
     gain = cho_solve((factor, False), operator.border)
     reduced = operator.shared - jnp.einsum("vki,vkj->ij", operator.border, gain)
@@ -133,14 +157,17 @@ def eliminate(operator: BlockArrow) -> Elimination:
 
 
 class _State(eqx.Module):
+    """The factors of one matrix, for any number of right-hand sides."""
+
     elimination: Elimination
     factor: Float[Array, "shared shared"]
 
 
 class SchurCholesky(lx.AbstractLinearSolver):
-    """Solve a `BlockArrow`, also one with a multiple of the identity added, by Cholesky."""
+    """A linear solver for a `BlockArrow`, damped or not: Schur complement and Cholesky."""
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> _State:
+        """Factorise the matrix; runs once per value of the damping."""
         del options
         elimination = eliminate(_as_block_arrow(operator))
         return _State(elimination, cho_factor(elimination.reduced)[0])
@@ -148,8 +175,10 @@ class SchurCholesky(lx.AbstractLinearSolver):
     def compute(
         self, state: _State, vector: Step, options: dict[str, Any]
     ) -> tuple[Step, lx.RESULTS, dict[str, Any]]:
+        """Solve for one right-hand side with the factors of `init`."""
         del options
         parts = state.elimination
+        # S x = a - sum_v K_v^T b_v, then y_v = D_v^-1 b_v - K_v x
         left = vector.shared - jnp.einsum("vki,vk->i", parts.gain, vector.corrections)
         shared = cho_solve((state.factor, False), left)
         own = cho_solve((parts.own_factor, False), vector.corrections[..., None])[..., 0]
@@ -167,9 +196,14 @@ class SchurCholesky(lx.AbstractLinearSolver):
 
 
 def _as_block_arrow(operator: lx.AbstractLinearOperator) -> BlockArrow:
-    """What optimistix's damped descents make of a `BlockArrow`, as one again."""
+    """Return the operator that optimistix makes of a damped `BlockArrow` as a `BlockArrow` again.
+
+    Raises:
+        ValueError: the operator is neither a `BlockArrow` nor one plus a multiple of the identity.
+    """
     if isinstance(operator, BlockArrow):
         return operator
+    # Optimistix builds H + lambda I as tagged(H + lambda * identity): take these layers off again.
     if isinstance(operator, lx.TaggedLinearOperator):
         return _as_block_arrow(operator.operator)
     if isinstance(operator, lx.AddLinearOperator):
