@@ -1,4 +1,4 @@
-"""How what a robot reports differs from where its tool is: error fields and their usual sizes."""
+"""Model the difference between reported and true robot poses: robot error fields and priors."""
 
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets

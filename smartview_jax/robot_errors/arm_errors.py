@@ -1,10 +1,10 @@
-"""What is wrong with an arm itself: zeros and gears of its joints, its Denavit-Hartenberg numbers.
+"""Define robot error fields of the arm itself: joint zeros, gear ratios, Denavit-Hartenberg errors.
 
-Unlike the linear fields these are exact: the tool is where forward kinematics with the corrected
-numbers puts it. An error at either end of the chain that is the same in all views is also a
-displacement of the base or of the tool: the zero of the last joint cannot be told from the
-hand-eye transform, nor that of the first from where the target stands. Their prior keeps them at
-nothing.
+Unlike the linear fields these are exact: the true pose is the forward kinematics of the corrected
+parameters. An error at either end of the chain that is the same in all views is equivalent to a
+displacement of the base or of the tool: the zero of the last joint is not observable separately
+from the hand-eye transform, nor that of the first joint separately from the pose of the target.
+Their priors keep such coefficients at zero.
 """
 
 import abc
@@ -20,42 +20,48 @@ from .field import AbstractField
 
 
 class AbstractArmErrors(AbstractField):
-    """Errors of the numbers that forward kinematics goes by.
+    """A robot error field whose coefficients are errors of the parameters of forward kinematics.
 
     Attributes:
-        arm: as its controller believes it to be.
+        arm: the nominal arm, as the controller assumes it.
     """
 
     arm: SerialArm
 
     @abc.abstractmethod
     def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
-        """The arm as it is."""
+        """Return the true arm for given coefficients."""
 
     def ratios(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "joints"]:
-        """How far each joint of the corrected arm goes per unit of its reading."""
+        """Return the true motion of each joint per unit of its reading."""
         del coefficients
         return jnp.ones(self.arm.size)
 
     def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """`base_from_tool` as it is.
+        """Return the true `base_from_tool`.
 
         Raises:
-            ValueError: a pose without the joints' readings.
+            ValueError: the report is a pose without joint readings.
         """
         return self.corrected(coefficients).base_from_tool(self._gone(reported, coefficients))
 
     def by_coefficients(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        """As of any field, through the arm's numbers, whose twists are known."""
+        """Return the Jacobian of the true pose, by the chain rule through the arm."""
+        # Chain rule, with p the Denavit-Hartenberg parameters and c the coefficients:
+        #     d pose / dc = (d pose / dp) (dp / dc)
+        # The first factor is geometric (`by_numbers`); only the second, which is simple, is
+        # differentiated automatically. The point of linearisation is held constant, since second
+        # derivatives of the pose are not needed.
         at = jax.lax.stop_gradient(coefficients)
         twists = by_numbers(self.corrected(at), self._gone(reported, at))
 
         def numbers(
             moved: Float[Array, "coefficients"], one: Command
         ) -> Float[Array, "rows joints"]:
-            # How far a joint went moves the tool as its zero does.
+            # Joint motion and joint zero add up in the same parameter, so that a gear ratio enters
+            # as an offset of ratio times reading.
             arm = _with_offsets(self.corrected(moved), self._gone(one, moved))
             return jnp.stack([arm.theta, arm.d, arm.a, arm.alpha])
 
@@ -65,7 +71,11 @@ class AbstractArmErrors(AbstractField):
     def _gone(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "*views joints"]:
-        """How far every joint went for its reading."""
+        """Return the true motion of every joint for its reading.
+
+        Raises:
+            ValueError: the report is a pose without joint readings.
+        """
         if reported.joints is None:
             raise ValueError(
                 "the errors of an arm are corrected by its joints: give arm.command(joints) "
@@ -80,10 +90,12 @@ class AbstractArmErrors(AbstractField):
         coefficients: Float[Array, "coefficients"],
         near: JointsLike | None = None,
     ) -> Command:
-        """What to tell the robot; see `AbstractField`. NaN where the arm does not reach.
+        """Return the command for a true pose, as `AbstractField` does.
+
+        It is NaN where the arm does not reach the pose.
 
         Raises:
-            ValueError: without `near`: an arm reaches a pose in several ways.
+            ValueError: `near` is missing, although inverse kinematics has several solutions.
         """
         if near is None:
             raise ValueError(
@@ -92,7 +104,7 @@ class AbstractArmErrors(AbstractField):
             )
         ratios = self.ratios(coefficients)
         arm = self.corrected(coefficients)
-        # The limits are of the readings.
+        # The limits apply to readings, whereas this arm is solved for the true joint motion.
         arm = dataclasses.replace(arm, limits=arm.limits * ratios[:, None])
         near = jnp.asarray(near, dtype=float)
         gone, reached = joints_near(arm, true, near * jnp.broadcast_to(ratios, near.shape))
@@ -101,12 +113,12 @@ class AbstractArmErrors(AbstractField):
 
 
 def arm_of(field: AbstractField | None) -> SerialArm | None:
-    """The arm whose own errors a field is about; None for other fields, and for none."""
+    """Return the arm of a field of arm errors; None for any other field, and for None."""
     return field.arm if isinstance(field, AbstractArmErrors) else None
 
 
 class JointOffsets(AbstractArmErrors):
-    """The zero of every joint: added to its reading, rad (m where it slides)."""
+    """A robot error field of joint zeros: offsets of the readings, rad (m if prismatic)."""
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -121,10 +133,11 @@ class JointOffsets(AbstractArmErrors):
 
 
 class JointRatios(AbstractArmErrors):
-    """The zero of every joint, and how much further it goes than it reads, a share of the reading.
+    """A robot error field of joint zeros and gear ratios.
 
-    A joint goes `(1 + joint_ratio) * reading + joint_offset`: a gear of other teeth, an encoder of
-    other counts. The arm's own zero is where no joint's share counts.
+    The true joint value is `(1 + joint_ratio) * reading + joint_offset`; the ratio has no unit.
+    Causes are a gear with other teeth or an encoder with other counts. The ratio has no effect at a
+    reading of zero.
     """
 
     @property
@@ -147,7 +160,8 @@ class JointRatios(AbstractArmErrors):
 
 
 class DHErrors(AbstractArmErrors):
-    """The zero of every joint, the lengths `d` and `a` (m) and the twist `alpha` (rad) of links."""
+    """A robot error field of joint zeros, link lengths `d` and `a` and link twists `alpha`; rad, m.
+    """
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -170,6 +184,7 @@ class DHErrors(AbstractArmErrors):
 
 
 def _with_offsets(arm: SerialArm, offset: Float[Array, "joints"]) -> SerialArm:
+    """Return an arm with an offset added to each joint, to `theta` or, if prismatic, to `d`."""
     slides = jnp.array(arm.prismatic)
     nothing = jnp.zeros_like(offset)
     return dataclasses.replace(
@@ -180,5 +195,5 @@ def _with_offsets(arm: SerialArm, offset: Float[Array, "joints"]) -> SerialArm:
 
 
 def _by_joint(parts: tuple[str, ...], arm: SerialArm) -> tuple[str, ...]:
-    """Joints count from one, as they do on robots."""
+    """Return names with joint numbers, which count from one as they do on robots."""
     return tuple(f"{part}.{1 + k}" for part in parts for k in range(arm.size))

@@ -1,4 +1,4 @@
-"""Two error fields at once, where the likelihood cannot decide between them."""
+"""Combine two robot error fields, for data whose likelihood cannot decide between them."""
 
 import jax.numpy as jnp
 from jaxlie import SE3
@@ -9,13 +9,13 @@ from .field import AbstractField
 
 
 class CombinedField(AbstractField):
-    """Two fields whose errors follow one another at the tool.
+    """A robot error field that composes the errors of two fields at the tool.
 
     base_from_tool = first.true_pose(reported) @ reported^-1 @ second.true_pose(reported)
 
     Attributes:
-        first: a field of poses.
-        second: another, whose groups have other names.
+        first: a field that depends on poses.
+        second: another field, whose groups have other names.
     """
 
     first: AbstractField
@@ -53,6 +53,8 @@ class CombinedField(AbstractField):
     ) -> Float[Array, "views 6 coefficients"]:
         first, second = jnp.split(coefficients, [self.first.size])
         after = reported.base_from_tool.inverse() @ self.second.true_pose(reported, second)
-        # A twist before the second error is seen from behind it.
+        # With A = reported^-1 second(reported), a small twist d behind the first error satisfies
+        #     first exp(d) A = first A exp(Ad(A^-1) d),
+        # so the first field's Jacobian is carried to the tool by the adjoint of A^-1.
         carried = after.inverse().adjoint() @ self.first.by_coefficients(reported, first)
         return jnp.concatenate([carried, self.second.by_coefficients(reported, second)], axis=-1)

@@ -1,11 +1,12 @@
-"""The errors of an arm whose joints nobody told: those that the reported poses imply.
+"""Model the errors of an arm with unknown joints, which are inferred from the reported poses.
 
-Zeros of joints, lengths and twists of links move the tool in ways that belong together: an elbow
-that is bent too far shifts and turns it at once, and more so the farther it reaches. A field that
-is linear in the pose has to learn that anew in every set. But the way an upright six-axis arm
-reaches for a pose is much the same in any make: upper arm and forearm in a plane through the first
-axis, the wrist held up by them. So an arm of usual proportions, its joints found in closed form, is
-nearer to a real one's errors than no arm at all, though none of its lengths is true.
+Errors of joint zeros, link lengths and link twists move the tool in a correlated manner: a wrong
+elbow angle translates and rotates it at once, and more so the farther the arm reaches. A field that
+is linear in the pose has to estimate this correlation anew from every data set. But upright
+six-axis arms of all makes reach a pose in nearly the same configuration: upper arm and forearm in a
+plane through the first axis, carrying the wrist. So an arm of usual proportions, with joints from
+closed-form inverse kinematics, models the errors of a real arm better than no arm at all, although
+none of its lengths is correct.
 """
 
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from .field import AbstractField
 from .linear_fields import reach_of, share_of_reach
 
 STRETCHED = 0.7
-"""Share of its reach at which the arm is at the farthest pose."""
+"""Distance of the farthest reported pose as a fraction of the reach of the default arm."""
 
 _TURNS = {
     "z": (0.0, 0.0),
@@ -29,19 +30,21 @@ _TURNS = {
     "y": (0.5 * np.pi, 0.0),
     "-y": (-0.5 * np.pi, 0.0),
 }
-"""About the flange's x and y axes, to the tool whose axis of that name is the flange's own z."""
+"""Rotations about the flange's x and y axes, rad, to a tool whose named axis is the flange's z."""
 
 
 class ImpliedArm(AbstractField):
-    """Joint zeros, link lengths (m) and twists of a Puma-like arm, by what poses it reports.
+    """A robot error field of an arm whose joints are inferred from poses.
+
+    The coefficients are errors of joint zeros (rad), link lengths (m) and link twists (rad).
 
     tool_from_base = arm(corrected, joints)^-1 @ arm(joints) @ reported
 
     Attributes:
-        arm: of the shape that `puma_joints` solves, reaching from the base that poses are in.
+        arm: a Puma-like arm, as `puma_joints` solves it, in the base frame of the poses.
         branch: signs of shoulder, elbow and wrist, as in `robots.puma_inverse.BRANCHES`.
-        centre: position of the tool in the middle of the views it was made for, m.
-        reach: distance from there that counts as one unit, m.
+        centre: mean position of the tool over the views that the field was made for, m.
+        reach: distance from the centre that counts as one unit, m.
     """
 
     arm: SerialArm
@@ -57,17 +60,17 @@ class ImpliedArm(AbstractField):
         arm: SerialArm | None = None,
         branch: tuple[int, int, int] = (1, 1, 1),
     ) -> "ImpliedArm":
-        """For reported poses `(views)` in a base that the arm stands upright on.
+        """Return the field for reported poses `(views)` in the base of an upright arm.
 
         Args:
-            base_from_tool: reported.
-            approach: the tool's axis that points away from the arm along the last joint's, z by
-                ISO 9787; an arm of your own says so by its `flange_from_tool`.
-            arm: by default one of usual proportions, for which the poses are well within reach.
-            branch: see above; by default the elbow is up.
+            base_from_tool: reported poses.
+            approach: axis of the tool that points along the last joint's axis, away from the arm: z
+                by ISO 9787. For an `arm` of your own, its `flange_from_tool` decides instead.
+            arm: by default an arm of usual proportions that reaches all poses easily.
+            branch: see the class; by default the elbow is up.
 
         Raises:
-            ValueError: no axis is called so.
+            ValueError: no axis has the name `approach`.
         """
         if approach not in _TURNS:
             raise ValueError(f"approach is one of {', '.join(_TURNS)}; found {approach!r}")
@@ -90,13 +93,17 @@ class ImpliedArm(AbstractField):
 
     @property
     def _errors(self) -> DHErrors:
+        """The field of arm errors that the inferred joints are passed to."""
         return DHErrors(self.arm)
 
     def extent(self, reported: Command) -> Float[Array, "*views"]:
         return share_of_reach(self.centre, self.reach, reported)
 
     def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """`base_from_tool` as it is; beyond the arm's reach by the joints that come nearest."""
+        """Return the true `base_from_tool`, out of reach by the joints that come closest."""
+        # true = reported arm(joints)^-1 arm_corrected(joints)
+        # The arm's change of pose is applied relative to the reported pose, which is therefore
+        # exact for zero coefficients even where the inferred arm does not reach it.
         pose, implied = reported.base_from_tool, self._implied(reported)
         corrected = self._errors.true_pose(implied, coefficients)
         return pose @ implied.base_from_tool.inverse() @ corrected
@@ -104,16 +111,23 @@ class ImpliedArm(AbstractField):
     def by_coefficients(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
+        # The factor reported arm(joints)^-1 stands on the left and does not depend on the
+        # coefficients: it does not change a twist at the tool.
+        """Return the Jacobian of the true pose, that of the arm errors at the inferred joints."""
+        # The factor reported arm(joints)^-1 stands on the left and does not depend on the
+        # coefficients: it does not change a twist at the tool.
         return self._errors.by_coefficients(self._implied(reported), coefficients)
 
     def _implied(self, reported: Command) -> Command:
-        """What the arm would report; its pose is the reported one where it reaches."""
+        """Return the inferred joints with the arm's pose: the reported one where it reaches."""
         return self.arm.command(branch_joints(self.arm, reported.base_from_tool, self.branch))
 
 
 def _usual(reach: Float[Array, ""], flange_from_tool: SO3) -> SerialArm:
-    """An upright arm of upper and lower parts of the same length, as makers build them."""
+    """Return an upright arm of given reach, with an upper arm as long as the forearm."""
     right = 0.5 * jnp.pi
+    # Lengths as fractions of the reach: upper arm and forearm 0.45 each, base, shoulder offset,
+    # elbow offset and wrist 0.35, 0.1, 0.05 and 0.1.
     return SerialArm(
         theta=jnp.array([0.0, -right, 0.0, 0.0, 0.0, 0.0]),
         d=reach * jnp.array([0.35, 0.0, 0.0, 0.45, 0.0, 0.1]),

@@ -1,4 +1,4 @@
-"""Fields for any robot: twists linear in where the tool is, and in how it is turned."""
+"""Define robot error fields for any robot: twists linear in the tool's position and orientation."""
 
 import jax.numpy as jnp
 from jaxlie import SE3
@@ -8,18 +8,23 @@ from ..robots import Command
 from .field import AbstractField, AbstractLinearField
 
 SPREAD = 1.7
-"""Standard deviations of the positions that count as one unit: the half width of a uniform box."""
+"""Number of standard deviations of the positions in one unit of reach (no unit).
+
+The half width of a uniform distribution is sqrt(3) = 1.7 standard deviations.
+"""
 
 STANDING = 1e-4
-"""Spread, m, below which a robot did not go anywhere."""
+"""Standard deviation of the positions, m, below which a robot counts as not having translated."""
 
 
 class LinearInPosition(AbstractLinearField):
-    """Translation and rotation linear in the tool's position: 18 coefficients.
+    """A robot error field that is linear in the tool's position, with 18 coefficients.
+
+    Both the translation and the rotation of the error are linear.
 
     Attributes:
         centre: position of the tool where the field is zero, m.
-        reach: distance from there that counts as one unit, m.
+        reach: distance from the centre that counts as one unit, m.
     """
 
     centre: Float[Array, "3"]
@@ -27,7 +32,7 @@ class LinearInPosition(AbstractLinearField):
 
     @classmethod
     def over(cls, base_from_tool: SE3) -> "LinearInPosition":
-        """Centred on the poses `(views)` and scaled by their spread."""
+        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         positions = base_from_tool.translation()
         return cls(jnp.mean(positions, axis=0), reach_of(positions))
 
@@ -48,12 +53,14 @@ class LinearInPosition(AbstractLinearField):
 
 
 class LinearInPose(AbstractLinearField):
-    """Translation and rotation linear in the tool's position and orientation: 54 coefficients.
+    """A robot error field that is linear in the tool's position and orientation.
+
+    Both the translation and the rotation of the error are linear; there are 54 coefficients.
 
     Attributes:
         centre: position of the tool where the field is zero, m.
-        reach: distance from there that counts as one unit, m.
-        axes: first and third column of the tool's rotation where the field is zero.
+        reach: distance from the centre that counts as one unit, m.
+        axes: mean first and third column of the tool's rotation, at which the field is zero.
     """
 
     centre: Float[Array, "3"]
@@ -62,7 +69,7 @@ class LinearInPose(AbstractLinearField):
 
     @classmethod
     def over(cls, base_from_tool: SE3) -> "LinearInPose":
-        """Centred on the poses `(views)` and scaled by their spread."""
+        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         positions = base_from_tool.translation()
         mean = jnp.mean(_axes(base_from_tool), axis=0)
         return cls(jnp.mean(positions, axis=0), reach_of(positions), mean)
@@ -95,16 +102,20 @@ class LinearInPose(AbstractLinearField):
 
 
 def reach_of(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
-    """Distance from their middle that counts as one unit, m."""
+    """Return the distance from the mean position that counts as one unit, m."""
     variance = jnp.sum(jnp.var(positions, axis=0)) / 3.0
-    # A robot that only turned has no spread to scale by; a field in position is then next to zero.
+    # A robot that only rotated has no standard deviation to scale by. With a unit of 1 m its field
+    # is then almost zero in position.
     return SPREAD * jnp.sqrt(jnp.where(variance > STANDING**2, variance, 1.0))
 
 
 def share_of_reach(
     centre: Float[Array, "3"], reach: Float[Array, ""], reported: Command
 ) -> Float[Array, "*views"]:
-    """How far out poses are: evenly spread positions end at one, 1.7 standard deviations."""
+    """Return the largest coordinate of the poses from the centre, in units of the reach.
+
+    For uniformly distributed positions the largest value is about 1 (1.7 standard deviations).
+    """
     offset = _beyond(centre, reported.base_from_tool.translation())
     return jnp.max(jnp.abs(offset), axis=-1) / reach
 
@@ -112,10 +123,12 @@ def share_of_reach(
 def _beyond(
     mean: Float[Array, "functions"], values: Float[Array, "*views functions"]
 ) -> Float[Array, "*views functions"]:
+    """Return the difference of values from their mean."""
     return values - jnp.broadcast_to(mean, values.shape)
 
 
 def _axes(base_from_tool: SE3) -> Float[Array, "*views 6"]:
+    """Return the first and third column of the tool's rotation, which determine the orientation."""
     rotation = base_from_tool.rotation().as_matrix()
     return jnp.concatenate([rotation[..., 0], rotation[..., 2]], axis=-1)
 
@@ -123,7 +136,11 @@ def _axes(base_from_tool: SE3) -> Float[Array, "*views 6"]:
 def _both_parts(
     base_from_tool: SE3, functions: Float[Array, "*views functions"]
 ) -> Float[Array, "*views 6 coefficients"]:
-    """A translation, then a rotation, in the base's axes for each function of the pose."""
+    """Return a basis of translations and rotations, in base axes, for each function of a pose."""
+    # For functions f of the pose, with R = base_from_tool rotation and coefficient matrices A and
+    # C,
+    #     twist = (R^T A f, R^T C f),
+    # so a coefficient of A or C multiplies a column of R^T times one function.
     tool_from_base = jnp.swapaxes(base_from_tool.rotation().as_matrix(), -1, -2)
     part = tool_from_base[..., None, :] * functions[..., None, :, None]
     part = part.reshape(*part.shape[:-2], -1)

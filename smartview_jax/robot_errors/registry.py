@@ -1,4 +1,4 @@
-"""Fields by the name that files and options use."""
+"""Look up robot error fields by the names that files and options use."""
 
 from ..schemas.words import nearest
 from .arm_errors import DHErrors, JointOffsets, JointRatios
@@ -21,10 +21,10 @@ FIELDS: dict[str, type[AbstractField]] = {
 
 
 def field_by_name(name: str) -> type[AbstractField]:
-    """The class of a field.
+    """Return the class of a field by its name.
 
     Raises:
-        ValueError: no field is called so.
+        ValueError: no field has that name.
     """
     if name not in FIELDS:
         raise ValueError(
@@ -34,7 +34,7 @@ def field_by_name(name: str) -> type[AbstractField]:
 
 
 def field_name(field: AbstractField) -> str:
-    """What `field_by_name` knows a field by; the class's own name for others."""
+    """Return the name of a field in `field_by_name`, or else the name of its class."""
     return next(
         (name for name, kind in FIELDS.items() if type(field) is kind), type(field).__name__
     )

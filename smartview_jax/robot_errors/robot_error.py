@@ -1,4 +1,4 @@
-"""A fitted error field: where the tool is when the robot says where it is, and the other way."""
+"""Provide a fitted robot error field, which maps reported poses to true poses and back."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,11 +10,11 @@ from .field import AbstractField
 
 
 class RobotError(eqx.Module):
-    """What a robot's reports are wrong by, as a smooth function of them.
+    """A robot error field with fitted coefficients.
 
     Attributes:
-        field: what the coefficients mean.
-        coefficients: of the field, in the order of its `names`.
+        field: the field, which defines the coefficients.
+        coefficients: values, in the order of the field's `names`.
     """
 
     field: AbstractField
@@ -22,22 +22,25 @@ class RobotError(eqx.Module):
 
     @classmethod
     def none(cls, field: AbstractField) -> "RobotError":
-        """A field that corrects nothing yet."""
+        """Return the error with all coefficients zero, which corrects nothing."""
         return cls(field, jnp.zeros(field.size))
 
     def true_pose(self, reported: CommandLike) -> SE3:
-        """`base_from_tool` as it is, from what the robot reports, `(*views)`."""
+        """Return the true `base_from_tool` for what the robot reports, `(*views)`."""
         return self.field.true_pose(as_command(reported), self.coefficients)
 
     def by_coefficients(self, reported: CommandLike) -> Float[Array, "views 6 coefficients"]:
-        """Twist of the true pose at the tool, translation (m) first, per unit of each."""
+        """Return the twist of the true pose at the tool per unit of each coefficient.
+
+        The translation (m) comes first.
+        """
         return self.field.by_coefficients(as_command(reported), self.coefficients)
 
     def command(self, true: SE3, near: JointsLike | None = None) -> Command:
-        """What the robot reports, and is to be told, to be at a pose; inverts `true_pose`.
+        """Return the command that brings the tool to a true pose; it inverts `true_pose`.
 
         Args:
-            true: wanted, `(*views)`.
-            near: joint angles in whose neighbourhood to look; for fields of joints alone.
+            true: wanted poses, `(*views)`.
+            near: joint readings near which to solve; used by fields of arm errors only.
         """
         return self.field.command(true, self.coefficients, near)

@@ -1,17 +1,16 @@
-"""What is known of robot arms before any picture is seen: how large their errors usually are.
+"""Provide priors on the sizes of robot errors, known before any picture is taken.
 
-A flexible error field can absorb almost anything that goes wrong in a calibration: a board of
-another size, mirrored pictures, plain noise of few views. What arms can do is limited, though, and
-the limits are known. They enter the likelihood as log-normal priors on the standard deviations of
-the errors: the median is what a good industrial arm does, and a factor of `spread` away from it is
-one standard deviation.
+A flexible error field can absorb almost any fault of a calibration: a board of another size,
+mirrored pictures, plain noise in few views. But the errors of real arms are limited, and their
+limits are known. They enter the likelihood as log-normal priors on the standard deviations of the
+errors: the median is typical of a good industrial arm, and a factor of `spread` corresponds to one
+standard deviation of the logarithm.
 
-Sources: ISO 9283 repeatability in makers' data sheets of arms up to 20 kg payload is 0.01 to
-0.1 mm. Absolute accuracy before kinematic calibration is 0.3 to several mm, of which zeros of
-joints wrong by 0.01 to 1 degree are the largest part, and lengths and twists of links by some
-tenths of a mm and of a milliradian (Mooring, Roth and Driels, Fundamentals of Manipulator
-Calibration, 1991; Nubiola and Bonev, Absolute calibration of an ABB IRB 1600 robot using a laser
-tracker, 2013).
+Sources: ISO 9283 repeatability in makers' data sheets of arms up to 20 kg payload is 0.01 to 0.1
+mm. Absolute accuracy before kinematic calibration is 0.3 to several mm. Its largest part are joint
+zeros wrong by 0.01 to 1 degree; link lengths and twists contribute some tenths of a mm and of a
+milliradian (Mooring, Roth and Driels, Fundamentals of Manipulator Calibration, 1991; Nubiola and
+Bonev, Absolute calibration of an ABB IRB 1600 robot using a laser tracker, 2013).
 """
 
 import dataclasses
@@ -25,17 +24,19 @@ from .field import AbstractField
 
 _GROUPS: Mapping[str, float] = MappingProxyType(
     {
-        # Per metre of way: a zero that is wrong by a milliradian moves the tool by 1 mm a metre.
+        # Per metre of displacement: a zero that is wrong by a milliradian moves the tool by 1 mm
+        # per metre.
         "translation_by_position": 1e-3,
         "rotation_by_position": 2e-3,
-        # Per radian of turn: a wrong wrist axis moves a tool of 0.3 m by 0.3 mm.
+        # Per radian of rotation: a wrong wrist axis moves a tool of 0.3 m by 0.3 mm.
         "translation_by_orientation": 3e-4,
         "rotation_by_orientation": 1e-3,
+        # Errors of the arm itself: rad, no unit, m and rad.
         "joint_offset": 1e-3,
         "joint_ratio": 1e-3,
         "link_length": 3e-4,
         "link_twist": 5e-4,
-        # Shares of the way: an arm's scale is right within half a percent.
+        # Relative errors of the scale, which in an arm is correct within half a percent.
         "translation_by_stretch": 5e-3,
         "translation_by_scale": 5e-3,
     }
@@ -49,24 +50,24 @@ _PER_METRE = frozenset(
         "translation_by_scale",
     }
 )
-"""Groups whose coefficients are per reach of their field, and not per metre."""
+"""Groups whose medians are per metre; a field's coefficients are per unit of its reach."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RobotPrior:
-    """Log-normal priors on the standard deviations of a robot's errors.
+    """The log-normal priors on the standard deviations of a robot's errors.
 
     Attributes:
         translation: median repeatability of a reported position, per axis, m.
         rotation: median repeatability of a reported orientation, per axis, rad.
-        groups: median size of each named group of an error field: m, rad or 1, and per metre of
-            way for what grows with the position.
-        other: median size of the groups of a field that the table does not name.
-        spread: factor that is one standard deviation for repeatability.
-        field_spread: factor that is one standard deviation for groups of a field.
-        other_spread: factor that is one standard deviation for groups that the table does not name.
+        groups: median standard deviation of each named group of an error field: m, rad or no unit,
+            and per metre of displacement for groups that grow with the position.
+        other: median for groups of a field that `groups` does not name.
+        spread: factor of one standard deviation, for repeatability.
+        field_spread: factor of one standard deviation, for groups of a field.
+        other_spread: factor of one standard deviation, for groups that `groups` does not name.
         wrong_target: probability that the target is not of its stated size.
-        wrong_target_std: standard deviation of its size over the stated one where it is not.
+        wrong_target_std: standard deviation of the ratio of true to stated size of such a target.
     """
 
     translation: float = 5e-5
@@ -97,9 +98,14 @@ class RobotPrior:
             )
 
     def medians(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
-        """Return the median sizes of translations, rotations, and each group of a field."""
+        """Return the median sizes of translation, rotation and each group of a field.
+
+        A size is a standard deviation.
+        """
         reach = 1.0 if field is None else field.unit_length
         groups = () if field is None else field.groups
+        # A coefficient of a position-dependent group is the error at one unit of the field's reach,
+        # hence median per metre times reach.
         sizes = [
             self.groups.get(name, self.other) * (reach if name in _PER_METRE else 1.0)
             for name, _ in groups
@@ -107,7 +113,7 @@ class RobotPrior:
         return np.array([self.translation, self.rotation, *sizes])
 
     def spreads(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
-        """Return the standard deviations of the logarithms of these sizes."""
+        """Return the standard deviations of the logarithms of these standard deviations."""
         groups = () if field is None else field.groups
         factors = [
             self.field_spread if name in self.groups else self.other_spread for name, _ in groups

@@ -1,4 +1,4 @@
-"""A robot's error as plain numbers with their names, as files have it."""
+"""Convert a robot error to and from plain numbers with names, the form in which files store it."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from .robot_error import RobotError
 
 
 def robot_error_to_dict(error: RobotError) -> dict[str, Any]:
-    """Every coefficient by name, so that the file can be read without this library."""
+    """Return a robot error with every coefficient by name, readable without this library."""
     coefficients = np.asarray(error.coefficients).tolist()
     return {
         "field": _field_to_dict(error.field),
@@ -24,21 +24,29 @@ def robot_error_to_dict(error: RobotError) -> dict[str, Any]:
 
 
 def _field_to_dict(field: AbstractField) -> dict[str, Any]:
+    # All attributes are written, so that a field of the caller's own needs no code for files.
+    """Return the attributes of a field by name, with the name of its model."""
+    # All attributes are written, so that a field of the caller's own needs no code for files.
     parts = {name: _part_to_plain(value) for name, value in vars(field).items()}
     return {"model": field_name(field), **parts}
 
 
 def _part_to_plain(part: Any) -> Any:
+    """Return an attribute of a field as plain numbers: a field, an arm or an array."""
     if isinstance(part, AbstractField):
         return _field_to_dict(part)
     return arm_to_dict(part) if isinstance(part, SerialArm) else np.asarray(part).tolist()
 
 
 def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) -> RobotError:
-    """The inverse of `robot_error_to_dict`; `field` stands for one the library does not know.
+    """Return the robot error that `robot_error_to_dict` converted to plain numbers.
+
+    Args:
+        content: the plain numbers.
+        field: an instance of the same class, for a field that the library does not know.
 
     Raises:
-        ValueError: other numbers than the field has.
+        ValueError: the numbers are not those of the field.
         KeyError: an entry is missing.
     """
     basis = _field_from_dict(content["field"], field)
@@ -49,6 +57,7 @@ def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) 
 
 
 def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> AbstractField:
+    """Return a field from its attributes by name, after a check of their types."""
     parts = dict(content)
     model = parts.pop("model")
     kind = field_by_name(model) if field is None else type(field)
@@ -63,7 +72,8 @@ def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> Ab
 
     made = {name: part(name, value) for name, value in parts.items()}
     for name, value in made.items():
-        # jaxtyping's array types and classes alike say whether a value is one of theirs.
+        # Annotations are jaxtyping array types or classes; `isinstance` checks shapes of the
+        # former.
         if not isinstance(value, kinds[name]):
             raise ValueError(
                 f"robot_error.field.{name}: expected {kinds[name].__name__}, "
@@ -73,7 +83,7 @@ def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> Ab
 
 
 def _differences(found: Iterable[str], known: Iterable[str]) -> str:
-    """Say which names are missing, and which are of no use, with the nearest that is."""
+    """Return which names are missing and which are unknown, with their closest match."""
     missing = [name for name in known if name not in found]
     unknown = [f"{shown(name)}{nearest(name, missing)}" for name in found if name not in known]
     return "; ".join(

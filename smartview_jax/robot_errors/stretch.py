@@ -1,9 +1,9 @@
-"""The simplest smooth errors: the robot goes too far, or the target is not of its size.
+"""Model the simplest smooth errors: a wrong scale of the robot's motion or of the target.
 
-A robot whose ways are all too long by one share errs in proportion to where its *tool* is. A target
-that is smaller than it is said to be looks the same, but for where the *camera* is. The two differ
-by how the offset between tool and camera turns, which is next to nothing; only a ruler tells them
-apart.
+If all displacements of a robot are too long by one factor, its error is proportional to the
+position of the *tool*. A target that is smaller than stated has the same effect, but in proportion
+to the position of the *camera*. The two differ only by the rotation of the offset between tool and
+camera, a very small effect; only a ruler separates them.
 """
 
 from typing import ClassVar
@@ -18,19 +18,20 @@ from .field import AbstractField, AbstractLinearField
 from .linear_fields import LinearInPose, reach_of
 
 STRETCH = "translation_by_stretch"
-"""The group of the one coefficient by which all ways are longer than they should be."""
+"""Name of the group with the single coefficient of the scale of the robot's displacements."""
 
 
 class Stretched(AbstractField):
-    """Another field's error, and besides all ways that the robot reports too long by one share.
+    """A robot error field combined with a wrong scale of all displacements that the robot reports.
 
-    A coefficient `c` of the stretch is a share `c / reach`. Linear fields can stretch too, but only
-    as they can shear: they take a robot that goes 10 % too far for one that may also go 10 % askew.
+    A coefficient `c` of the stretch is a relative error of `c / reach`. Linear fields can model a
+    stretch too, but only together with shears of the same size: for them a robot whose scale is 10
+    % too large may also be skewed by 10 %.
 
     Attributes:
-        field: the error besides, on which the ways are too long.
-        centre: position of the tool that does not move, m.
-        reach: distance from there that counts as one unit, m.
+        field: the other error, to which the stretch is added.
+        centre: position of the tool that the stretch does not move, m.
+        reach: distance from the centre that counts as one unit, m.
     """
 
     field: AbstractField
@@ -39,7 +40,7 @@ class Stretched(AbstractField):
 
     @classmethod
     def over(cls, field: AbstractField, base_from_tool: SE3) -> "Stretched":
-        """Centred on the poses `(views)` and scaled by their spread."""
+        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         positions = base_from_tool.translation()
         return cls(field, jnp.mean(positions, axis=0), reach_of(positions))
 
@@ -65,28 +66,32 @@ class Stretched(AbstractField):
     def by_coefficients(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
+        # With the unit twist a of the stretch and its coefficient s, true = field(c) exp(-s a), and
+        #     field(c) exp(d) exp(-s a) = true exp(Ad(exp(s a)) d):
+        # the other field's Jacobian is carried to the tool by the adjoint. That of the stretch is
+        # -a.
         besides = self.field.by_coefficients(reported, coefficients[:-1])
         along = self._along(reported)
         after = SE3.exp(coefficients[-1] * along).adjoint()
         return jnp.concatenate([after @ besides, -along[..., None]], axis=-1)
 
     def _along(self, reported: Command) -> Float[Array, "*views 6"]:
-        """The way from the centre, in units of the reach, as a twist at the tool."""
+        """Return the displacement from the centre as a twist at the tool, in units of the reach."""
         return _shift(_way(reported.base_from_tool, self.centre) / self.reach)
 
 
 class PoseOrStretch(AbstractLinearField):
-    """`LinearInPose`, a stretch of the tool's ways, and one of the camera's: 56 coefficients.
+    """A robot error field: `LinearInPose` with stretches of tool and camera, 56 coefficients.
 
-    A coefficient `c` of either stretch is a share `c / reach` by which the ways that the robot
-    reports are longer than those it goes. Which groups count is data: another choice is not another
-    program.
+    A coefficient `c` of either stretch is a relative error `c / reach`, by which the displacements
+    that the robot reports are longer than the true ones. The active groups are data: another
+    selection needs no new compilation.
 
     Attributes:
-        pose: the field besides; its centre and reach are the stretches' too.
-        seen_from: the tool's frame: what a wrong scale of the target keeps in proportion, m: the
-            centre of a camera on the tool; of a target on the tool, its origin.
-        counts: one for each group that counts, zero for the others, in the order of `groups`.
+        pose: the linear field; its centre and reach also apply to the stretches.
+        seen_from: point in the tool frame whose positions a wrong scale of the target scales, m:
+            the centre of a camera on the tool, or the origin of a target on the tool.
+        counts: one for each active group and zero for the others, in the order of `groups`.
     """
 
     STRETCH: ClassVar[str] = STRETCH
@@ -108,25 +113,29 @@ class PoseOrStretch(AbstractLinearField):
         return self.pose.extent(reported)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 56"]:
+        # Both stretches are translations proportional to a position relative to the centre: that of
+        # the tool, and that of the camera, which is offset from it by `seen_from`.
         tool = _way(base_from_tool, self.pose.centre) / self.pose.reach
         camera = tool + _like(self.seen_from, tool) / self.pose.reach
         stretches = jnp.stack([_shift(tool), _shift(camera)], axis=-1)
         sizes = np.array([size for _, size in self.groups])
         counts = jnp.repeat(self.counts, sizes, total_repeat_length=self.size)
         basis = jnp.concatenate([self.pose.basis(base_from_tool), stretches], axis=-1)
+        # A zero column removes a group without changing the shape of the problem.
         return basis * _like(counts, basis)
 
 
 def _way(base_from_tool: SE3, centre: Float[Array, "3"]) -> Float[Array, "*views 3"]:
-    """From the centre to the tool, in the tool's frame, m."""
+    """Return the displacement from the centre to the tool, in the tool frame, m."""
     position = base_from_tool.translation()
     return base_from_tool.rotation().inverse() @ (position - _like(centre, position))
 
 
 def _shift(way: Float[Array, "*views 3"]) -> Float[Array, "*views 6"]:
-    """A twist that turns nothing."""
+    """Return the twist of a pure translation."""
     return jnp.concatenate([way, jnp.zeros_like(way)], axis=-1)
 
 
 def _like(vector: Float[Array, "n"], many: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
+    """Return a vector broadcast to the shape of a batch."""
     return jnp.broadcast_to(vector, many.shape)
