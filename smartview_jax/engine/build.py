@@ -1,4 +1,7 @@
-"""From a user's words to a problem: lens, noise, what is free, what is held, what is known."""
+"""Build the least-squares problem of a joint fit from the user's arguments.
+
+It combines the lens, the noise model, the free and fixed parameters, and the priors.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,14 +24,14 @@ from .problem import JointProblem, valid_at_start
 
 
 class Built(eqx.Module):
-    """A problem, and what its numbers are called.
+    """A least-squares problem together with the names of its parameters.
 
     Attributes:
-        problem: in the parameters' own units.
-        names: of the free shared parameters.
-        own_names: of the views' own that are free, in order.
-        noise: as assumed; None where the robot is trusted.
-        lost: points that were seen but cannot be projected at the start; left out.
+        problem: the problem, in the parameters' own units.
+        names: names of the free shared parameters.
+        own_names: names of the free parameters of single views, in order.
+        noise: the assumed noise; None where the robot's poses are taken as exact.
+        lost: points that were seen but cannot be projected at the start; they are left out.
     """
 
     problem: JointProblem
@@ -39,12 +42,12 @@ class Built(eqx.Module):
 
     @property
     def sigma_known(self) -> bool:
-        """Whether the pixel's deviation is taken as given; if not, the residuals tell it."""
+        """Whether the pixel sigma is taken as given; if not, it is estimated from the residuals."""
         return self.noise is not None and self.noise.bounds_poses
 
     @property
     def sigma_matters(self) -> bool:
-        """Whether the answer depends on it: beside a prior, or within a robust loss."""
+        """Whether the result depends on the pixel sigma, because of a prior or a robust loss."""
         weight = self.problem.prior_weight
         shared = np.asarray(weight.shared)[list(self.problem.free)]
         own = np.asarray(weight.corrections)[np.asarray(self.problem.own_free)]
@@ -62,10 +65,10 @@ def build_problem(
     priors: Mapping[str, Prior] | None = None,
     field: AbstractField | None = None,
 ) -> Built:
-    """The least-squares problem that `fit_joint` solves; arguments and errors as there.
+    """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.
 
-    A field's coefficients start where the start has them, if the field is its own. Without a field
-    the start's error of the robot stays as it is.
+    The coefficients of a robot error field begin at their values in the start if the start has the
+    same field, otherwise at zero. Without a field the robot error of the start is kept fixed.
     """
     if not (noise == "trusted" or isinstance(noise, Noise)):
         raise ValueError(
@@ -92,11 +95,13 @@ def build_problem(
     held = ["target_scale"]
     if field is None and start.robot_error is not None:
         held.append(ROBOT_ERROR)
+    # `free` overrides what is held by default; `fixed` overrides both.
     moves = ~select(names, held) | select(names, free)
     moves &= ~select(names, fixed)
     mean, weight = _priors(names, count, priors, known, field)
     if known is not None:
-        # A view that shows too little to place it keeps its pose, unless a prior says where it is.
+        # The correction of a view with too few points to determine its pose is held, unless a prior
+        # constrains it.
         placed = np.isin(np.arange(data.view_count), views).repeat(6)
         moves[count:] &= placed | (weight[count:] > 0.0)
     problem = JointProblem(
@@ -126,10 +131,10 @@ def build_problem(
 def without_robot(
     data: Dataset, camera: Camera, camera_from_world: SE3
 ) -> tuple[Dataset, Calibration]:
-    """Data and start in which every view's own pose stands in the place of the robot's report.
+    """Return data and a start in which each view's own camera pose replaces the robot's report.
 
-    With both transforms held, corrections of the reports are free poses: corrected, a view's pose
-    is `exp(correction) @ camera_from_world`.
+    With both transforms held, the corrections of the reported poses are then free camera poses: the
+    corrected pose of a view is `exp(correction) @ camera_from_world`.
     """
     still = Calibration(camera, SE3.identity(), SE3.identity(), "eye_in_hand")
     placed = dataclasses.replace(
@@ -139,8 +144,8 @@ def without_robot(
 
 
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
-    """The start with another lens that begins like its own; None keeps its own."""
-    # A region is of the data that a calibration was fitted to: a start has none.
+    """Return the start with another lens, initialised from its own lens; None keeps its own."""
+    # The region describes the data of an earlier fit, so that it does not apply to a start.
     start = dataclasses.replace(start, region=None)
     if lens is None:
         return start
@@ -148,7 +153,7 @@ def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibratio
 
 
 def with_field(start: Calibration, field: AbstractField | None) -> Calibration:
-    """The start with a field for the robot's error; None keeps its own."""
+    """Return the start with a given robot error field; None keeps its own."""
     known = start.robot_error
     if field is None or (known is not None and bool(eqx.tree_equal(known.field, field))):
         return start
@@ -162,7 +167,11 @@ def _priors(
     noise: Noise | None,
     field: AbstractField | None,
 ) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
-    """Mean (NaN: the start's own) and weight of every parameter; a weight of zero is no prior."""
+    """Return the prior mean and weight of every parameter.
+
+    A mean of NaN is the value of the start. The weight is one over the standard deviation; zero is
+    no prior.
+    """
     mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
     groups = () if field is None else field.groups
     if noise is not None:
@@ -188,10 +197,16 @@ def _priors(
 
 
 def _as_step(numbers: Float[np.ndarray, "parameters"], shared: int) -> Step:
+    """Split a flat vector into the shared parameters and six per view."""
     return Step(jnp.asarray(numbers[:shared]), jnp.asarray(numbers[shared:].reshape(-1, 6)))
 
 
 def _refuse_blind_views(data: Dataset, lost: Bool[np.ndarray, "views points"]) -> None:
+    """Raise if the start cannot project a single point of some view.
+
+    Raises:
+        ValueError: every point seen in a view lies behind the camera or outside the lens's domain.
+    """
     seen = np.asarray(data.visible).sum(axis=1)
     blind = [data.view_ids[k] for k in range(len(seen)) if seen[k] > 0 and lost[k].sum() == seen[k]]
     if blind:
@@ -199,7 +214,7 @@ def _refuse_blind_views(data: Dataset, lost: Bool[np.ndarray, "views points"]) -
 
 
 def nowhere(views: Sequence[str]) -> str:
-    """What is wrong where a start shows nothing of what these views saw."""
+    """Return the error message for views of which the start cannot project a single point."""
     return (
         f"start: every point of view {', '.join(views)} lies behind the camera or outside the "
         f"lens's domain; start nearer to the truth (fit_staged), or check the poses"

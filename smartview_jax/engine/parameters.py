@@ -1,12 +1,15 @@
-"""The parameters of a calibration by name: one name a number, addressed by path.
+"""Names of a calibration's parameters, and the effect of a step on them.
+
+Every number has a name, which is a path:
 
     camera.alpha_u  camera.lens.k1  camera_from_tool.translation.x  camera_from_tool.rotation.z
     base_from_world.translation.y  target_scale  robot_error.translation_by_position.0
     pose_corrections.<view>.translation.x
 
-A path selects every name that it begins. A fit moves the numbers by an additive step, except for
-rotations, which turn by a rotation vector about the axes of the target frame
-(`R = exp(step) R_start`): translations keep their meaning whatever the rotation does.
+A path selects every name that it is a prefix of. A fit adds a step to the parameters, except for
+rotations: these are multiplied from the left by the exponential of a rotation vector, in the axes
+of the frame that the transform maps into (`R = exp(step) R_start`). Translations therefore do not
+depend on the rotation.
 """
 
 import difflib
@@ -26,15 +29,17 @@ from ..robot_errors import RobotError
 
 _AXES = ("x", "y", "z")
 CORRECTIONS = "pose_corrections"
+"""First part of the names of the views' pose corrections."""
 ROBOT_ERROR = "robot_error"
+"""First part of the names of the robot error field's coefficients."""
 
 
 def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> tuple[str, ...]:
-    """Every number's name, in the order of the flat vector.
+    """Return the name of every parameter, in the order of the flat vector.
 
     Args:
-        calibration: whose camera, lens and mount name the parameters.
-        view_ids: one set of six pose corrections each.
+        calibration: calibration whose camera, lens and mount name the parameters.
+        view_ids: identifiers of the views with six pose corrections each.
     """
     camera = []
     for path, leaf in jax.tree_util.tree_leaves_with_path(calibration.camera):
@@ -58,10 +63,10 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
 
 
 def select(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
-    """Which parameters the paths name.
+    """Return a mask of the parameters that the paths select.
 
     Raises:
-        ValueError: a path that names nothing; the message suggests what it may have meant.
+        ValueError: a path selects nothing; the message suggests similar names.
     """
     chosen = np.zeros(len(names), dtype=bool)
     for path in paths:
@@ -73,6 +78,7 @@ def select(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "para
 
 
 def _unknown(path: str, names: Sequence[str]) -> str:
+    """Return the error message for a path that selects nothing, with similar names."""
     prefixes = {".".join(name.split(".")[:k]) for name in names for k in range(1, 5)}
     prefixes = sorted(name for name in prefixes if not name.startswith(f"{CORRECTIONS}."))
     close = difflib.get_close_matches(path, prefixes, n=3, cutoff=0.4)
@@ -81,11 +87,11 @@ def _unknown(path: str, names: Sequence[str]) -> str:
 
 
 class Step(NamedTuple):
-    """A change of the parameters, or any vector of their shape.
+    """A change of the parameters, or any vector with the same layout.
 
     Attributes:
-        shared: of the numbers that all views share.
-        corrections: of each view's own six; no views where there are none.
+        shared: components of the parameters that all views share.
+        corrections: six components for each view's own correction; no views where there are none.
     """
 
     shared: Float[Array, "shared"]
@@ -93,22 +99,30 @@ class Step(NamedTuple):
 
 
 class Parameters(eqx.Module):
-    """The numbers of a calibration, as a flat vector, and how steps from a start change them."""
+    """The parameters of a calibration as a flat vector, changed by steps from a start.
+
+    Attributes:
+        start: the calibration from which steps are taken.
+    """
 
     start: Calibration
 
     @property
     def camera_size(self) -> int:
+        """The number of parameters of the camera, lens included."""
         return sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
 
     @property
     def shared_size(self) -> int:
-        """Numbers that all views share: camera, two transforms, target scale, robot's error."""
+        """The number of parameters that all views share.
+
+        They are, in order: camera, two transforms (12), target scale (1), robot error field.
+        """
         error = self.start.robot_error
         return self.camera_size + 13 + (0 if error is None else error.field.size)
 
     def values(self) -> Float[Array, "shared"]:
-        """The start's own numbers; rotations, which are steps, are zero."""
+        """Return the values of the start; rotations, which are steps from it, are zero."""
         start = self.start
         error = start.robot_error
         return jnp.concatenate(
@@ -124,7 +138,7 @@ class Parameters(eqx.Module):
         )
 
     def moved(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
-        """The calibration a step away from the start, and the pose corrections."""
+        """Return the calibration and the pose corrections after a step from the start."""
         n, shared = self.camera_size, step.shared
         numbers, rebuild = ravel_pytree(self.start.camera)
         error = self.start.robot_error
@@ -141,7 +155,7 @@ class Parameters(eqx.Module):
         return calibration, step.corrections
 
     def step_to(self, other: Calibration) -> Float[Array, "shared"]:
-        """The step that moves the start to another calibration of the same parameters."""
+        """Return the step from the start to another calibration with the same parameters."""
         start, n = self.start, self.camera_size
         step = Parameters(other).values() - self.values()
         step = step.at[n + 3 : n + 6].set(_turn(start.camera_from_mount, other.camera_from_mount))
@@ -150,9 +164,11 @@ class Parameters(eqx.Module):
 
 
 def _turn(start: SE3, end: SE3) -> Float[Array, "3"]:
+    """Return the rotation vector r with `exp(r) R_start = R_end`."""
     return (end.rotation() @ start.rotation().inverse()).log()
 
 
 def _moved_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
+    """Apply a step, translation first, to a transform; both parts are changed independently."""
     rotation = SO3.exp(step[3:]) @ start.rotation()
     return SE3.from_rotation_and_translation(rotation, start.translation() + step[:3])

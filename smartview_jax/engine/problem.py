@@ -1,7 +1,7 @@
-"""The joint fit as a least-squares problem: residuals, or normal equations; pure functions.
+"""The joint fit as a least-squares problem, as residuals or as normal equations.
 
-Any optimistix least-squares solver can be set on `residuals`; `normal_equations` is the same
-problem in the structured form that the library's own solver uses.
+Both are pure functions. Any optimistix least-squares solver can minimise `residuals`;
+`normal_equations` is the same problem in the block structure that the library's own solver uses.
 """
 
 import equinox as eqx
@@ -22,11 +22,18 @@ from .parameters import Parameters, Step
 from .schur import BlockArrow
 
 VIEWS = "views"
-"""Name of the mesh axis along which views are dealt out to devices."""
+"""Name of the mesh axis along which views are distributed over devices."""
 
 
 class NormalEquations(eqx.Module):
-    """Cost, gradient and Gauss-Newton matrix at a step."""
+    """The cost, its gradient and the Gauss-Newton matrix at a step.
+
+    Attributes:
+        cost: half the sum of squared whitened residuals, or of the loss, with priors where
+            included.
+        gradient: gradient of the cost.
+        matrix: Gauss-Newton approximation of the Hessian, `J^T J`.
+    """
 
     cost: Float[Array, ""]
     gradient: Step
@@ -34,20 +41,21 @@ class NormalEquations(eqx.Module):
 
 
 class JointProblem(eqx.Module):
-    """Observations through the whole chain, with priors.
+    """A least-squares problem: observations predicted through the whole chain, and priors.
 
     Attributes:
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
-        pixel_sigma: of u and of v, px.
-        free: indices of the shared parameters that may move.
-        own_free: which of each view's own six may move; no views where there are none.
-        prior_mean: of every parameter's value; NaN where it is the start's.
-        prior_weight: one over its standard deviation; zero is no prior.
-        scale: length of one unit of step, of the shared parameters that are free and of each view's
-            own; for solvers that treat all parameters alike.
-        loss: None is least squares.
-        mesh: the devices that the views are dealt out to; None is one device.
+        pixel_sigma: standard deviation of u and of v, px.
+        free: indices of the free shared parameters.
+        own_free: mask of the free parameters among each view's own six; no views where there are
+            none.
+        prior_mean: prior mean of every parameter's value; NaN where it is the start's.
+        prior_weight: one over the prior standard deviation of every parameter; zero is no prior.
+        scale: length of one unit of step, for the free shared parameters and for each view's own;
+            for solvers that treat all parameters alike.
+        loss: robust loss; None is least squares.
+        mesh: devices over which the views are distributed; None is one device.
     """
 
     parameters: Parameters
@@ -63,31 +71,35 @@ class JointProblem(eqx.Module):
 
     @property
     def chosen(self) -> Int[Array, "free"]:
-        """`free` as an index."""
+        """The indices of the free shared parameters, as an array."""
         return jnp.array(self.free, dtype=int)
 
     def start(self) -> Step:
-        """The step that changes nothing."""
+        """Return the zero step."""
         return Step(jnp.zeros(len(self.free)), jnp.zeros(self.own_free.shape))
 
     def step(self, z: Step) -> Step:
-        """The step of all parameters, in their own units, from the scaled one of the free ones."""
+        """Convert a scaled step of the free parameters to all parameters in their own units."""
         shared = jnp.zeros(self.parameters.shared_size)
         shared = shared.at[self.chosen].set(z.shared * self.scale.shared)
         own = jnp.where(self.own_free, z.corrections * self.scale.corrections, 0.0)
         return Step(shared, own)
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
-        """Calibration and pose corrections at a scaled step."""
+        """Return the calibration and the pose corrections at a scaled step."""
         return self.parameters.moved(self.step(z))
 
     def whitened(self, z: Step) -> Float[Array, "views points 2"]:
-        """Measured minus predicted over sigma, before any loss; zero where not visible."""
+        """Compute the whitened residuals before any loss.
+
+        They are measured minus predicted pixels over the pixel sigma, zero where a point is not
+        visible.
+        """
         calibration, poses = self._chain(z)
         return self._whitened(calibration, poses, self.observations)
 
     def _chain(self, z: Step) -> tuple[Calibration, SE3]:
-        """Calibration and corrected robot poses at a scaled step."""
+        """Return the calibration and the corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
         if error is not None:
@@ -97,43 +109,53 @@ class JointProblem(eqx.Module):
     def _whitened(
         self, calibration: Calibration, poses: SE3, seen: Observations
     ) -> Float[Array, "*views points 2"]:
+        """Compute whitened residuals for given robot poses; `FAR_OFF` where projection fails."""
         predicted, valid = calibration.project(poses, seen.points, corrected=False)
         residual = seen.residuals(predicted, valid) / self.pixel_sigma
         lost = seen.visible & ~valid
         return jnp.where(lost[..., None], FAR_OFF, residual)
 
     def squares(self, z: Step) -> Float[Array, "views points"]:
-        """Squared length of `whitened`, view by view: memory stays that of the answer."""
+        """Compute the squared length of every whitened residual.
+
+        The views are processed one after the other, so that memory does not exceed that of the
+        result.
+        """
         calibration, poses = self._chain(z)
 
         def view(part: tuple[SE3, Observations]) -> Float[Array, "points"]:
+            """Compute the squared residuals of one view."""
             pose, seen = part
             return jnp.sum(self._whitened(calibration, pose, seen) ** 2, axis=-1)
 
         return jax.lax.map(view, (poses, self.observations))
 
     def residuals(self, z: Step, _: None = None) -> tuple[Array, Array, Array]:
-        """Of observations, and of both kinds of priors; half their squared length is the cost."""
+        """Return the residuals of the observations and of the shared and the views' own priors.
+
+        Half their squared length is the cost.
+        """
         observed = self.whitened(z)
         if self.loss is not None:
             observed = self.loss.whiten(observed)
         return observed, *self._prior_residuals(self.step(z))
 
     def normal_equations(self, z: Step) -> NormalEquations:
-        """The same problem, linearised; robust losses by iterative reweighting."""
+        """Return the normal equations at a step; robust losses by iterative reweighting."""
         return self._with_priors(self.step(z), self.observed(z))
 
     def observed(self, z: Step) -> NormalEquations:
-        """`normal_equations` of the observations alone, without priors."""
+        """Return the normal equations of the observations alone, without priors."""
         step = self.step(z)
         chain = linearise_chain(self.parameters, step, self.observations.command)
         views = self._linearised(chain)
         return NormalEquations(jnp.sum(views.cost), *self._through_chain(chain, views))
 
     def _linearised(self, chain: Chain) -> ViewBlocks:
-        """Every view's normal equations, each on the device that holds the view."""
+        """Return every view's normal equations, each computed on the device that holds the view."""
 
         def blocks(camera, poses, observations, target_scale, pixel_sigma):
+            """Linearise the views of one device."""
             return linearise_views(
                 camera, poses, observations, target_scale, pixel_sigma, self.loss
             )
@@ -153,7 +175,14 @@ class JointProblem(eqx.Module):
         )
 
     def _through_chain(self, chain: Chain, views: ViewBlocks) -> tuple[Step, BlockArrow]:
-        """Gradient and matrix of the observations alone, by the free parameters in their units."""
+        """Transform the views' normal equations to the free parameters, in their units.
+
+        The results are the gradient and the matrix of the observations alone.
+        """
+        # With G_v and g_v a view's matrix and gradient in (camera, twist), S_v the derivative of
+        # these by the shared parameters and O_v that of the twist by the view's own: shared block =
+        # sum_v S_v^T G_v S_v,  border_v = O_v^T G_v S_v,  own_v = O_v^T G_v O_v, gradient = sum_v
+        # S_v^T g_v and O_v^T g_v; O_v has only the twist's rows, from n on.
         shared, n, count = self._by_shared(chain), self.parameters.camera_size, len(views.cost)
         gram_shared = views.gram @ shared
         matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)
@@ -168,7 +197,7 @@ class JointProblem(eqx.Module):
         return Step(gradient, own_gradient), BlockArrow(matrix, border, corner)
 
     def _by_shared(self, chain: Chain) -> Float[Array, "views columns free"]:
-        """How the camera's numbers and each view's twist follow from the shared parameters."""
+        """Return the derivative of camera and twist of each view by the shared parameters."""
         n, size = self.parameters.camera_size, self.parameters.shared_size
         count = len(chain.by_shared)
         camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
@@ -177,41 +206,49 @@ class JointProblem(eqx.Module):
         return shared * self.scale.shared[None, None]
 
     def _by_own(self, chain: Chain) -> Float[Array, "corrected 6 6"]:
-        """How each view's twist follows from its own numbers; no column for what is held."""
+        """Return the derivative of each view's twist by its own parameters.
+
+        Columns of held parameters are zero.
+        """
         moves = jnp.where(self.own_free, self.scale.corrections, 0.0)
         return chain.by_own * moves[:, None, :]
 
     @property
     def _own_weight(self) -> Float[Array, "corrected 6"]:
-        """One over the deviation of each view's own numbers, in their units."""
+        """The inverse prior standard deviations of each view's own parameters, in their units."""
         weight = jnp.where(self.own_free, self.prior_weight.corrections, 0.0)
         return weight * self.scale.corrections
 
     @property
     def _own_precision(self) -> Float[Array, "corrected 6"]:
-        """A number that is held has no column: a one keeps its equation solvable."""
+        """The prior precisions of each view's own parameters, with one for held parameters.
+
+        A held parameter has a zero column in the Jacobian; the one keeps its equation solvable.
+        """
         return jnp.where(self.own_free, self._own_weight**2, 1.0)
 
     def observed_by_view(
         self, z: Step
     ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
-        """Every view's part of the shared parameters' gradient and matrix in `observed`."""
+        """Return every view's term of the shared parameters' gradient and matrix in `observed`."""
         chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
         views, shared = self._linearised(chain), self._by_shared(chain)
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
         return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
 
     def information_by_view(self, z: Step) -> Float[Array, "views free free"]:
-        """What every view tells of the shared parameters, its own correction integrated out.
+        """Compute every view's information matrix of the shared parameters.
 
-        They add up to the normal equations with the views' own numbers eliminated, but for the
-        priors of the shared parameters.
+        The view's own correction is marginalised. The matrices add up to the normal equations with
+        the views' own parameters eliminated, except for the priors of the shared parameters.
         """
         chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
         views, shared = self._linearised(chain), self._by_shared(chain)
         told = jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
         if not len(self.own_free):
             return told
+        # I_v = S_v^T G_v S_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the
+        # prior of the view's own parameters.
         own, n = self._by_own(chain), self.parameters.camera_size
         own_transposed = jnp.swapaxes(own, 1, 2)
         border = own_transposed @ (views.gram[:, n:] @ shared)
@@ -220,6 +257,9 @@ class JointProblem(eqx.Module):
         return told - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(corner, border)
 
     def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
+        """Add the priors' cost, gradient and diagonal to the observations' normal equations."""
+        # A prior is a residual w (x - mean) with w = 1 / std: it adds w^2 (x - mean)^2 / 2 to the
+        # cost, w^2 (x - mean) to the gradient and w^2 to the diagonal.
         chosen, gradient, matrix = self.chosen, observed.gradient, observed.matrix
         residual, own_residual = self._prior_residuals(step)
         weight = self.prior_weight.shared[chosen] * self.scale.shared
@@ -237,21 +277,22 @@ class JointProblem(eqx.Module):
         )
 
     def off_mean(self, step: Step) -> Step:
-        """How far every parameter is from the mean of its prior, in its own units."""
+        """Return the difference of every parameter from its prior mean, in its own units."""
         values, mean = self.parameters.values(), self.prior_mean.shared
         shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
         return Step(shared, step.corrections - jnp.nan_to_num(self.prior_mean.corrections))
 
     def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
+        """Return the whitened residuals of the priors, shared and of the views' own parameters."""
         off, weight = self.off_mean(step), self.prior_weight
         return off.shared * weight.shared, off.corrections * weight.corrections
 
 
 @compiled
 def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
-    """Which points the start can project at all."""
+    """Return a mask of the points that can be projected at the start."""
     start = problem.parameters.start
-    # View by view: a projection of everything at once takes several times the data's memory.
+    # One view after the other: projecting everything at once needs several times the data's memory.
     return jax.lax.map(
         lambda seen: start.project(seen.command, seen.points)[1], problem.observations
     )

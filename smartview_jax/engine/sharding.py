@@ -1,7 +1,7 @@
-"""One fit on several devices, or several processes: every device linearises its own views.
+"""Run one fit on several devices or processes; each device linearises its own views.
 
-A view's observations meet no other view's; what crosses between devices in a step is one sum of a
-small matrix, so the answer is a single device's to rounding.
+Views are independent in the linearisation. In a step, devices exchange only the sum of one small
+matrix, so that the result equals that of a single device up to rounding.
 """
 
 import dataclasses
@@ -28,18 +28,21 @@ def solve_on(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,
 ) -> tuple[Solution, NormalEquations]:
-    """What `solve` does, with the views dealt out to devices; the answer is on the default one.
+    """Minimise a problem with its views distributed over devices; otherwise like `solve`.
 
-    With several processes (`jax.distributed.initialize`) every one of them calls this with the same
-    problem and with all devices (`jax.devices()`), and every one gets the whole answer.
+    The result is on the default device. With several processes (`jax.distributed.initialize`) every
+    process calls this function with the same problem and with all devices (`jax.devices()`), and
+    every process gets the whole result.
     """
     corrected = len(problem.own_free)
     solution, equations = solve(deal_out(problem, devices), solver)
 
     def here(x: Array) -> Array:
+        """Copy an array to the default device."""
         return jnp.asarray(np.asarray(x))
 
     def own(x: Array) -> Array:
+        """Copy an array of the views without the padding."""
         return here(x)[:corrected]
 
     z, gradient, matrix = solution.z, equations.gradient, equations.matrix
@@ -54,7 +57,10 @@ def solve_on(
 
 
 def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
-    """The same problem with its views on several devices, evened out by views that show nothing."""
+    """Distribute the views of a problem over several devices.
+
+    The number of views is made divisible by that of the devices with views that show no points.
+    """
     mesh = Mesh(np.array(devices), (VIEWS,))
     extra = -len(problem.observations.visible) % len(devices)
     arrays, rest = eqx.partition(problem, eqx.is_array)
@@ -65,6 +71,7 @@ def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     )
 
     def place(x: Array, spec: P) -> Array:
+        """Put an array on the devices."""
         whole = np.asarray(x)
         return jax.make_array_from_callback(
             whole.shape, NamedSharding(mesh, spec), lambda index: whole[index]
@@ -75,6 +82,7 @@ def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
 
 
 def _per_view(problem: JointProblem) -> tuple[Any, ...]:
+    """Return the arrays whose first axis is the views."""
     return (
         problem.observations,
         problem.own_free,
@@ -85,12 +93,17 @@ def _per_view(problem: JointProblem) -> tuple[Any, ...]:
 
 
 def last_repeated(parts: Any, extra: int) -> Any:
-    """Arrays with copies of their last entry, so that they go evenly into devices."""
+    """Append copies of the last entry to arrays, to fill up the last device.
+
+    Args:
+        parts: pytree of arrays.
+        extra: number of copies.
+    """
     return jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(extra, axis=0)]), parts)
 
 
 def _stretched(parts: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
-    """With copies of the last view, of which nothing is seen and nothing may move."""
+    """Repeat the last view; in the copies no point is visible and no parameter is free."""
     observations, own_free, *rest = last_repeated(parts, extra)
     views = len(observations.visible) - extra
     observations = eqx.tree_at(

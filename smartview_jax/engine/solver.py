@@ -1,9 +1,10 @@
 """Levenberg-Marquardt on the structured normal equations, as an optimistix solver.
 
-Everything but the linearisation is optimistix's: its damped Newton descent (with the Schur
-complement as its linear solver), its trust region, its loop and its implicit differentiation. What
-is tested at the end is what one more step could still gain: tests of single parameters say little
-on ill-conditioned data, and tests of the cost alone stop early on data without noise.
+Optimistix provides everything but the linearisation: its damped Newton descent (with the Schur
+complement as linear solver), its trust region, its loop and its implicit differentiation.
+Convergence is tested by the decrease of the cost that one more undamped step predicts. Tests of
+single parameters say little on ill-conditioned data, and tests of the cost alone stop too early on
+data without noise.
 """
 
 from collections.abc import Callable
@@ -24,20 +25,28 @@ from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, SchurCholesky
 
 RECORD = 64
-"""Costs kept of a fit's steps."""
+"""Largest number of costs recorded along the steps of a fit."""
 
 UNIT = 1e4
-"""Length of a column. Optimistix's damping begins at 1: next to this, a hundred-millionth."""
+"""Length to which the Jacobian's columns at the start are scaled.
+
+The diagonal of the normal equations is then 1e8. Optimistix's damping starts at 1, which is a
+hundred-millionth of that.
+"""
 
 MOST_REJECTIONS = 25
-"""Steps in a row that may raise the cost before a fit gives up."""
+"""Largest number of rejected steps in a row before a fit is given up."""
 
 MAXIMUM_STEPS = 200
+"""Largest number of solver steps of a fit."""
 
 Info = optx.FunctionInfo.EvalGradHessian
+"""Cost, gradient and Gauss-Newton matrix in the form that optimistix expects."""
 
 
 class _State(eqx.Module):
+    """The state of the solver between steps: accepted linearisation, and next step to try."""
+
     first_step: Bool[Array, ""]
     y_eval: Step
     scale: Step
@@ -52,17 +61,19 @@ class _State(eqx.Module):
 
 
 class StructuredLM(optx.AbstractLeastSquaresSolver):
-    """Levenberg-Marquardt for a `JointProblem`, which is passed as `args`.
+    """A Levenberg-Marquardt solver for a `JointProblem`, which is passed as `args`.
 
-    The function to minimise must be that problem's `residuals`: it is linearised by
-    `normal_equations`. Inside, parameters are measured in units in which the columns of the
-    Jacobian at the start are `UNIT` long, so that one damping suits them all.
+    The function to minimise must be that problem's `residuals`; it is linearised by
+    `normal_equations`. Internally the parameters are in units in which the columns of the Jacobian
+    at the start have length `UNIT`, so that one damping suits all of them.
 
     Attributes:
-        rtol: converged when an undamped step would lower the cost by no more than this share.
-        atol: or by no more than this.
-        norm: not used; part of optimistix's interface.
-        descent, search: optimistix's.
+        rtol: relative tolerance: converged if an undamped step predicts a decrease of the cost by
+            at most this fraction.
+        atol: absolute tolerance of the same decrease, added to the relative one.
+        norm: not used; required by optimistix's interface.
+        descent: optimistix's damped Newton descent.
+        search: optimistix's trust region.
     """
 
     rtol: float = 1e-10
@@ -74,6 +85,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
     )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
+        """Return the state before the first step."""
         del fn, options, f_struct, aux_struct, tags
         struct = jax.eval_shape(_info, args, y)
         return _State(
@@ -91,10 +103,15 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         )
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Step, _State, None]:
+        """Evaluate the step proposed last, accept or reject it, and propose the next one."""
         del fn, options, tags
+        # Runs once per step tried, accepted or not: cost, gradient g and matrix H at the new
+        # parameters.
         found = _info(args, state.y_eval)
         scale = _where(state.first_step, unit_scale(_matrix(found)), state.scale)
         found = _in_units(found, scale)
+        # rho = actual decrease / predicted decrease. Accepted if rho > 0.01; the damping is divided
+        # by 10 if rho > 0.75, and multiplied by 20 if the step is rejected.
         step_size, accept, _, search_state = self.search.step(
             state.first_step,
             jax.tree.map(jnp.divide, y, scale),
@@ -103,10 +120,14 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
             found,
             state.search_state,
         )
+        # After a rejection the last accepted linearisation is used again, with more damping.
         y, f_info = _where(accept, (state.y_eval, found), (y, state.f_info))
         descent_state = self.descent.query(y, f_info, state.descent_state)
+        # (H + lambda I) d = -g with lambda = 1 / step_size: one elimination and one solve per
+        # damping.
         move, result = self.descent.step(step_size, descent_state)
-        # Only where the damped step promises nothing is it worth asking the undamped one.
+        # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d. It is computed
+        # only if the damped step predicts so little too, since it costs another elimination.
         enough = self.rtol * f_info.f + self.atol
         little = _promise(f_info, move) <= enough
         done = jax.lax.cond(
@@ -134,61 +155,71 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         )
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
+        """Return whether the solver has converged or given up, and the result code."""
         del fn, y, args, options, tags
         return state.terminate, state.result
 
     def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        """Return the result with the recorded costs as statistics."""
         del fn, args, options, tags, result
         return y, aux, {"costs": state.costs}
 
 
 def _info(problem: JointProblem, z: Step) -> Info:
+    """Linearise the problem at a scaled step."""
     equations = problem.normal_equations(z)
     return Info(equations.cost, equations.gradient, equations.matrix)
 
 
 def _where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
+    """Choose between two pytrees by a scalar condition."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
 def _matrix(info: Info) -> BlockArrow:
+    """Return the Gauss-Newton matrix as a `BlockArrow`."""
     assert isinstance(info.hessian, BlockArrow)
     return info.hessian
 
 
 def unit_scale(matrix: BlockArrow) -> Step:
-    """The size of each parameter that makes the columns of the Jacobian `UNIT` long."""
+    """Return the unit of each parameter in which the columns of the Jacobian have length `UNIT`."""
     return jax.tree.map(lambda s: UNIT / jnp.sqrt(jnp.where(s > 0.0, s, 1.0)), matrix.diagonal())
 
 
 def _in_units(info: Info, scale: Step) -> Info:
+    """Convert a linearisation to other units: `diag(scale) g`, `diag(scale) H diag(scale)`."""
     gradient = jax.tree.map(jnp.multiply, info.grad, scale)
     return Info(info.f, gradient, _matrix(info).scaled(scale))
 
 
 def _promise(info: Info, move: Step) -> Float[Array, ""]:
-    """By how much the linearised problem's cost falls along a step."""
+    """Compute the decrease of the linearised problem's cost along a step."""
+    # cost(0) - cost(d) = -g.d - d.H d / 2
     curved = _matrix(info).mv(move)
     parts = jax.tree.map(lambda m, g, c: -jnp.sum(m * (g + 0.5 * c)), move, info.grad, curved)
     return parts.shared + parts.corrections
 
 
 def _newton(info: Info) -> Step:
-    """The step to the linearised problem's optimum, as good as undamped."""
+    """Compute the Gauss-Newton step to the linearised optimum, with negligible damping."""
     solver = SchurCholesky()
+    # Damping of 1e-12 of the diagonal: a singular matrix still has a Cholesky factor.
     damped = solver.init(_matrix(info).damped(jnp.asarray(1e-12 * UNIT**2)), {})
     return jax.tree.map(jnp.negative, solver.compute(damped, info.grad, {})[0])
 
 
 class Solution(NamedTuple):
-    """Where a solver came to.
+    """The result of a solver.
 
     Attributes:
-        z: the step.
-        costs: half the squared residual at the start and after every step, as far as recorded.
-        steps: solver steps in all.
-        decrease: what one more Gauss-Newton step would save, as a share of the cost.
-        converged: whether that is next to nothing.
+        z: step from the start to the result.
+        costs: half the sum of squared residuals at the start and after every step, as far as
+            recorded.
+        steps: number of solver steps.
+        decrease: decrease of the cost that one more Gauss-Newton step predicts, as a fraction of
+            it.
+        converged: whether that decrease is negligible.
     """
 
     z: Step
@@ -199,7 +230,7 @@ class Solution(NamedTuple):
 
 
 def next_to_nothing(gain: ScalarLike, cost: ScalarLike) -> Bool[Array, ""]:
-    """Whether what a further step would gain is so little that a fit counts as converged."""
+    """Return whether the predicted gain of a further step is so small that a fit has converged."""
     return (jnp.abs(gain) < 1e-8 * cost) | (jnp.abs(gain) < 1e-12)
 
 
@@ -209,16 +240,16 @@ def solve(
     maximum_steps: int = MAXIMUM_STEPS,
     start: Step | None = None,
 ) -> tuple[Solution, NormalEquations]:
-    """Minimise a problem from its start; never raises for a fit that failed.
+    """Minimise a problem from its start; a fit that fails does not raise.
 
     Args:
-        problem: in the parameters' own units.
-        solver: any of optimistix's; None is `StructuredLM`.
-        maximum_steps: after which it stops.
-        start: a step from which to begin instead.
+        problem: the problem, in the parameters' own units.
+        solver: any least-squares solver of optimistix; None is `StructuredLM`.
+        maximum_steps: number of steps after which the solver stops.
+        start: step from which to begin instead of zero.
 
     Returns:
-        The solution, and the normal equations there.
+        The solution, and the normal equations at the solution.
     """
     if solver is None:
         solver = StructuredLM()
@@ -234,7 +265,7 @@ def solve(
 
 @compiled
 def _scaled(problem: JointProblem) -> JointProblem:
-    """The same problem in other units, for solvers that treat all parameters alike."""
+    """Return the problem in units that suit solvers that treat all parameters alike."""
     matrix = jax.lax.stop_gradient(problem).normal_equations(problem.start()).matrix
     return eqx.tree_at(lambda p: p.scale, problem, unit_scale(matrix))
 
@@ -248,8 +279,8 @@ def run(
     """Minimise a problem from a step in its units, inside `jit`.
 
     Returns:
-        The step, the number of solver steps, the costs on the way, the normal equations there, and
-        what one more Gauss-Newton step would save.
+        The step, the number of solver steps, the recorded costs, the normal equations at the
+        result, and the decrease of the cost that one more Gauss-Newton step predicts.
     """
     found = optx.least_squares(
         _residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
@@ -259,13 +290,15 @@ def run(
         info, scale = found.state.f_info, found.state.scale
     else:
         info, scale = _info(problem, found.value), jax.tree.map(jnp.ones_like, z)
+    # The normal equations are in scaled units until here; `back` converts them to the parameters'
+    # own.
     gain = _promise(info, _newton(info))
     back = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
     natural = _in_units(info, back)
     equations = NormalEquations(natural.f, natural.grad, _matrix(natural))
     answer = (z, found.stats["num_steps"], found.stats.get("costs", jnp.zeros(0)), equations, gain)
     if problem.mesh is not None:
-        # Every process may then read all of it.
+        # Replicated over the mesh, so that every process can read the whole result.
         answer = jax.lax.with_sharding_constraint(answer, NamedSharding(problem.mesh, P()))
     return answer
 
@@ -274,6 +307,7 @@ _run_alone = compiled(run)
 
 
 def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
+    """Return the residuals with the arguments in the order that optimistix expects."""
     return problem.residuals(z)
 
 
@@ -284,12 +318,12 @@ def optimum(
     start: Step | None = None,
     maximum_steps: int = MAXIMUM_STEPS,
 ) -> Step:
-    """The step to the optimum, for use inside `jit`, `vmap` and `grad`.
+    """Return the step to the optimum, for use inside `jit`, `vmap` and `grad`.
 
-    Derivatives are those of the optimum (implicit function theorem), with respect to every array
-    in `problem`: pixels, poses, priors, the start's own numbers.
+    Derivatives are those of the optimum by the implicit function theorem, with respect to every
+    array in `problem`: pixels, poses, priors, and the start's own values.
     """
-    # In good units: the linear solve behind the derivatives is then well conditioned.
+    # The derivatives need a linear solve at the optimum, which these units keep well conditioned.
     scaled = _scaled(problem)
     units = scaled.scale
     first = problem.start() if start is None else jax.tree.map(jnp.divide, start, units)
