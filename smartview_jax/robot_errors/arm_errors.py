@@ -160,7 +160,9 @@ class JointRatios(AbstractArmErrors):
 
 
 class DHErrors(AbstractArmErrors):
-    """A robot error field of joint zeros, link lengths `d` and `a` and link twists `alpha`; rad, m.
+    """A robot error field of joint zeros, link lengths `d` and `a`, and link twists `alpha`.
+
+    Coefficients are in rad, m and rad.
     """
 
     @property

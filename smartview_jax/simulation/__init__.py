@@ -1,4 +1,4 @@
-"""Scenes with known truth: geometry, noise and rendered pictures."""
+"""Simulate calibration scenes with known truth: geometry, noise and rendered pictures."""
 
 from .arm_scenes import ArmScene as ArmScene
 from .arm_scenes import six_axis_scene as six_axis_scene

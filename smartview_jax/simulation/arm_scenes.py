@@ -1,8 +1,8 @@
-"""A six-axis arm that is not quite what its controller believes, over a board not quite flat.
+"""Simulate a six-axis arm with kinematic errors that views a warped board.
 
-The controller reports the forward kinematics of the nominal arm; joints, links and twists of the
-real one differ, the lens bends more than its four fitted numbers say, and the board is warped. No
-estimator has a model of all of it, which is what real set-ups are like.
+The controller reports the forward kinematics of the nominal arm. The real arm has other joint
+zeros, link lengths and link twists, the lens has more distortion than its four fitted coefficients
+describe, and the board is not flat. As in real set-ups, no estimator models all of it.
 """
 
 import dataclasses
@@ -25,30 +25,35 @@ ERRORS = {
     "link_length": 3e-4,
     "link_twist": float(np.deg2rad(0.03)),
 }
-"""Deviations of what is wrong with the arm, rad and m, by the group of `DHErrors`."""
+"""Standard deviations of the arm's errors, rad and m, by the groups of `DHErrors`."""
 
 WRONG_LINKS = slice(1, 5)
-"""Joints and links 2 to 5. Errors of the first and the last are displacements of base and tool."""
+"""Indices of the joints and links with errors: 2 to 5, counted from one.
+
+Errors of the first and the last are equivalent to displacements of base and tool.
+"""
 
 NEAR = np.deg2rad([0.0, -10.0, 40.0, 0.0, 60.0, 0.0])
-"""Joint angles that hold the tool over the table, pointing down."""
+"""Joint angles, rad, at which the tool is above the table and points down."""
 
 DISTANCE = (0.425, 0.625)
+"""Smallest and largest distance from the camera to the board, m."""
 TILT = float(np.deg2rad(30.0))
+"""Largest angle between the viewing direction and the vertical, rad."""
 WARP = (1e-4, 1.5e-4)
-"""Least and most that the board leaves its plane by, m."""
+"""Smallest and largest deviation of the board from its plane, m."""
 
 
 class ArmScene(eqx.Module):
-    """What was simulated of an arm, and the truth behind it.
+    """A simulated data set of an arm, together with the truth behind it.
 
     Attributes:
-        data: what an experiment would have given, commanded by the poses that the robot reports.
-        unseen: other views, commanded likewise: what they show without noise of pixels, from where
-            the arm goes without noise of its own.
-        calibration: the true one, whose robot's error is the arm's own.
-        joints: readings in the views of `data`, rad.
-        unseen_joints: those in the views of `unseen`.
+        data: the data set of the experiment, with the poses that the robot reports as commands.
+        unseen: held-out views, also with reported poses; their pixels have no noise, and the arm no
+            random noise in them.
+        calibration: the true calibration, whose robot error is that of the arm.
+        joints: joint readings in the views of `data`, rad.
+        unseen_joints: joint readings in the views of `unseen`, rad.
     """
 
     data: Dataset
@@ -59,7 +64,7 @@ class ArmScene(eqx.Module):
 
     @property
     def by_joints(self) -> "ArmScene":
-        """The same, where the robot tells its joint angles too."""
+        """The same scene, with joint readings in its data sets."""
         arm = six_axes()
         data = self.data.with_joints(self.joints, arm)
         unseen = self.unseen.with_joints(self.unseen_joints, arm)
@@ -76,16 +81,17 @@ def six_axis_scene(
     rotation_noise: float = float(np.deg2rad(0.003)),
     warp: tuple[float, float] = WARP,
 ) -> ArmScene:
-    """Random views of a board of 12 x 9 points, 30 mm apart, from a hand-held 1056 px camera.
+    """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
 
     Args:
-        seed: of numpy's generator; the same seed gives the same scene.
-        views: to calibrate with.
-        unseen: views to judge on.
-        errors: of the arm, as multiples of `ERRORS`.
+        seed: seed of numpy's generator; the same seed gives the same scene.
+        views: number of views to calibrate with.
+        unseen: number of held-out views.
+        errors: errors of the arm, as multiples of `ERRORS`.
         pixel_noise: standard deviation of `u` and of `v`, px.
-        translation_noise, rotation_noise: as in `simulate`, on top of the arm's errors; m and rad.
-        warp: least and most that the board leaves its plane by, m.
+        translation_noise, rotation_noise: as in `simulate`, in addition to the arm's errors; m and
+            rad.
+        warp: smallest and largest deviation of the board from its plane, m.
 
     Raises:
         RuntimeError: the arm does not reach a view.
@@ -97,10 +103,13 @@ def six_axis_scene(
     bent = board + _warp(board, rng.uniform(*warp), rng)
     wanted = views_around(rng, views + unseen, board.mean(axis=0), DISTANCE, TILT)
     near = np.tile(NEAR, (views + unseen, 1))
+    # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
     joints, reached = joints_near(arm, truth.command_for(wanted, corrected=False), near)
     if not bool(reached.all()):
         raise RuntimeError(f"the arm reaches {int(reached.sum())} of {len(reached)} views")
 
+    # Random noise applies to the views of the data only: held-out views test the repeatable part.
+    #     true = error.true_pose(commanded) exp(noise)^-1
     size = np.repeat([translation_noise, rotation_noise], 3)
     noise = np.where(np.arange(views + unseen)[:, None] < views, size, 0.0)
     shaken = SE3.exp(jnp.asarray(noise * rng.standard_normal(noise.shape)))
@@ -110,6 +119,7 @@ def six_axis_scene(
     for part, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
         pose, told = SE3(true.wxyz_xyz[part]), SE3(reported.wxyz_xyz[part])
         seen = simulate(truth.uncorrected, pose, bent, seed, sigma).data
+        # The pixels show the warped board, but the data set states the flat one.
         flat = jnp.broadcast_to(jnp.asarray(board)[None], seen.points.shape)
         parts.append(dataclasses.replace(seen, points=flat, base_from_tool=told))
     data, judged_on = parts
@@ -117,12 +127,16 @@ def six_axis_scene(
 
 
 def _board() -> Float[np.ndarray, "points 3"]:
+    """Return the points of the flat board, m."""
     i, j = np.indices((9, 12)).reshape(2, -1)
     return 0.030 * np.stack([j, i, np.zeros(i.shape)], axis=1)
 
 
 def _calibration() -> Calibration:
-    """The camera of tampere_kuka_2, with a k3 that four fitted numbers leave out."""
+    """Return a true calibration with the camera of the data set tampere_kuka_2.
+
+    Its lens has a `k3` that the four fitted coefficients do not include.
+    """
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
     camera = Camera(1056.0, 1056.0, 958.0, 587.0, lens, image_size=(1920, 1200))
     camera_from_tool = SE3.from_rotation_and_translation(
@@ -135,11 +149,13 @@ def _calibration() -> Calibration:
 
 
 def _errors(arm: SerialArm, rng: np.random.Generator, times: float) -> RobotError:
-    """Drawn anew for every arm; on the links in the middle alone."""
+    """Return random arm errors, on the middle links only."""
     field = DHErrors(arm)
     rows = [size for name, n in field.groups for size in [ERRORS[name]] * (n // arm.size)]
     wrong = np.zeros((len(rows), arm.size))
     drawn = np.array(rows)[:, None] * rng.standard_normal(wrong.shape)
+    # All random numbers are drawn and then masked, so that a seed gives the same errors for any
+    # choice of links.
     wrong[:, WRONG_LINKS] = times * drawn[:, WRONG_LINKS]
     return RobotError(field, jnp.asarray(wrong.ravel()))
 
@@ -147,9 +163,13 @@ def _errors(arm: SerialArm, rng: np.random.Generator, times: float) -> RobotErro
 def _warp(
     board: Float[np.ndarray, "points 3"], most: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "points 3"]:
-    """A bend and a twist of any direction, beyond the plane that fits best."""
+    """Return the deviation of the points from a warped board: a random quadratic, minus its plane.
+
+    The largest deviation is `most`, m.
+    """
     x, y = ((board - board.mean(axis=0)) / np.ptp(board, axis=0).max())[:, :2].T
     bend = np.stack([x * x, x * y, y * y], axis=1) @ rng.standard_normal(3)
     plane = np.stack([np.ones_like(x), x, y], axis=1)
+    # A plane would only shift and rotate the board, which the pose of the target absorbs.
     bend = bend - plane @ np.linalg.lstsq(plane, bend, rcond=None)[0]
     return np.stack([0.0 * x, 0.0 * x, most * bend / np.abs(bend).max()], axis=1)

@@ -1,14 +1,14 @@
-"""The paper's experiment (Table 1, Figs. 6 and 7) as a scene with known truth.
+"""Simulate the paper's experiment (Table 1, Figs. 6 and 7) with known truth.
 
-A 1/3 inch CCD (640 x 480 px) behind a 16 mm lens (2133 px) looks from 0.2 m at circles 6 mm apart
-on three heights. Five viewpoints make a cross: one from above, and two each, 9.5 degrees away,
-along X and along Y, none of them rolled. Unseen viewpoints lie between the five.
+A 1/3 inch CCD (640 x 480 px) with a 16 mm lens (2133 px) views circles 6 mm apart, on three
+heights, from 0.2 m. Five viewpoints form a cross: one from above, and two each, 9.5 degrees away,
+along X and along Y, all without roll. Held-out viewpoints lie between the five.
 
-The paper's text says so much. What it does not say is chosen so that all three rows of its Table 1
-come out: a strong lens (k1 = 0.7), a robot with 0.08 mm and 0.01 degrees of white noise in every
-pose, those that are judged on included, and viewpoints that miss what they aim at by 0.25 mm a
-direction. The last is an assumption of its own: without it the viewpoints are so regular that
-interpolation between them is too good, 1.6 px where the paper has 4.2.
+The paper's text states only this. The rest is chosen to reproduce all three rows of its Table 1: a
+strong lens distortion (k1 = 0.7), a robot with white noise of 0.08 mm and 0.01 degrees in every
+pose, including the held-out ones, and viewpoints whose point of aim has an error of 0.25 mm per
+axis. The last is an independent assumption: without it the viewpoints are so regular that
+interpolation between them is too accurate, 1.6 px where the paper has 4.2.
 """
 
 from collections.abc import Callable
@@ -27,23 +27,25 @@ from .photograph import photograph
 from .scenes import Scene, paper_calibration, reported_poses, simulate
 
 DISTANCE = 0.2
-"""From a camera to the point that it aims at, m."""
+"""Distance from a camera to the point that it aims at, m."""
 
 
 class PaperSetUp(NamedTuple):
-    """What the paper's experiment is made of; `PaperSetUp(k1=0.3)` changes one part of it.
+    """The parameters of the paper's experiment; `PaperSetUp(k1=0.3)` changes one of them.
 
     Attributes:
-        pattern: of the five viewpoints: `"cross"`, or `"L"`: 9.5 and 19 degrees along X and Y.
-        roll: each viewpoint turns about its optical axis by up to so much, rad.
-        scatter: standard deviation of the point that a viewpoint aims at, a direction, m.
-        k1: of the lens.
-        columns, rows: of circles, along X and along Y.
-        spacing: between circles, m.
-        heights: where the board stands, along Z, m.
-        radius: of the circles, in pictures, m.
-        pixel_noise: of `u` and of `v`, px; pictures have noise of their own.
-        translation_noise, rotation_noise: of the robot, as in `simulate`, m and rad.
+        pattern: arrangement of the five viewpoints: `"cross"`, or `"L"`: 9.5 and 19 degrees along X
+            and Y.
+        roll: largest rotation of a viewpoint about its optical axis, in either direction, rad.
+        scatter: standard deviation, per axis, of the point that a viewpoint aims at, m.
+        k1: radial distortion coefficient of the lens.
+        columns, rows: number of circles along X and along Y.
+        spacing: distance between circles, m.
+        heights: positions of the board along Z, m.
+        radius: radius of the circles in pictures, m.
+        pixel_noise: standard deviation of `u` and of `v`, px; rendered pictures have their own
+            noise.
+        translation_noise, rotation_noise: noise of the robot, as in `simulate`, m and rad.
     """
 
     pattern: str = "cross"
@@ -61,21 +63,21 @@ class PaperSetUp(NamedTuple):
 
     @property
     def calibration(self) -> Calibration:
-        """The true one."""
+        """The true calibration."""
         return eqx.tree_at(lambda c: c.camera.lens.k1, paper_calibration(), jnp.asarray(self.k1))
 
     @property
     def target(self) -> StackedTarget:
-        """The circles, whose centres are the points."""
+        """The circle grid, whose circle centres are the target points."""
         board = CircleGrid(self.rows, self.columns, self.spacing, radius=self.radius)
         return StackedTarget(board, self.heights)
 
 
 PAPER = PaperSetUp()
-"""The paper's own."""
+"""The parameters of the paper's own experiment."""
 
 PICTURED = PaperSetUp(columns=9, rows=7)
-"""The largest board that stays in every picture as a whole."""
+"""The experiment with the largest board that is entirely visible in every picture."""
 
 
 def paper_viewpoints(rng: np.random.Generator, setup: PaperSetUp = PAPER) -> SE3:
@@ -87,25 +89,30 @@ def paper_viewpoints(rng: np.random.Generator, setup: PaperSetUp = PAPER) -> SE3
 def _roll_and_aims(
     rng: np.random.Generator, setup: PaperSetUp, views: int
 ) -> tuple[Float[np.ndarray, "views"], Float[np.ndarray, "views 3"]]:
+    """Return random roll angles and random points of aim."""
     aims = setup.scatter * rng.standard_normal((views, 3)) + setup.target.points.mean(axis=0)
     return rng.uniform(-setup.roll, setup.roll, views), aims
 
 
 def paper_scene(seed: int = 0, setup: PaperSetUp = PAPER) -> Scene:
-    """Return the paper's experiment from points: about 1200 circles over five viewpoints."""
+    """Return the paper's experiment, simulated from points, without pictures.
+
+    There are about 1200 circles over the five viewpoints.
+    """
     rng = np.random.default_rng((seed, 1))
     return _simulated(paper_viewpoints(rng, setup), setup, seed)
 
 
 def paper_unseen(seed: int = 0, setup: PaperSetUp = PAPER, views: int = 60) -> Scene:
-    """Return what is seen, without pixel noise, from viewpoints between the paper's five.
+    """Return held-out views from between the paper's five viewpoints, without pixel noise.
 
-    They fill the five's hull evenly, miss what they aim at by as much, and the robot errs in them
-    as it does in the five.
+    They fill the convex hull of the five uniformly; their errors of aim and the robot's errors have
+    the same standard deviations as in the five.
     """
     rng = np.random.default_rng((seed, 2))
     reach = np.sin(FIVE_STEP * np.max(FIVE_PATTERNS[setup.pattern]))
-    # Even over the triangle between the middle and two neighbouring ends, then over all of them.
+    # Uniform over the triangle between the middle and two neighbouring ends, then over all such
+    # triangles by random signs.
     aside = reach * rng.dirichlet([1.0, 1.0, 1.0], views)[:, :2]
     if setup.pattern == "cross":
         aside = aside * rng.choice([-1.0, 1.0], aside.shape)
@@ -116,6 +123,7 @@ def paper_unseen(seed: int = 0, setup: PaperSetUp = PAPER, views: int = 60) -> S
 
 
 def _simulated(poses: SE3, setup: PaperSetUp, seed: int) -> Scene:
+    """Return a simulated scene of viewpoints with the noise of the set-up."""
     truth = setup.calibration
     return simulate(
         truth,
@@ -133,8 +141,9 @@ def paper_photographs(
     setup: PaperSetUp = PICTURED,
     progress: Callable[[str], None] | None = None,
 ) -> Scene:
-    """Return the same from rendered pictures, with the circles that are detected in them."""
+    """Return the paper's experiment with circles that are detected in rendered pictures."""
     truth, rng = setup.calibration, np.random.default_rng((seed, 3))
     poses = truth.command_for(paper_viewpoints(np.random.default_rng((seed, 1)), setup))
+    # A separate generator for the robot's noise, so that the viewpoints are those of `paper_scene`.
     reported = reported_poses(poses, rng, setup.translation_noise, setup.rotation_noise)
     return photograph(truth, poses, setup.target, reported, seed, progress, samples=2)

@@ -1,4 +1,4 @@
-"""What a target looks like: how light it is at any place on its board."""
+"""Define the printed pattern of targets: whether a point of the board is dark or light."""
 
 from collections.abc import Callable
 
@@ -12,20 +12,20 @@ from ..targets import AbstractTarget, Charuco, Chessboard, CircleGrid, TagGrid
 Pattern = Callable[
     [Float[np.ndarray, "places"], Float[np.ndarray, "places"]], Bool[np.ndarray, "places"]
 ]
-"""Where a board is dark, by x and y in the board's own frame, m."""
+"""A function that returns whether a board is dark at x and y of the board's own frame, m."""
 
 ORIGIN_MARK = 1.5
-"""Radius of the larger corner circle over that of the others, where the target does not say."""
+"""Ratio of the larger corner circle's radius to the others', where the target does not state it."""
 
 
 def dark_places(target: AbstractTarget) -> Pattern:
-    """The printed pattern of a flat target; paper around it is light without end.
+    """Return the printed pattern of a flat target; the paper around it is light and unbounded.
 
-    Circles of unknown radius have a quarter of the distance to their nearest neighbour, and the
-    ground of light circles is dark everywhere.
+    Circles of unknown radius have a quarter of the distance to their nearest neighbour; the
+    background of light circles is dark everywhere.
 
     Raises:
-        ValueError: a target whose looks are not known.
+        ValueError: the pattern of the target is not known.
     """
     if isinstance(target, CircleGrid):
         return _circles(target)
@@ -39,11 +39,14 @@ def dark_places(target: AbstractTarget) -> Pattern:
 
 
 def _circles(target: CircleGrid) -> Pattern:
+    """Return the pattern of a circle grid."""
     step = target.spacing
     radius = 0.25 * target.nearest if target.radius is None else target.radius
     mark = ORIGIN_MARK * radius if target.mark_radius is None else target.mark_radius
 
     def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        # The nearest circle decides, which needs no loop over circles. Odd rows of an asymmetric
+        # grid are shifted by one step, and the pitch of its columns is two.
         i = np.clip(np.rint(y / step), 0, target.rows - 1)
         shift, pitch = (i % 2, 2.0) if target.asymmetric else (0.0, 1.0)
         j = np.clip(np.rint((x / step - shift) / pitch), 0, target.columns - 1)
@@ -56,6 +59,8 @@ def _circles(target: CircleGrid) -> Pattern:
 
 
 def _chessboard(target: Chessboard) -> Pattern:
+    """Return the pattern of a chessboard."""
+
     def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         i, j = _cell(y, target.square), _cell(x, target.square)
         printed = (i >= -1) & (i < target.rows) & (j >= -1) & (j < target.columns)
@@ -66,7 +71,9 @@ def _chessboard(target: Chessboard) -> Pattern:
 
 
 def _charuco(target: Charuco) -> Pattern:
-    # Markers sit on the light squares, which begin with the first one in some legacy boards.
+    """Return the pattern of a ChArUco board: dark squares, and markers on the light ones."""
+    # Markers are on the light squares. In legacy boards with an even number of rows the first
+    # square is light.
     light_first = target.legacy and target.squares_y % 2 == 0
     light = (np.add.outer(range(target.squares_y), range(target.squares_x)) % 2 == 0) == light_first
     ids = np.where(light, np.cumsum(light).reshape(light.shape) - 1, -1)
@@ -85,12 +92,13 @@ def _charuco(target: Charuco) -> Pattern:
 
 
 def _tags(target: TagGrid) -> Pattern:
+    """Return the pattern of a grid of tags."""
     bits = _marker_cells(target.dictionary, target.ids[-1] + 1)
     pitch = target.size + target.gap
     left, top = target.points[0, :2]
 
     def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        # The board's y points up, rows go down.
+        # The board's y axis points up, whereas rows are counted downwards.
         i = np.clip(_cell(top - y, pitch), 0, target.rows - 1)
         j = np.clip(_cell(x - left, pitch), 0, target.columns - 1)
         number = target.first_id + i * target.columns + j
@@ -100,11 +108,12 @@ def _tags(target: TagGrid) -> Pattern:
 
 
 def _cell(where: Float[np.ndarray, "places"], size: float) -> Int[np.ndarray, "places"]:
+    """Return the index of the cell that contains each coordinate."""
     return np.floor(where / size).astype(int)
 
 
 def _marker_cells(dictionary: str, count: int) -> Bool[np.ndarray, "markers cells cells"]:
-    """The dark cells of a dictionary's first markers, the border included."""
+    """Return the dark cells of the first markers of a dictionary, including the border."""
     known = dictionary_by_name(dictionary)
     cells = known.markerSize + 2
     return np.stack([cv2.aruco.generateImageMarker(known, k, cells) == 0 for k in range(count)])
@@ -117,7 +126,10 @@ def _marker(
     down: Float[np.ndarray, "places"],
     size: float,
 ) -> Bool[np.ndarray, "places"]:
-    """Whether a place is dark, given from a marker's top left corner; light outside of it."""
+    """Return whether a point is dark, given relative to a marker's top left corner.
+
+    Points outside the marker are light.
+    """
     cells = bits.shape[-1]
     row, column = _cell(down, size / cells), _cell(across, size / cells)
     inside = (row >= 0) & (row < cells) & (column >= 0) & (column < cells)

@@ -1,4 +1,4 @@
-"""Scenes seen in rendered pictures: what a detector finds in them, not points with noise added."""
+"""Simulate scenes from rendered pictures, in which a detector finds the target points."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,10 @@ from .render import render
 from .scenes import Scene
 
 MISTAKEN = 5.0
-"""A point found so far, px, from where the truth projects it was taken for another one."""
+"""Largest distance, px, of a detected point from its true projection.
+
+A detection that is farther away belongs to another point.
+"""
 
 
 def photograph(
@@ -28,18 +31,19 @@ def photograph(
     progress: Callable[[str], None] | None = None,
     **options,
 ) -> Scene:
-    """Take a picture of a target from every robot pose, at every height, and detect it.
+    """Render a picture of a target from every robot pose, at every height, and detect the target.
 
-    Of the orders that look alike the one is taken that the truth shows, so that the fitted world
-    frame is the true one. A picture in which the target is not found leaves its points unseen.
+    If a target looks the same in several orders of its points, the order closest to the truth is
+    used, so that the fitted world frame is the true one. A picture in which the target is not found
+    has no visible points.
 
     Args:
-        calibration: the truth.
+        calibration: the true calibration.
         base_from_tool: `(views)` true robot poses.
-        target: what the pictures show.
-        reported: `(views)` what the robot says; the truth by default.
-        seed: of the sensor's noise.
-        progress: told which view is seen.
+        target: target in the pictures.
+        reported: `(views)` poses that the robot reports; the true ones by default.
+        seed: seed of the sensor's noise.
+        progress: called with a text for each view.
         options: passed on to `render`, other than its height and seed.
     """
     poses = as_se3(base_from_tool)
@@ -54,6 +58,7 @@ def photograph(
             progress(f"view {view + 1} of {views}")
         pose = SE3(poses.wxyz_xyz[view])
         for height in range(heights):
+            # Independent noise for each picture, whatever the number of views or heights.
             number = int(np.random.SeedSequence((seed, view, height)).generate_state(1)[0])
             picture = render(calibration, pose, target, height=height, seed=number, **options)
             truth = known[view].reshape(heights, -1, 2)[height]
@@ -74,7 +79,9 @@ def _as_known(
     known: Float[np.ndarray, "points 2"],
     board: AbstractTarget,
 ) -> Float[np.ndarray, "points 2"]:
-    """In the order that lies nearest to the truth; NaN if none is near."""
+    """Return the detected points in the order closest to the truth; NaN if no order is close."""
+    # The distance of an order is the largest of its points, since one swapped pair disqualifies it.
+    # Missing points are ignored.
     gaps = [np.abs(found[order] - known) for order in board.symmetries]
     worst = [np.nanmax(gap, initial=0.0) for gap in gaps]
     best = int(np.argmin(worst))

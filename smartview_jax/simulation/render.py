@@ -1,7 +1,7 @@
-"""Pictures as a calibrated camera would take them: every pixel looks where its ray meets the board.
+"""Render pictures as a calibrated camera takes them, by ray tracing from pixels to the board.
 
-Nothing is approximated but the pixel's area, which is sampled: the lens bends rays as the
-calibration says, so a detector's answer can be held against `Calibration.project`.
+The only approximation is the sampling of the pixel area. Rays follow the calibrated lens model, so
+that a detector's result can be compared with `Calibration.project`.
 """
 
 from pathlib import Path
@@ -23,10 +23,10 @@ from ..targets import AbstractTarget, StackedTarget
 from .patterns import dark_places
 
 DARK, LIGHT, SURROUNDINGS = 40.0, 215.0, 120.0
-"""Grey levels of print, of paper, and of whatever is not the board's front."""
+"""Grey levels of the print, of the paper, and of everything other than the board's front."""
 
 ROWS = 64
-"""Rows of a picture that are sampled at once."""
+"""Number of picture rows that are sampled at once, which limits memory."""
 
 
 def render(
@@ -40,17 +40,17 @@ def render(
     seed: int = 0,
     samples: int = 4,
 ) -> UInt8[np.ndarray, "rows columns"]:
-    """The picture of a target from one robot pose.
+    """Return the picture of a target from one robot pose.
 
     Args:
-        calibration: camera, mount and where the target stands.
-        base_from_tool: the true robot pose, one.
-        target: its front is drawn; from behind there is nothing to see.
-        height: which of a `StackedTarget`'s heights the board is placed at.
+        calibration: camera, mount and pose of the target.
+        base_from_tool: the true robot pose, a single one.
+        target: target to draw; only its front is visible.
+        height: index of the height of a `StackedTarget` at which the board is placed.
         blur: standard deviation of the lens's blur, px.
-        noise: standard deviation of the sensor's, grey levels.
-        seed: of the noise.
-        samples: rays a pixel in each direction.
+        noise: standard deviation of the sensor's noise, grey levels.
+        seed: seed of the noise.
+        samples: number of rays per pixel in each direction.
     """
     board, z = target, 0.0
     if isinstance(target, StackedTarget):
@@ -63,6 +63,8 @@ def render(
     shade = np.where(dark.reshape(ahead.shape), DARK, LIGHT)
     picture = np.where(ahead, shade, SURROUNDINGS)
     width, rows = calibration.camera.image_size
+    # Average over the samples of each pixel, then blur, then add noise: the order of optics and
+    # sensor.
     picture = picture.reshape(rows, samples, width, samples).mean(axis=(1, 3))
     if blur > 0.0:
         picture = cv2.GaussianBlur(picture, (0, 0), blur)
@@ -73,8 +75,12 @@ def render(
 def _looked_at(
     camera: Camera, camera_from_world: SE3, z: float, front_is_up: bool, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where every sample's ray meets the plane at height z (x, y, m), and whether in front."""
+    """Return where every sample's ray intersects the plane at height z, and whether in front.
+
+    The points are x and y in the world frame, m.
+    """
     width, rows = camera.image_size
+    # Samples are spread evenly over a pixel, which extends 0.5 px around its centre.
     u = (np.arange(width * samples) + 0.5) / samples - 0.5
     v = (np.arange(rows * samples) + 0.5) / samples - 0.5
     plane = jnp.asarray(z)
@@ -96,11 +102,14 @@ def _meet_plane(
     v: Float[Array, "rows"],
     z: Float[Array, ""],
 ) -> tuple[Float[Array, "rows columns 2"], Array]:
+    """Return where pixel rays intersect a horizontal plane, and whether that is in front."""
     pixels = jnp.stack(jnp.meshgrid(u, v), axis=-1)
     rays, valid = camera.unproject(pixels)
     world_from_camera = camera_from_world.inverse()
     direction = rays @ world_from_camera.rotation().as_matrix().T
     centre = world_from_camera.translation()
+    # The point is c + t d with t = (z - c_z) / d_z, for the camera centre c and the ray d, both in
+    # the world frame. A ray parallel to the plane gets t = 0, which is not in front.
     away = (z - centre[2]) / jnp.where(direction[..., 2] == 0.0, jnp.inf, direction[..., 2])
     place = centre[:2][None, None] + away[..., None] * direction[..., :2]
     ahead = valid & (away > 0.0)
@@ -115,14 +124,14 @@ def write_pictures(
     reported: PoseLike | None = None,
     **options: Any,
 ) -> Path:
-    """A data-set folder with a rendered picture for every robot pose, and for every height.
+    """Write a data-set folder with a rendered picture for every robot pose and every height.
 
     Args:
-        folder: to be made; `load_dataset` reads it.
-        calibration: the truth.
+        folder: folder to create; `load_dataset` reads it.
+        calibration: the true calibration.
         base_from_tool: `(views)` true robot poses.
-        target: what the pictures show.
-        reported: `(views)` what the robot says; the truth by default.
+        target: target in the pictures.
+        reported: `(views)` poses that the robot reports; the true ones by default.
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)

@@ -1,4 +1,4 @@
-"""Simulated calibrations with known truth: viewpoints, pixel noise, robot noise, outliers."""
+"""Simulate calibration data with known truth: viewpoints, pixel noise, robot noise, outliers."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,13 +14,13 @@ from ..geometry import look_at as look_along
 
 
 class Scene(eqx.Module):
-    """What was simulated, and the truth behind it.
+    """A simulated data set, together with the truth behind it.
 
     Attributes:
-        data: what an experiment would have given: noisy pixels, reported poses.
-        calibration: the true one.
+        data: the data set of the experiment: noisy pixels and reported poses.
+        calibration: the true calibration.
         base_from_tool: the true robot poses.
-        outliers: the observations that were replaced by gross errors.
+        outliers: whether each observation was replaced by a gross error.
     """
 
     data: Dataset
@@ -39,17 +39,17 @@ def simulate(
     rotation_noise: float = 0.0,
     outlier_fraction: float = 0.0,
 ) -> Scene:
-    """Observe `points` from true robot poses, with errors of known size.
+    """Simulate observations of `points` from true robot poses, with errors of known size.
 
     Args:
-        calibration: the truth.
+        calibration: the true calibration.
         base_from_tool: `(views)` true robot poses.
         points: `(N, 3)` or `(views, N, 3)` target points, m.
-        seed: of numpy's generator; the same seed gives the same scene.
+        seed: seed of numpy's generator; the same seed gives the same scene.
         pixel_noise: standard deviation of `u` and of `v`, px.
         translation_noise, rotation_noise: standard deviations, per axis at the tool, of the
             correction in `tool_from_base = exp(correction) @ reported`; m and rad.
-        outlier_fraction: share of observations moved by 5 to 50 px.
+        outlier_fraction: fraction of observations shifted by 5 to 50 px.
 
     Returns:
         A scene in which points behind the camera or outside the picture are not visible.
@@ -58,6 +58,8 @@ def simulate(
     true_pose = as_se3(base_from_tool)
     predicted, valid = calibration.project(true_pose, points)
     pixels = np.array(predicted) + pixel_noise * rng.standard_normal(predicted.shape)
+    # Random numbers are drawn for every observation, visible or not, so that a seed gives the same
+    # noise whichever points are visible.
     outliers = rng.random(valid.shape) < outlier_fraction
     angle = rng.uniform(0.0, 2.0 * np.pi, valid.shape)
     jump = rng.uniform(5.0, 50.0, valid.shape)
@@ -65,6 +67,7 @@ def simulate(
     pixels = pixels + outliers[..., None] * shift
 
     size = np.array(calibration.camera.image_size)
+    # Points that cannot be projected are NaN, and comparisons with NaN are false, as wanted.
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= 0.0) & (pixels <= size - 1.0)).all(axis=-1)
     visible = np.asarray(valid) & inside
@@ -81,7 +84,9 @@ def simulate(
 def reported_poses(
     base_from_tool: SE3, rng: np.random.Generator, translation_noise: float, rotation_noise: float
 ) -> SE3:
-    """What a robot says of true poses `(views)`; noise as in `simulate`."""
+    """Return what a robot reports for true poses `(views)`; the noise is that of `simulate`."""
+    # In terms of tool_from_base, true = exp(correction) reported; inverted, base_from_tool has
+    # reported = true exp(correction).
     deviations = np.repeat([translation_noise, rotation_noise], 3)
     corrections = deviations * rng.standard_normal((len(base_from_tool.wxyz_xyz), 6))
     return base_from_tool @ SE3.exp(jnp.asarray(corrections))
@@ -94,11 +99,11 @@ def look_at(
     azimuth: float | np.ndarray,
     roll: float | np.ndarray = 0.0,
 ) -> SE3:
-    """`camera_from_world` of cameras that look at a point of the world from above (world +z).
+    """Return `camera_from_world` of cameras that look at a world point from above (world +z).
 
     Args:
-        target: `(3,)` the point on the optical axis, m.
-        distance: from the camera to it, m.
+        target: `(3,)` point on the optical axis, m.
+        distance: distance from the camera to that point, m.
         tilt: angle between the viewing direction and the world's z axis, rad.
         azimuth: direction of the tilt about the world's z axis, from x, rad.
         roll: rotation about the optical axis, rad; zero as in `geometry.look_at`.
@@ -117,9 +122,10 @@ def views_around(
     tilt: float,
     roll: float = np.pi,
 ) -> SE3:
-    """Random `camera_from_world`, `(count)`, that look at a point.
+    """Return random `camera_from_world`, `(count)`, that look at a point.
 
-    Tilt is uniform up to `tilt`, azimuth any, roll uniform within `+-roll`; rad and m.
+    Tilt is uniform between 0 and `tilt`, azimuth uniform over the circle, roll uniform within
+    `+-roll`, all in rad; distance is uniform within its limits, m.
     """
     return look_at(
         target,
@@ -131,7 +137,7 @@ def views_around(
 
 
 def paper_calibration() -> Calibration:
-    """A true calibration like the paper's: 1/3 inch CCD, 16 mm lens, radial distortion."""
+    """Return a true calibration like the paper's: 1/3 inch CCD, 16 mm lens, radial distortion."""
     camera = Camera(2133.0, 2133.0, 322.0, 238.0, Radial(0.3), image_size=(640, 480))
     camera_from_tool = SE3.from_rotation_and_translation(
         SO3.from_rpy_radians(0.03, -0.05, 0.1), jnp.array([-0.02, 0.06, -0.09])
@@ -143,7 +149,10 @@ def paper_calibration() -> Calibration:
 
 
 def paper_points(heights: tuple[float, ...] = (0.0, 0.005, 0.01, 0.015, 0.02)) -> np.ndarray:
-    """`(7 * 6 * heights, 3)` circle centres of a board, 6 mm apart, at several heights z, m."""
+    """Return the circle centres, `(7 * 6 * heights, 3)`, of a board at several heights z, m.
+
+    The circles are 6 mm apart.
+    """
     x, y, z = np.meshgrid(0.006 * np.arange(7), 0.006 * np.arange(6), heights, indexing="ij")
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
 
@@ -160,9 +169,13 @@ def random_scene(
     rotation_noise: float = 0.0,
     outlier_fraction: float = 0.0,
 ) -> Scene:
-    """Random views of a target, by default the paper's camera over its board at two heights."""
+    """Return random views of a target, by default the paper's at two heights.
+
+    The camera is by default the paper's, too.
+    """
     truth = paper_calibration() if calibration is None else calibration
     target = paper_points((0.0, 0.02)) if points is None else points
+    # A generator of its own, so that viewpoints do not depend on the random numbers of the noise.
     rng = np.random.default_rng((seed, 1))
     camera_from_world = views_around(rng, views, target.mean(axis=0), distance, tilt)
     return simulate(
