@@ -1,4 +1,4 @@
-"""The `smartview` command."""
+"""Define the `smartview` command and its subcommands."""
 
 import os
 import sys
@@ -34,14 +34,14 @@ app = typer.Typer(
 
 
 class BadViews(StrEnum):
-    """What to do about a view whose picture or pose is wrong."""
+    """The treatments of a view whose picture or pose is invalid."""
 
     RAISE = "raise"
     MASK = "mask"
 
 
 class NoiseModel(StrEnum):
-    """What the joint fit takes the robot's reported poses for."""
+    """The assumptions of the joint fit on errors of the robot's reported poses."""
 
     ESTIMATED = "estimated"
     TRUSTED = "trusted"
@@ -95,13 +95,14 @@ def main(
 
 
 def _keep_compiled() -> None:
-    """JAX's persistent compilation cache: a second run starts several times faster."""
+    """Enable JAX's persistent compilation cache, so that later runs start several times faster."""
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     import jax
 
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     jax.config.update("jax_compilation_cache_dir", str(home / "smartview_jax"))
+    # By default JAX keeps only what takes a second or more to compile.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.01)
 
 
@@ -168,11 +169,11 @@ _RESULTS = {
     "best without, but does not say where the camera sits",
     "report.html": "what was found, and how good it is",
 }
-"""Every file that `calibrate` writes, and what it is for."""
+"""Descriptions of the files that `calibrate` writes, by file name."""
 
 
 def _run_name() -> str:
-    """Return a new name for a run, which all its files carry: the time, and what makes it one."""
+    """Return a unique name for a run, written to all its files: the time and a random part."""
     import secrets
     from datetime import UTC, datetime
 
@@ -182,6 +183,7 @@ def _run_name() -> str:
 def _save(
     fit: "CalibrationFit", data: "Dataset", folder: Path, run: str, warnings: tuple[str, ...]
 ) -> None:
+    """Write the calibrations of a fit to a folder, by the names in `_RESULTS`."""
     from .calibrate_data import best_uncorrected
 
     fit.calibration.save(folder / "calibration.yaml", run, warnings)
@@ -211,7 +213,7 @@ def compare(
         table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
         for column in COMPARED:
             side = "left" if column == "method" else "right"
-            # Names and spreads stay whole on a narrow terminal; the headings of the others wrap.
+            # On a narrow terminal the headings wrap, but method names and "mean +- std" do not.
             table.add_column(column, justify=side, no_wrap=side == "left" or "+-" in column)
         for row in rows:
             table.add_row(*compared(row))
@@ -226,7 +228,7 @@ def compare(
 
 
 class ExportFormat(StrEnum):
-    """What `export` writes."""
+    """The formats that `export` writes."""
 
     ROS = "ros"
     CAMERA_INFO = "camera_info"
@@ -270,7 +272,7 @@ def export(
 
 
 class SchemaOf(StrEnum):
-    """Files that have a JSON schema."""
+    """The files that have a JSON schema."""
 
     DATASET = "dataset"
     CALIBRATION = "calibration"
@@ -376,7 +378,10 @@ def viewpoint(
 
 
 DISTANCE = 0.2
-"""From the camera to the point by default, m, where a calibration does not know it: the paper's."""
+"""Default distance from the camera to the point, m, as in the paper.
+
+It is used where a calibration has no region of viewpoints.
+"""
 
 
 def _wanted(
@@ -387,7 +392,7 @@ def _wanted(
     five: bool,
     below: bool | None,
 ) -> "SE3":
-    """The views that are asked for, where not said otherwise as the calibration's own were."""
+    """Return the requested camera poses; distance and side default to those of the calibration."""
     import numpy as np
 
     from .viewpoints import FIVE_STEP, direction_of, five_viewpoints, look_at
@@ -411,7 +416,7 @@ def _wanted(
 
 
 def _print_viewpoints(commands: "ViewpointCommands", codec: "PoseCodec") -> None:
-    """Print the poses in a maker's format."""
+    """Print the commanded poses in a manufacturer's format."""
     from .io import pose_columns
 
     table = Table("view", box=box.SIMPLE)
@@ -423,19 +428,19 @@ def _print_viewpoints(commands: "ViewpointCommands", codec: "PoseCodec") -> None
 
 
 def _by_view(words: tuple[str, ...]) -> list[str]:
-    """Words of the views that have any, named as in the table."""
+    """Return the texts that are not empty, each with its view's name as in the table."""
     return [f"v{1 + k}: {text}" for k, text in enumerate(words) if text]
 
 
 def _figure(value: float, codec: "PoseCodec", column: int) -> str:
-    """A number of a pose: thousandths of mm and degrees, as fine in other units."""
+    """Return a number of a pose as text: three decimals for mm and degrees, else six."""
     millimetres = column in codec.lengths and codec.units[0] == "mm"
     degrees = column in codec.angles and codec.units[1] == "deg"
     return f"{value:.3f}" if millimetres or degrees else f"{value:.6f}"
 
 
 def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
-    """The arm that is named, or whose own errors the calibration corrects."""
+    """Return the named arm, or else the arm whose errors the calibration corrects, or None."""
     from .io import load_urdf
     from .robot_errors import arm_of
     from .robots import arm_by_name
@@ -446,6 +451,7 @@ def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
 
 
 def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:
+    """Return a table of joint readings, in degrees (mm for a prismatic joint)."""
     import numpy as np
 
     units = ["mm" if slides else "deg" for slides in arm.prismatic]
@@ -457,7 +463,7 @@ def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:
 
 
 def _readings(words: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
-    """Readings, rad and m, of degrees and metres between commas; None without an arm."""
+    """Return joint readings (rad, m) from text in degrees and metres; None without an arm."""
     import numpy as np
 
     if arm is None:
@@ -465,6 +471,7 @@ def _readings(words: str | None, arm: "SerialArm | None") -> "np.ndarray | None"
             raise ValueError("--near: no arm to read; name one by --arm")
         return None
     if words is None:
+        # Inverse kinematics has several solutions; the one nearest to given readings is chosen.
         raise ValueError("an arm reaches a pose in several ways: say --near which readings")
     try:
         given = np.array([float(word) for word in words.split(",")])
@@ -481,6 +488,7 @@ def _load(
     say: Callable[[str], None],
     base_from_world: str | None = None,
 ) -> "tuple[Dataset, str]":
+    """Load a data set (the sample if none is named), and return it with its name."""
     from .io import load_dataset, parse_rough_pose, sample_folder
 
     rough = None
@@ -488,6 +496,7 @@ def _load(
         rough = parse_rough_pose("--base-from-world", base_from_world)
 
     if dataset is None:
+        # The sample belongs to the installed package, and nothing is written to its folder.
         say("no data set given: the sample of the package")
         return load_dataset(sample_folder(), progress=say, keep_detections=False), "the sample"
     found = load_dataset(dataset, bad_views, progress=say, holder_from_world=rough)
@@ -502,7 +511,7 @@ def _held_out(
     say: Callable[[str], None],
     notes: list[str],
 ) -> "dict[str, Unseen]":
-    """Held-out error of both fits, each fold fitted once; notes why there is none."""
+    """Return the held-out errors of both fits, refitting each fold once, or add a note why not."""
     from .calibrate_data import calibrate as fit_both
     from .evaluation import unseen_errors
 
@@ -525,7 +534,7 @@ def _diagnosis(
     say: Callable[[str], None],
     notes: list[str],
 ) -> "tuple[Repeatability | None, ErrorBudget | None]":
-    """Whether halves of the views agree, and where the error comes from; notes what is not told."""
+    """Compare halves of the views and compute the error budget; note what cannot be computed."""
     from .calibrate_data import calibrate as fit_both
     from .evaluation import error_budget, repeatability
 
@@ -546,6 +555,7 @@ def _diagnosis(
 
 
 def _print_budget(budget: "ErrorBudget") -> None:
+    """Print the error budget, and the explanations by a single parameter if there are any."""
     from .report import budget_rows, explanation_rows
 
     table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
@@ -563,6 +573,7 @@ def _print_budget(budget: "ErrorBudget") -> None:
 
 
 def _print_result(rows, fit, data) -> None:
+    """Print the table of errors, the summary, undetermined directions, remarks and rejections."""
     from .report import rejections, remarks, table_rows, verdict
 
     table = Table()
@@ -590,7 +601,7 @@ def _print_result(rows, fit, data) -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """What is being done, on stderr: one changing line on a terminal, plain lines elsewhere."""
+    """Report progress on stderr: one changing line on a terminal, plain lines elsewhere."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield lambda text: console.print(text, highlight=False, soft_wrap=True)
@@ -601,7 +612,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _errors(debug: bool) -> Iterator[None]:
-    """Errors a user can do something about, as one line; an interrupted run says so."""
+    """Print an error that a user can correct as one line, and report an interrupt."""
     try:
         with heard_at_once():
             yield

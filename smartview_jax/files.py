@@ -1,4 +1,4 @@
-"""Reading and writing text files: safely, atomically, with errors that name the file."""
+"""Read and write text files safely and atomically, with errors that name the file."""
 
 import os
 import re
@@ -14,34 +14,37 @@ from typing import Any
 import yaml
 
 DEEPEST = 40
-"""Levels of nesting that a YAML file may have; the library's own have six."""
+"""Largest number of nested levels in a YAML file; the package's own files have six."""
 
 MOST_NODES = 1_000_000
-"""Entries that a YAML file may have when its aliases are written out."""
+"""Largest number of entries in a YAML file, counted with all aliases expanded."""
 
 _LONGEST_MESSAGE = 300
-
+"""Largest number of characters of the YAML parser's message within an error message."""
 
 _writing = threading.RLock()
-"""Held while a file, or a set of files, is put into place."""
+"""Lock that is held while a file, or a set of files, is moved to its final name."""
 
 _unfinished: set[Path] = set()
-"""Folders with the results of a run that is not yet done."""
+"""Temporary folders with the results of unfinished runs."""
 
 
 def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path:
-    """Write a whole file or nothing: a temporary name beside it, then a rename.
+    """Write a complete file or nothing, by writing a temporary file and renaming it.
 
-    Folders that are missing are made. An interrupted run leaves the old file as it was.
+    Missing folders are created. An interrupted run leaves an existing file unchanged.
     """
     path = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
     with _writing:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # The temporary file is in the same folder, because a rename is atomic only within one file
+        # system.
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
             with os.fdopen(descriptor, "wb") as file:
                 file.write(data)
+            # `mkstemp` makes a file that only its owner can read.
             os.chmod(name, 0o644)
             os.replace(name, path)
         except BaseException:
@@ -51,16 +54,17 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path
 
 
 def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
-    """Raise a ValueError if no file can be written to a folder; what is missing can be made.
+    """Raise a ValueError if no file can be written to a folder; the folder itself may be missing.
 
     Args:
-        folder: where results will go.
-        option: that named it, for the message.
+        folder: folder for results.
+        option: command-line option that named the folder, for the error message.
     """
     folder = Path(folder)
     above = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not above.is_dir():
         raise ValueError(f"{option}: {above} is a file; expected a folder to write to")
+    # Writing is tried, since permission bits do not tell about read-only or network file systems.
     try:
         with tempfile.TemporaryFile(dir=above):
             pass
@@ -70,16 +74,17 @@ def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
 
 @contextmanager
 def written_together(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
-    """Give a folder to write a run's results to; at the end all take their place at once.
+    """Provide a temporary folder for a run's files, and move them to their folder together.
 
-    A run that fails or is interrupted leaves the results of the last one as they were.
+    A run that fails or is interrupted leaves the results of the previous run unchanged.
 
     Args:
-        folder: where the results go; made if it is missing.
-        names: of every file that such runs write; one that this run does not is removed, so that
-            results of different runs never stand side by side.
+        folder: final folder of the results; created if it is missing.
+        names: names of all files that such runs may write. A file that this run does not write is
+            removed, so that results of different runs are never mixed.
     """
     folder = Path(folder)
+    # The temporary folder is on the same file system as the final one, so that moving is a rename.
     near = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
     made = Path(tempfile.mkdtemp(dir=near, prefix=f".{folder.name}."))
     _unfinished.add(made)
@@ -99,10 +104,10 @@ def written_together(folder: str | os.PathLike[str], names: Sequence[str]) -> It
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """Put off an interrupt until a set of files is in its place."""
+    """Postpone an interrupt until a set of files is moved completely."""
     asked: list[int] = []
     with _writing, ExitStack() as after:
-        # Python hears signals in its main thread alone.
+        # Python runs signal handlers only in the main thread, and only there can they be set.
         if threading.current_thread() is threading.main_thread():
             before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
             after.callback(signal.signal, signal.SIGINT, before)
@@ -112,24 +117,25 @@ def _undisturbed() -> Iterator[None]:
 
 
 def leave_nothing_half_written(patience: float) -> None:
-    """Wait until no file is being put into place, and remove a run's unfinished results.
+    """Wait until no file is being moved, and remove the temporary folders of unfinished runs.
 
-    For whoever ends the process without a word to the thread that writes.
+    Call this before ending the process from a thread other than the one that writes.
 
     Args:
-        patience: longest wait, s.
+        patience: longest time to wait, s.
     """
+    # Never released: the process ends next, and no other thread shall begin to write before.
     _writing.acquire(timeout=patience)
     for folder in list(_unfinished):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a UTF-8 file, without the byte-order mark that some programs begin with.
+    """Return the text of a UTF-8 file, without the byte-order mark that some programs write.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is not UTF-8; the message has the place of the first wrong byte.
+        ValueError: it is not UTF-8; the message has the position of the first wrong byte.
     """
     path = Path(path)
     if not path.is_file():
@@ -141,12 +147,12 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def read_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
-    """Read the mapping in a YAML (or JSON) file; its keys may be numbers, too.
+    """Read the mapping in a YAML (or JSON) file; its keys may also be numbers.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is not YAML, has a key twice, is nested or repeated beyond all need, or is
-            not a mapping at the top level.
+        ValueError: it is not YAML, has a key twice, has more than `DEEPEST` levels or `MOST_NODES`
+            entries, or is not a mapping at the top level.
     """
     content = parse_yaml(read_text(path), path)
     if not isinstance(content, dict):
@@ -157,29 +163,29 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
 def parse_yaml(
     text: str, path: str | os.PathLike[str], loader: "type[PlainLoader] | None" = None
 ) -> Any:
-    """Return what a YAML text holds; errors name the file it is from.
+    """Parse a YAML text; errors name the file that it is from.
 
     Args:
-        text: of one document.
-        path: where the text is from, for messages.
-        loader: knows tags besides the plain ones.
+        text: one YAML document.
+        path: of the file that the text is from, for error messages.
+        loader: a loader with further tags; by default `PlainLoader`.
 
     Raises:
-        ValueError: it is not YAML that the loader takes.
+        ValueError: it is not YAML that the loader accepts.
     """
     try:
         return yaml.load(text, Loader=loader or PlainLoader)
-    # A scalar that does not fit its tag (`!!bool x`) ends in whatever its constructor runs into.
+    # Any exception may come from a scalar that does not fit its tag, such as `!!bool x`.
     except Exception as error:
         words = " ".join(str(error).split())[:_LONGEST_MESSAGE]
         raise ValueError(f"{path}: not readable as YAML: {words}") from error
 
 
 class PlainLoader(yaml.SafeLoader):
-    """The safe loader, stricter: each key once, numbers as YAML 1.2 has them, bounded nesting.
+    """A stricter safe YAML loader: unique keys, numbers as in YAML 1.2, bounded nesting.
 
-    YAML 1.1, which PyYAML follows, reads 1e-3 as text, 010 as eight and 1:30 as ninety. Nothing
-    here makes objects: mappings, lists, text, numbers, true and false, and null.
+    YAML 1.1, which PyYAML follows, reads 1e-3 as text, 010 as eight and 1:30 as ninety. The result
+    has only mappings, lists, text, numbers, true, false and null; no other object is ever created.
     """
 
     def __init__(self, stream: str):
@@ -188,7 +194,7 @@ class PlainLoader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Refuse what is nested deeper, or by aliases grows larger, than any file of use."""
+        """Compose a node; raise an error where nesting or expanded aliases exceed the limits."""
         if self._depth > DEEPEST:
             raise yaml.YAMLError(f"nested deeper than {DEEPEST} levels")
         is_alias = self.check_event(yaml.AliasEvent)
@@ -197,6 +203,8 @@ class PlainLoader(yaml.SafeLoader):
         self._depth -= 1
         if is_alias and id(node) not in self._sizes:
             raise yaml.YAMLError("an alias to what it stands in")
+        # size(node) = 1 + sum of the sizes of its parts, with an alias as large as its anchor. This
+        # finds a file whose nested aliases would expand to billions of entries, without expanding.
         if node is not None and not is_alias:
             size = 1 + sum(self._sizes[id(part)] for pair in _parts(node) for part in pair)
             if size > MOST_NODES:
@@ -205,9 +213,10 @@ class PlainLoader(yaml.SafeLoader):
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Build a mapping in which no key comes twice."""
+        """Construct a mapping; raise an error where a key occurs twice."""
         seen: set[Any] = set()
         for key, _ in node.value:
+            # A merge key (`<<`) is no entry itself, and the keys that it adds may be overridden.
             if key.tag == "tag:yaml.org,2002:merge":
                 continue
             name = self.construct_object(key, deep=True)
@@ -219,6 +228,7 @@ class PlainLoader(yaml.SafeLoader):
 
 
 def _parts(node: yaml.Node) -> list[tuple[yaml.Node, ...]]:
+    """Return the nodes directly inside a node: pairs of key and value, or single elements."""
     if isinstance(node, yaml.MappingNode):
         return node.value
     return [(part,) for part in node.value] if isinstance(node, yaml.SequenceNode) else []
@@ -234,7 +244,7 @@ def _number(loader: PlainLoader, node: yaml.ScalarNode) -> float:
 
 
 def _numbers_of_yaml_1_2() -> None:
-    """Give the loader the core schema's numbers in place of YAML 1.1's, and no dates."""
+    """Replace the loader's syntax of numbers by that of YAML 1.2, and its dates by text."""
     tags = {name: f"tag:yaml.org,2002:{name}" for name in ("int", "float", "timestamp")}
     PlainLoader.yaml_implicit_resolvers = {
         first: [pair for pair in pairs if pair[0] not in tags.values()]
@@ -255,7 +265,7 @@ _numbers_of_yaml_1_2()
 
 
 def dump_yaml(content: dict[str, Any]) -> str:
-    """YAML text that a person can read: keys in the given order, short lists on one line."""
+    """Return readable YAML text: keys in the given order, short lists on one line."""
     return yaml.dump(
         content, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True
     )

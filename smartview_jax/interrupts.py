@@ -1,8 +1,9 @@
-"""Ctrl-C answers at once, also while a compiler or a search for circles runs.
+"""Make Ctrl-C end a command at once, also during a long call into compiled code.
 
-Python hears an interrupt only between two of its own steps, and one call into a library may take
-minutes. So a thread listens besides: what the main thread has not ended by itself after a moment,
-it ends, once no file is half-way into its place.
+Python handles an interrupt only between two of its own instructions, and a single call into a
+library (the compiler, the circle detection) may take minutes. Therefore a second thread listens for
+interrupts: if the main thread has not ended within `GRACE`, it ends the process, as soon as no file
+is being written.
 """
 
 import os
@@ -15,30 +16,34 @@ from contextlib import contextmanager
 from .files import leave_nothing_half_written
 
 EXIT_CODE = 130
-"""A shell's own for a program that was interrupted: 128 and the signal's number."""
+"""Exit code of an interrupted program, by the shells' convention: 128 + 2, the signal's number."""
 
 WORDS = "interrupted; no file is left half-written"
+"""Message on standard error after an interrupt."""
 
 GRACE = 1.0
-"""Time that the main thread has for an end of its own, s."""
+"""Time that the main thread has to end by itself after an interrupt, s."""
 
 _PATIENCE = 0.5
-"""Longest wait for files to be in their place, s."""
+"""Longest time to wait for files that are being written, s."""
 
 _SHOW_CURSOR = "\x1b[?25h"
+"""Terminal code that shows the cursor, which a progress line hides."""
 
 told = threading.Event()
-"""Set by who has said so already."""
+"""Event that is set once `WORDS` was printed, so that only one thread prints it."""
 
 
 @contextmanager
 def heard_at_once() -> Iterator[None]:
-    """Listen for interrupts while a command runs; elsewhere than in a main thread do nothing."""
+    """Listen for interrupts while a command runs; do nothing outside the main thread."""
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if threading.current_thread() is not threading.main_thread() or not ours:
         yield
         return
     told.clear()
+    # Python's low-level handler writes the signal's number to this pipe, even while the main thread
+    # is inside a library. It may not block there, hence the non-blocking end.
     heard, bell = os.pipe()
     os.set_blocking(bell, False)
     before = signal.set_wakeup_fd(bell, warn_on_full_buffer=False)
@@ -48,7 +53,8 @@ def heard_at_once() -> Iterator[None]:
         yield
     finally:
         signal.set_wakeup_fd(before)
-        # After an interrupt the thread stays: the interpreter's own end may wait for a compiler.
+        # Closing the pipe ends the thread. After an interrupt it must stay alive, because the
+        # interpreter's own shutdown may wait minutes for a running compiler.
         if not asked.is_set():
             os.close(bell)
 
@@ -60,12 +66,14 @@ def _listen(heard: int, asked: threading.Event) -> None:
             os.close(heard)
             return
     asked.set()
+    # Returns after GRACE, or earlier when a second interrupt arrives.
     select.select([heard], [], [], GRACE)
     leave_nothing_half_written(_PATIENCE)
     if os.isatty(2):
         os.write(2, _SHOW_CURSOR.encode())
     if not told.is_set():
-        # First, because writing lets the main thread go on.
+        # Set before the write, during which the main thread may run and print the same message.
         told.set()
         os.write(2, f"{WORDS}\n".encode())
+    # `sys.exit` would end only this thread; `os._exit` ends the process without waiting for others.
     os._exit(EXIT_CODE)

@@ -1,4 +1,4 @@
-"""What a person sees: tables, plots and the HTML page."""
+"""Present a calibration as tables, plots and an HTML page."""
 
 from .page import write_page as write_page
 from .tables import COMPARED as COMPARED

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: nothing is fetched, pictures are inside."""
+"""Write the report of a calibration as one HTML page that contains its pictures."""
 
 import base64
 import io
@@ -37,19 +37,19 @@ def write_page(
     notes: Sequence[str] = (),
     run: str | None = None,
 ) -> None:
-    """Write the report of a calibration.
+    """Write the report of a calibration as an HTML page.
 
     Args:
-        path: of the HTML file, written whole or not at all.
-        fit: what `calibrate` found.
-        data: what it was fitted to.
-        unseen: what `unseen_errors` found.
-        title: of the page.
-        progress: told what is being drawn.
-        halves: what `repeatability` found.
-        budget: what `error_budget` found.
-        notes: what was asked for and could not be told, and why.
-        run: name of the run, which its other files carry, too.
+        path: of the HTML file, which is written completely or not at all.
+        fit: result of `calibrate`.
+        data: data set that the fit used.
+        unseen: result of `unseen_errors`, the held-out errors by method; None if not computed.
+        title: title of the page.
+        progress: called with a line of text before the plots are drawn.
+        halves: result of `repeatability`; None if not computed.
+        budget: result of `error_budget`; None if not computed.
+        notes: notes to print, such as results that could not be computed, with the reason.
+        run: name of the run, which its other files contain too.
     """
     say = progress or (lambda _: None)
     rows = tables.summaries(fit, data, unseen)
@@ -87,6 +87,7 @@ def write_page(
 def _figures(
     fit: CalibrationFit, data: Dataset, rows: list[tables.Summary]
 ) -> list[tuple[str, str, Figure]]:
+    """Draw the figures of the page, each with its heading and its caption."""
     calibration = fit.joint.calibration
     found = [
         (
@@ -127,9 +128,10 @@ def _figures(
 
 
 def _typical_and_worst(data: Dataset, rows: list[tables.Summary]) -> list[tuple[int, Path]]:
-    """The view with the median error, then that with the largest, where pictures are known."""
+    """Return the views with the median and the largest error, by index, with their pictures."""
     if data.pictures is None:
         return []
+    # The rows here are those of the staged and the joint fit, so the last one is the joint fit.
     errors = rows[-1].fitted.per_view
     order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
     views = [order[len(order) // 2], order[-1]] if len(order) > 1 else order
@@ -137,6 +139,7 @@ def _typical_and_worst(data: Dataset, rows: list[tables.Summary]) -> list[tuple[
 
 
 def _embedded(figure: Figure) -> str:
+    """Return a figure as a data URL with a PNG, so that the page needs no other file."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
@@ -145,6 +148,7 @@ def _embedded(figure: Figure) -> str:
 def _facts(
     fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None
 ) -> list[tuple[str, str]]:
+    """Return the facts of a fit as rows of name and text, for the table at the end of the page."""
     step3 = fit.staged.step3
     used = len(without_rejected_views(data, fit).usable_views())
     facts = [

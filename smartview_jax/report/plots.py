@@ -1,4 +1,4 @@
-"""The pictures of the report, as matplotlib figures."""
+"""Draw the plots of the report as matplotlib figures."""
 
 from collections.abc import Sequence
 
@@ -12,12 +12,14 @@ from ..dataset import Dataset
 from ..targets import StackedTarget
 from .tables import Summary
 
-# Okabe and Ito's colours, which stay apart for colour-blind readers.
+# The palette of Okabe and Ito, which colour-blind readers can distinguish.
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
 COLOURS = {"staged": ORANGE, "joint": BLUE}
 
 
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return a figure with a single plot, of a width and a height in inches."""
+    # `Figure` itself, not pyplot: it needs no display, and leaves a caller's own figures alone.
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
@@ -25,13 +27,13 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calibration) -> Figure:
-    """The paper's Fig. 1: predicted centres as cross-bars over a real picture.
+    """Draw predicted centres as crosses over a real picture, as in Fig. 1 of the paper.
 
     Args:
-        data: what was seen.
+        data: data set with the detected points.
         view: index of the view.
-        picture: grey, `(h, w)`; of a `StackedTarget`, at its first height.
-        calibration: whose predictions to draw.
+        picture: grey picture, `(h, w)`; for a `StackedTarget`, the one at its first height.
+        calibration: calibration that predicts the points.
     """
     target = data.target
     shown = slice(len(target.board.points) if isinstance(target, StackedTarget) else None)
@@ -42,7 +44,7 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
     axes.plot(u, v, "+", color=RED, markersize=9, markeredgewidth=1.2, label="predicted")
     seen = np.asarray(data.pixels)[view, shown][np.asarray(data.visible)[view, shown]]
     axes.plot(*seen.T, ".", color=BLUE, markersize=3, label="measured")
-    # Of a target of several heights the picture may show another one than was detected.
+    # A target with several heights may have been detected only at others than the picture's.
     if len(seen):
         margin = 0.12 * float(np.ptp(seen, axis=0).max())
         low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
@@ -56,9 +58,10 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
 
 
 def deviation_histogram(rows: Sequence[Summary]) -> Figure:
-    """The paper's Fig. 7: how the deviations are distributed."""
+    """Draw histograms of the registration errors, px, as in Fig. 7 of the paper."""
     figure, axes = _figure(7.0, 3.6)
     finite = [row.fitted.px[np.isfinite(row.fitted.px)] for row in rows]
+    # The 99.5th percentile limits the axis, so that a few outliers do not compress the histogram.
     limit = max(float(np.percentile(values, 99.5)) for values in finite if values.size)
     bins = np.linspace(0.0, limit, 40).tolist()
     for row, values in zip(rows, finite, strict=True):
@@ -73,17 +76,19 @@ def deviation_histogram(rows: Sequence[Summary]) -> Figure:
 
 
 def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
-    """Residuals over the image, lengthened so that they can be seen."""
+    """Draw the residuals over the image as arrows, magnified so that they are visible."""
     figure, axes = _figure(7.0, 5.2)
     seen = np.asarray(data.visible) & np.isfinite(residuals).all(axis=-1)
     where, vectors = np.asarray(data.pixels)[seen], residuals[seen]
+    # An arrow of RMS length becomes 3 % of the picture's width.
     typical = float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1)))) or 1.0
     width, height = data.image_size
     gain = 0.03 * width / typical
+    # At most 2500 arrows, drawn at random, remain distinguishable.
     rng = np.random.default_rng(0)
     shown = rng.permutation(len(where))[:2500]
     lengths = np.linalg.norm(vectors, axis=1)
-    # From the prediction to the measurement.
+    # The residual is measured minus predicted: an arrow points away from the prediction.
     arrows = axes.quiver(
         *where[shown].T,
         *(gain * vectors[shown]).T,
@@ -94,7 +99,7 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
         cmap="viridis",
         width=0.0018,
     )
-    # A few points that are far off would leave all others the same colour.
+    # Without a limit, a few outliers would give all other arrows the same colour.
     arrows.set_clim(0.0, float(np.percentile(lengths, 98)) or 1.0)
     figure.colorbar(arrows, ax=axes, label="deviation (px)", shrink=0.85, extend="max")
     axes.set_xlim(0, width)
@@ -107,7 +112,7 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
 
 
 def view_errors(data: Dataset, rows: Sequence[Summary]) -> Figure:
-    """RMS of every view, to find the one that is wrong."""
+    """Draw the RMS registration error of every view as bars, px, which exposes outlying views."""
     figure, axes = _figure(max(5.0, 0.35 * data.view_count + 2.0), 3.4)
     place = np.arange(data.view_count)
     for k, row in enumerate(rows):
@@ -122,7 +127,7 @@ def view_errors(data: Dataset, rows: Sequence[Summary]) -> Figure:
 
 
 def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
-    """Cameras, tools and the target, in the frame the target stands in."""
+    """Draw the cameras and the target in the target's frame, m; cameras of unused views are red."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
     world_from_camera = calibration.camera_from_world(data.command).inverse()
@@ -133,6 +138,7 @@ def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
     target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
     axes.scatter(*target.T, s=3, color=GREY, depthshade=False)
     used = np.asarray(seen.any(axis=1))
+    # Cameras are drawn in proportion to their median distance from the target.
     length = 0.18 * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
     for centre, rotation, view, good in zip(centres, rotations, data.view_ids, used, strict=True):
         _frustum(axes, centre, rotation, calibration, length, BLUE if good else RED)
@@ -150,15 +156,17 @@ def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
 
 
 def error_by_views(chosen: np.ndarray, drawn: np.ndarray, unit: str = "px") -> Figure:
-    """Expected error against the number of views: chosen ones over the band of random ones.
+    """Draw the expected error against the number of views, for chosen and for random views.
 
     Args:
-        chosen: after one view, after two, and so on; infinite where that leaves something open.
-        drawn: the same of random orders of views, `(draws, views)`.
-        unit: of the error.
+        chosen: expected error after one chosen view, after two, and so on; infinite where the
+            views leave a parameter undetermined.
+        drawn: the same for random orders of the views, `(orders, views)`.
+        unit: unit of the error.
     """
     figure, axes = _figure(6.5, 3.8)
     number = np.arange(1, 1 + drawn.shape[1])
+    # "nearest" takes one of the values: interpolation between infinite values gives NaN.
     low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0, method="nearest")
     known = np.isfinite(high)
     axes.fill_between(number[known], low[known], high[known], color=GREY, alpha=0.25, linewidth=0)
@@ -180,8 +188,19 @@ def _frustum(
     length: float,
     colour: str,
 ) -> None:
+    """Draw a camera as a pyramid from its centre to the corners of its image, `length` m deep.
+
+    Args:
+        axes: 3D plot to draw in.
+        centre: `(3,)` camera centre in the target's frame, m.
+        rotation: `(3, 3)` rotation from the camera's to the target's frame.
+        calibration: calibration with the camera's intrinsics.
+        length: depth of the pyramid, m.
+        colour: colour of the lines.
+    """
     camera = calibration.camera
     width, height = camera.image_size
+    # Corners at depth 1, without distortion: ((u - u0) / alpha_u, (v - v0) / alpha_v, 1).
     x = np.array([0.0, width, width, 0.0]) - float(camera.u0)
     y = np.array([0.0, 0.0, height, height]) - float(camera.v0)
     corners = np.stack([x / float(camera.alpha_u), y / float(camera.alpha_v), np.ones(4)], axis=1)

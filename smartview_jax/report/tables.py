@@ -1,4 +1,4 @@
-"""The result as rows of text, for the terminal and for the page alike."""
+"""Format the results of a calibration as rows of text, for the terminal and the HTML page."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -30,12 +30,12 @@ from ..variance import MINIMUM_RELIABLE_VIEWS
 
 
 class Summary(NamedTuple):
-    """What the table says of one fit.
+    """The errors of one fit, which are one column of the table of results.
 
     Attributes:
-        name: of the method.
-        fitted: deviations on all views that were not rejected.
-        unseen: what it does on views it never saw; None where not evaluated.
+        name: name of the method.
+        fitted: registration errors on all views that were not rejected.
+        unseen: held-out errors; None where they were not computed.
     """
 
     name: str
@@ -44,16 +44,17 @@ class Summary(NamedTuple):
 
     @property
     def held_out(self) -> HeldOut | None:
-        """By view."""
+        """The held-out error by view; None where it was not computed."""
         return None if self.unseen is None else self.unseen.held_out
 
 
 def summaries(
     fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None = None
 ) -> list[Summary]:
-    """Staged and joint, side by side; where the joint fit corrects the robot, also without.
+    """Return the errors of the staged and the joint fit.
 
-    Views that the joint fit left out whole do not count: the same ones for all.
+    If the joint fit corrects the robot's error, a third row has its errors without the correction.
+    Views that the joint fit rejected entirely are left out for all fits alike.
     """
     unseen, data = unseen or {}, without_rejected_views(data, fit)
     parts = {"staged": fit.staged.calibration, "joint": fit.joint.calibration}
@@ -72,10 +73,11 @@ MEASURES = (
     "  with a free pose a view",
     "held-out by region, RMS",
 )
+"""Names of the rows of the table of results."""
 
 
 def cells(summary: Summary) -> list[str]:
-    """One column of the table: a text for each of `MEASURES`."""
+    """Return one column of the table of results: a text for each of `MEASURES`."""
     figures = [
         f"{summary.fitted.mean:.2f} +- {summary.fitted.std:.2f} px",
         f"{summary.fitted.rms:.2f} px",
@@ -96,7 +98,7 @@ def cells(summary: Summary) -> list[str]:
 
 
 def table_rows(rows: Sequence[Summary]) -> list[tuple[str, ...]]:
-    """The rows of the table that hold a figure, each with its measure first."""
+    """Return the rows of the table that have a number, each beginning with its measure."""
     columns = [cells(row) for row in rows]
     return [row for row in zip(MEASURES, *columns, strict=True) if set(row[1:]) != {"-"}]
 
@@ -110,10 +112,11 @@ COMPARED = (
     "held out, mm",
     "left out points, views",
 )
+"""Headings of the columns of the comparison of methods."""
 
 
 def compared(row: Row) -> list[str]:
-    """One row of the comparison of methods: a text for each of `COMPARED`."""
+    """Return one row of the comparison of methods: a text for each of `COMPARED`."""
     if row.fitted is None or row.held_out is None:
         return [row.name, "failed", *["-"] * (len(COMPARED) - 2)]
     unseen = row.held_out.deviations
@@ -132,7 +135,7 @@ def compared(row: Row) -> list[str]:
 def remarks(
     name: str, fitted: Deviations | None, unseen: Unseen | None, failure: str | None = None
 ) -> list[str]:
-    """What a figure in a table does not say: failures, and points it leaves out."""
+    """Return remarks on the numbers of a table: failed fits, and points that are left out."""
     found = [] if failure is None else [f"{name}: {failure}"]
     if fitted is not None and fitted.unpredicted:
         found.append(f"{name}: {fitted.unpredicted} points seen cannot be predicted at all")
@@ -141,7 +144,7 @@ def remarks(
     found += _left_out(name, unseen.held_out)
     if unseen.by_region is not None:
         found += _left_out(f"{name}, by region", unseen.by_region)
-    # What failed by view has failed here too.
+    # A fold whose refit failed is reported above already.
     known = {number for number, _ in unseen.held_out.failures}
     others = (unseen.floor, None if unseen.foretold is None else unseen.foretold.predicted)
     for what, part in zip(("with a free pose", "what the fit expected"), others, strict=True):
@@ -152,6 +155,7 @@ def remarks(
 
 
 def _left_out(name: str, unseen: HeldOut) -> list[str]:
+    """Return remarks on held-out points without prediction, extrapolation, and failed folds."""
     found = []
     if unseen.deviations.unpredicted:
         count = unseen.deviations.unpredicted
@@ -168,7 +172,7 @@ def _left_out(name: str, unseen: HeldOut) -> list[str]:
 
 
 def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
-    """View and reason, a line a view: whole views first, then points counted by reason."""
+    """Return views and reasons of rejection: whole views first, then counts of rejected points."""
     whole, points = {}, {}
     for view, point, reason in rejected_by(fit) or ():
         if point is None:
@@ -183,7 +187,7 @@ def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
 
 
 def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
-    """What the joint fit took for the sizes of errors, and why; nothing where it was not asked."""
+    """Return the estimated variance components and robot error model as rows; empty if none."""
     noise, estimate = joint.noise, joint.estimate
     if noise is None or estimate is None:
         return []
@@ -193,7 +197,8 @@ def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         if other.probability >= 0.005
     )
     white = "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
-    # Of a size that is next to nothing the share says nothing.
+    # A relative standard deviation of 100 % or more belongs to a size that is close to zero, and
+    # carries no information.
     known = [f" +- {share:.0%}" if share < 1.0 else "" for share in estimate.relative_std]
     lines = [
         (
@@ -229,22 +234,23 @@ MODELS = {
     "joint_offsets": "zeros of the joints",
     "dh": "zeros of the joints, lengths and twists of the links",
 }
-"""What the names of models of the robot's error stand for."""
+"""Descriptions of the robot error models, by name."""
 
 
 def _in_words(name: str) -> str:
+    """Return the name of a robot error model with its description."""
     return f"{name} ({MODELS[name]})" if name in MODELS else name
 
 
 def models_chosen(names: Iterable[str]) -> str:
-    """Clause on what refits took the robot's error for; nothing where that was not estimated."""
+    """Return a clause that counts the robot error models of refits; empty if none was estimated."""
     counts = Counter(names).most_common()
     listed = ", ".join(f"{name} {count}" for name, count in counts)
     return f"; errors of the robot there: {listed}" if counts else ""
 
 
 def halves_agree(halves: Repeatability | None) -> list[tuple[str, str]]:
-    """How far apart two halves of the views put the camera; nothing where that was not asked."""
+    """Return a row on how far the hand-eye transforms of two halves of the views differ, if known."""
     if halves is None:
         return []
     estimates = [getattr(fit, "estimate", None) for fit in halves.fits]
@@ -254,12 +260,16 @@ def halves_agree(halves: Repeatability | None) -> list[tuple[str, str]]:
 
 
 def budget_rows(budget: ErrorBudget) -> list[tuple[str, str, str]]:
-    """Cause, RMS in the chain without correction, and what to do, the largest first."""
+    """Return each cause of error, its RMS in the uncorrected chain and an advice, largest first."""
     return [(part.name, f"{part.px:.3g} px", part.advice) for part in budget.parts]
 
 
 def explanation_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
-    """Explanations by one number: name, its size, what it gains, beside a field, hidden regions."""
+    """Return rows on explanations of the robot's error by a single parameter.
+
+    A row has the name, the size, the reduction of the deviance (and that by a robot error field
+    instead), the further reduction in addition to that field, and the held-out RMS by region.
+    """
     return [
         (
             one.name,
@@ -273,9 +283,10 @@ def explanation_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]
 
 
 def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
-    """Name, value with unit, and standard deviation of the numbers of the joint fit.
+    """Return the name, value with unit, and standard deviation of the joint fit's parameters.
 
-    Of a smooth error of the robot only those that mean something by themselves: an arm's own.
+    The coefficients of a robot error field are included only if they are parameters of a known arm,
+    because those of other fields have no meaning one by one.
     """
     calibration = fit.joint.calibration
     slides, rows = _offsets_that_slide(calibration), []
@@ -291,6 +302,8 @@ def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
 
 
 def _values(calibration: Calibration) -> dict[str, float]:
+    """Return the camera's, the transforms' (m, rad) and the target's parameters by name."""
+    # The names are the keys of `JointFit.std`, so that both can be combined.
     camera = calibration.camera
     values = {
         f"camera.{key}": float(getattr(camera, key)) for key in ("alpha_u", "alpha_v", "u0", "v0")
@@ -313,7 +326,7 @@ def _values(calibration: Calibration) -> dict[str, float]:
 
 
 def _errors_of_arm(calibration: Calibration) -> dict[str, float]:
-    """Coefficients of the errors of an arm whose joints are known."""
+    """Return the robot error coefficients by name, for an arm with known joints; else none."""
     error = calibration.robot_error
     if error is None or arm_of(calibration.field) is None:
         return {}
@@ -325,7 +338,7 @@ def _errors_of_arm(calibration: Calibration) -> dict[str, float]:
 
 
 def _offsets_that_slide(calibration: Calibration) -> set[str]:
-    """Those of joints whose zero is a length."""
+    """Return the names of the joint offsets of prismatic joints, whose unit is a length."""
     arm = arm_of(calibration.field)
     if arm is None:
         return set()
@@ -333,6 +346,7 @@ def _offsets_that_slide(calibration: Calibration) -> set[str]:
 
 
 def _unit(name: str, slides: set[str]) -> tuple[float, str]:
+    """Return the factor from SI units, and the unit to print, of a parameter by its name."""
     if ".translation." in name or ".link_length." in name or name in slides:
         return 1e3, "mm"
     if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
@@ -343,14 +357,15 @@ def _unit(name: str, slides: set[str]) -> tuple[float, str]:
 
 
 def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
-    """The result in a sentence or two."""
+    """Return a summary of the result in a few sentences."""
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows[:2]
     measured, what = [staged.fitted.rms, joint.fitted.rms], "on the views it was fitted to"
     if staged.held_out is not None and joint.held_out is not None:
         unseen = [staged.held_out.deviations.rms, joint.held_out.deviations.rms]
-        # Where every fold failed there is nothing to tell.
+        # Without a single successful fold the held-out RMS is not finite, and the registration
+        # errors are reported instead.
         if np.isfinite(unseen).all():
             measured, what = unseen, "on views it never saw"
     floor = float(fit.staged.step2.rms)

@@ -1,5 +1,5 @@
-"""What may stand in a file: typed schemas with units and ranges, and errors that name the entry.
+"""Define the contents of files by typed schemas with units and ranges; errors name the entry.
 
-The modules here import pydantic, which takes a tenth of a second: they are imported by the
-functions that read files, when they read one.
+The modules in this folder import pydantic, which takes a tenth of a second. Therefore functions
+that read files import these modules only when they are called.
 """

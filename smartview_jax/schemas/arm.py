@@ -1,4 +1,4 @@
-"""An arm's Denavit-Hartenberg numbers in a file, and the transforms at its ends."""
+"""Define the file entries of an arm's Denavit-Hartenberg parameters and of rigid transforms."""
 
 import math
 from typing import Annotated, Literal
@@ -30,6 +30,7 @@ class TransformEntry(Entry):
 
     @model_validator(mode="after")
     def _turns(self) -> "TransformEntry":
+        # A unit quaternion has w^2 + x^2 + y^2 + z^2 = 1; the tolerance allows for rounded digits.
         length = math.hypot(*self.quaternion_wxyz)
         if abs(length - 1.0) > 1e-6:
             raise ValueError(f"quaternion_wxyz: expected length 1, found {length:.8g}")

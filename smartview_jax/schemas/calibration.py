@@ -1,4 +1,4 @@
-"""`calibration.yaml`: what `Calibration.save` writes."""
+"""Define the schema of `calibration.yaml`, the file that `Calibration.save` writes."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -8,7 +8,10 @@ from .arm import ArmEntry, TransformEntry
 from .entry import Entry, Name, Plain, Said
 
 VERSIONS = (1, 2)
+"""Versions of the format that can be read; version 2 has an end mark."""
+
 END = "smartview_calibration"
+"""Value of the last entry, `end`, by which a truncated file is recognised."""
 
 _Focal = Annotated[
     float, Field(gt=0.0, le=1e7), Said("a focal length over pixel pitch in px, above 0 up to 1e7")
@@ -68,6 +71,7 @@ _Reach = Annotated[float, Field(gt=0.0, le=1e4), Said("a distance in m, above 0 
 
 
 def _part(value: Any) -> str:
+    """Return the tag of a part of a robot error field: a nested field, an arm, or numbers."""
     if isinstance(value, dict):
         return "field" if "model" in value else "arm"
     return "numbers" if isinstance(value, list) else "number"
@@ -139,7 +143,10 @@ class _Calibration(Entry):
 
     @model_validator(mode="after")
     def _is_whole(self) -> "_Calibration":
-        """Refuse what may have been cut: what is lost last is the correction of the robot."""
+        """Raise a ValueError for a file that may be truncated.
+
+        The correction of the robot stands last in a file, so its loss would not be noticed.
+        """
         if self.smartview_calibration == 2 and self.end != END:
             raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
         if self.smartview_calibration == 1 and "robot_error" not in self.model_fields_set:

@@ -1,4 +1,4 @@
-"""`dataset.yaml`: what a data-set folder holds; see `io.dataset_folder`."""
+"""Define the schema of `dataset.yaml`, which describes a data-set folder (`io.dataset_folder`)."""
 
 import math
 import re
@@ -12,9 +12,10 @@ from .entry import Coordinate, Entry, Name, Said
 from .target import TargetEntry
 
 END = "smartview_dataset"
+"""Value of the last entry, `end`, by which a truncated file is recognised."""
 
 MOST_POINTS = 1_000_000
-"""Of a target at all its heights: so many fit into memory for every view."""
+"""Largest number of target points, over all heights, so that every view fits into memory."""
 
 LengthUnit = Literal["m", "cm", "mm"]
 AngleUnit = Literal["rad", "deg"]
@@ -65,6 +66,7 @@ class JointsEntry(Entry):
 
 
 def _pattern(text: str) -> str:
+    """Return a pattern of picture names; raise a ValueError for other placeholders than allowed."""
     rest = text.replace("{view}", "").replace("{height}", "")
     if "{view}" not in text or re.search("[{}]", rest) or not rest.isprintable():
         raise ValueError
@@ -134,6 +136,7 @@ class DatasetFile(Entry):
     def _is_whole(self) -> "DatasetFile":
         if self.end_mark and self.end != END:
             raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
+        # A grid states rows x columns, a ChArUco board squares_x x squares_y; others count as 1.
         target = self.target
         sides = [getattr(target, name, 1) for name in ("rows", "columns", "squares_x", "squares_y")]
         points = math.prod(sides) * len(target.heights or [0])

@@ -1,4 +1,4 @@
-"""The grammar of all schemas: mappings without unknown keys, numbers with a unit and a range."""
+"""Define what all schemas share: mappings without unknown keys, numbers with unit and range."""
 
 import dataclasses
 from collections.abc import Callable
@@ -27,7 +27,9 @@ class Entry(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _names_unknown_keys(cls, content: Any) -> Any:
-        """Refuse an unknown key with the nearest known one: a misspelt key is never ignored."""
+        """Raise an error for an unknown key that names the nearest known one."""
+        # pydantic's own error for an unknown key does not name the known ones. A misspelt key that
+        # was ignored would leave a default value in effect without notice.
         known = list(cls.model_fields)
         unknown = [key for key in content if key not in known] if isinstance(content, dict) else []
         if unknown and cls.model_config.get("extra") == "forbid":
@@ -45,10 +47,10 @@ class Entry(BaseModel):
 
 @dataclasses.dataclass(frozen=True)
 class Said:
-    """Mark a type by what is expected, in words, for its errors and its JSON schema.
+    """A description of the values that a type expects, for its errors and its JSON schema.
 
     Attributes:
-        words: the expected value with its unit and range.
+        words: description of the expected value with its unit and range.
     """
 
     words: str
@@ -56,20 +58,20 @@ class Said:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Wrap the type's own check, so that its complaint becomes ours."""
+        """Wrap the type's validation, so that its error message is replaced by `words`."""
         return core_schema.no_info_wrap_validator_function(self._check, handler(source))
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Describe the type where an editor shows it."""
+        """Return the JSON schema with `words` as its description, which editors show."""
         return {**handler(schema), "description": self.words}
 
     def _check(self, value: Any, handler: Callable[[Any], Any]) -> Any:
         try:
             return handler(value)
         except ValidationError as error:
-            # A part that is wrong has its own words and its own path.
+            # An error inside a part of the value already has a message and a path of its own.
             if any(problem["loc"] for problem in error.errors(include_url=False)):
                 raise
             raise PydanticCustomError(
@@ -80,14 +82,14 @@ class Said:
 
 
 def _plain_name(name: str) -> str:
-    """Refuse what no file system takes, or no person can see."""
+    """Return a name; raise a ValueError if it is blank or has unprintable characters."""
     if not name.isprintable() or not name.strip():
         raise ValueError
     return name
 
 
 FARTHEST = 100.0
-"""Largest coordinate of a pose in a file, m: no cell is larger; what is, is in another unit."""
+"""Largest coordinate of a pose in a file, m: a larger one was given in another unit."""
 
 Length = Annotated[float, Field(gt=0.0, le=100.0), Said("a length in m, above 0 and up to 100")]
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST), Said("m, from -100 to 100")]

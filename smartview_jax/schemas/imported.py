@@ -1,4 +1,4 @@
-"""Files of other programs: of their entries only those that are read here have to be right."""
+"""Define schemas for files of other programs; only the entries that are read are validated."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,7 +13,7 @@ _Spacing = Annotated[float, Field(gt=0.0, le=100.0), Said("a length in m, above 
 
 
 class ForeignEntry(Entry):
-    """A mapping whose other entries are its own program's affair."""
+    """A mapping written by another program, whose unknown entries are ignored."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "ignore"}
 
@@ -31,7 +31,7 @@ class PoseParts(ForeignEntry):
 
 
 class CalDataEntry(ForeignEntry):
-    """A view of robot_cal_tools: the files of its pose and picture."""
+    """A view in a file of robot_cal_tools: the names of its pose file and its picture."""
 
     pose: Name
     image: Name
@@ -85,7 +85,7 @@ class TransformMessage(ForeignEntry):
 
 
 class SampleEntry(ForeignEntry):
-    """A sample of easy_handeye: where the robot was, and where its marker was seen."""
+    """A sample of easy_handeye: a pose of the robot and the pose of the tracked marker."""
 
     robot: TransformMessage
     tracking: TransformMessage
@@ -141,7 +141,7 @@ class VispCameraNumbers(ForeignEntry):
 
 
 class ViewpointEntry(Entry):
-    """A command as VAL has it (mm and degrees) or another maker, and joints in rad or m."""
+    """A command: a pose in a manufacturer's format, and joint readings in rad or m."""
 
     name: Name
     xyzoat: (
@@ -170,7 +170,7 @@ class ViewpointEntry(Entry):
 
 
 class ViewpointsFile(Entry):
-    """What `io.write_viewpoints` writes as JSON."""
+    """A JSON file that `io.write_viewpoints` writes."""
 
     smartview_viewpoints: Literal[1]
     format: Codec = "val_oat"

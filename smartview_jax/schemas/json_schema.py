@@ -1,6 +1,6 @@
-"""JSON schemas for editors, made from the types that files are read through.
+"""Generate JSON schemas for editors from the types that validate the files.
 
-`python -m smartview_jax.schemas.json_schema` writes those that ship in the package anew.
+`python -m smartview_jax.schemas.json_schema` rewrites the schemas that are part of the package.
 """
 
 import json
@@ -11,10 +11,11 @@ from .calibration import CALIBRATION
 from .dataset import DATASET
 
 SCHEMAS = {"dataset": DATASET, "calibration": CALIBRATION}
+"""Schemas by the name of the file without its ending."""
 
 
 def json_schema(name: str) -> str:
-    """Return the JSON schema of `dataset.yaml` or `calibration.yaml`, by its name here."""
+    """Return the JSON schema of a file, as text, by its name in `SCHEMAS`."""
     content = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"{name}.yaml of smartview_jax",
@@ -24,7 +25,7 @@ def json_schema(name: str) -> str:
 
 
 def shipped(name: str) -> Path:
-    """Return where the schema is in the package."""
+    """Return the path of a schema that is part of the package."""
     return Path(__file__).with_name(f"{name}.schema.json")
 
 

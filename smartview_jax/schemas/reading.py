@@ -1,4 +1,4 @@
-"""From a file's plain content to a checked one, or to an error that names file and entry."""
+"""Validate the content of a file; errors name the file and the entry."""
 
 import os
 from collections.abc import Sequence
@@ -9,30 +9,34 @@ from pydantic import ValidationError
 from .words import nearest, shown
 
 _NAMED = 5
-"""How many wrong entries a message names."""
+"""Largest number of wrong entries that an error message names."""
 
 Content = TypeVar("Content", covariant=True)
 
 
 @runtime_checkable
 class Schema(Protocol[Content]):
-    """A `pydantic.TypeAdapter`, of which the tests' type checker knows nothing."""
+    """A schema that validates content, as `pydantic.TypeAdapter` does.
+
+    The protocol stands for that class, which the type checker of the tests cannot check.
+    """
 
     def validate_python(self, found: Any, /) -> Content:
-        """Return the content as its type has it, or raise a `ValidationError`."""
+        """Return the content converted to its type, or raise a `ValidationError`."""
         ...
 
 
 def checked(content: Any, schema: Schema[Content], where: str | os.PathLike[str] = "") -> Content:
-    """Return the content of a file as its schema has it.
+    """Validate the content of a file, and return it as the type of its schema.
 
     Args:
-        content: as YAML or JSON was read.
-        schema: of the whole file.
-        where: the file, and the entry in it if it is one, for messages; may be empty.
+        content: mappings, lists and values, as read from YAML or JSON.
+        schema: schema of the whole content.
+        where: the file, or the file and an entry in it, for error messages; may be empty.
 
     Raises:
-        ValueError: naming the file, each wrong entry, what was found and what was expected.
+        ValueError: the content does not fit; the message names the file, the wrong entries, the
+            values found and the values expected.
     """
     try:
         return schema.validate_python(content)
@@ -46,6 +50,8 @@ def checked(content: Any, schema: Schema[Content], where: str | os.PathLike[str]
 
 
 def _sentence(problem: Any, content: Any) -> str:
+    """Return one problem of a `ValidationError` as a sentence that names the entry."""
+    # pydantic's own messages name Python types and tags; a reader of YAML knows only entries.
     kind, context, found = problem["type"], problem.get("ctx", {}), problem["input"]
     path = entry_path(problem["loc"], content, keep_last=kind == "missing")
     place = f"{path}: " if path else ""
@@ -69,6 +75,8 @@ def _sentence(problem: Any, content: Any) -> str:
 
 
 def _choice(path: str, expected: str, found: object) -> str:
+    """Return the sentence for an entry with a fixed set of values, with the nearest one."""
+    # pydantic lists the values as text, such as "'a', 'b' or 'c'".
     known = [word.strip("' ") for part in expected.split(",") for word in part.split(" or ")]
     start = f"{path} is one of" if len(known) > 1 else f"{path}: expected"
     end = f"; found {shown(found)}" if len(known) > 1 else f", found {shown(found)}"
@@ -76,15 +84,16 @@ def _choice(path: str, expected: str, found: object) -> str:
 
 
 def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = False) -> str:
-    """Return the dotted path of an entry, as a person finds it in the file.
+    """Return the dotted path of an entry in the file.
 
-    The validation library also counts the alternatives of a union as steps; those are not in the
-    file, and are left out.
+    The steps of pydantic's location include the alternatives of a union; they are not in the file
+    and are left out.
 
     Args:
-        location: of the problem.
-        content: of the file.
-        keep_last: the last step is an entry that is missing.
+        location: steps of the problem's location, from pydantic.
+        content: content of the file.
+        keep_last: whether to keep the last step although the file does not have it, for an entry
+            that is missing.
     """
     steps: list[str] = []
     for number, step in enumerate(location, start=1):

@@ -1,4 +1,4 @@
-"""The entry `target`: what the pictures show, in metres."""
+"""Define the entry `target`, the calibration target in the pictures, in metres."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""Words for messages about wrong entries; without the validation library."""
+"""Format values and suggestions for error messages, without importing pydantic."""
 
 import difflib
 import reprlib
@@ -10,11 +10,11 @@ _REPR.maxlevel = 2
 
 
 def shown(value: object) -> str:
-    """Return a value as it was found, shortened: a file can hold anything of any length."""
+    """Return a shortened representation of a value, which may be of any type and length."""
     return _REPR.repr(value)
 
 
 def nearest(word: object, known: Iterable[str]) -> str:
-    """Return words that name the nearest of the known names, or nothing where none is near."""
+    """Return a suggestion of the most similar known name; empty if none is similar."""
     close = difflib.get_close_matches(str(word)[:100], list(known), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
