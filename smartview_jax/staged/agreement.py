@@ -1,13 +1,12 @@
-"""Which views' robot poses and camera poses agree with those of the others: Step 3 takes no others.
+"""Find the views whose robot and camera poses agree with those of the others, for use in Step 3.
 
-A picture that is paired with the wrong pose, or was taken while the robot moved, pulls the
-hand-eye transform by its share however far off it is. So the transforms are found again
-without the view that fits worst, and if it then stands far out from the rest it is left out, and so
-on.
+A picture that is paired with the wrong pose, or was taken while the robot was moving, biases the
+hand-eye transform in proportion to its error. Therefore the transforms are computed again without
+the view that fits worst; if that view is then an outlier it is left out, and the procedure repeats.
 
-A view may also stand out because its own points tell its pose badly: few of them, or all in one
-corner of the target. Then the others put them where they are seen: such a view has no say in the
-transforms, and nothing is wrong with it.
+A view may also be an outlier because its own points determine its pose badly: they are few, or all
+in one corner of the target. The transforms of the other views then predict its points where they
+were seen. Such a view is not used for the transforms, but it is not reported as wrong.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,38 +24,40 @@ from ..geometry import host_matrices, mean_pose
 from .closed_form import park_martin
 
 FAR_OUT = 10.0
-"""Times the median view's misfit, in rotation or in translation, that a robot's own errors do not
-reach: on nine real data sets the worst view lies at one to seven times."""
+"""Limit on a view's misfit in rotation or translation, in multiples of the median view's.
+
+A robot's own errors do not reach it: on nine real data sets the worst view is at one to seven
+times."""
 
 FEWEST = 8
-"""Views below which a misfit cannot be laid at one view's door.
+"""Smallest number of views with which a misfit can be attributed to a single view.
 
-Of six sound views of a real data set one lay at fourteen times the others' misfit, which the
-transforms had been fitted to; without it the error on an unseen view was six times as large.
+Of six good views of a real data set one had fourteen times the misfit of the others, to which the
+transforms had been fitted; without it the error on an unseen view was six times as large.
 """
 
 AT_MOST = 0.25
-"""Share of the views that are left out; more is not a matter of single views."""
+"""Largest fraction of the views that is left out; with more the fault is not in single views."""
 
 LEAST = 1e-3
-"""Misfit of a median view at the least, rad and as a share of the distance to the target.
+"""Lower bound of the median view's misfit, rad and as a fraction of the distance to the target.
 
-A view may see the target badly, and then its pose is off by a multiple of next to nothing. What is
-smaller only the joint fit can judge.
+With nearly exact poses, a view that sees the target badly would otherwise be an outlier by a
+negligible amount. Smaller misfits are left for the joint fit to judge.
 """
 
 SEEN_THERE = 5.0
-"""Times the median view's deviation in px within which the others put a view's points where they
-are seen: a wrong pose is off by tens to hundreds of times."""
+"""Reprojection error, in multiples of the median view's, up to which a view's points agree with
+the transforms of the others. A wrong pose is at tens to hundreds of times."""
 
 
 class Agreement(NamedTuple):
-    """Which views agree.
+    """The result of `agreeing_views`.
 
     Attributes:
-        kept: the views that Step 3 takes.
-        words: by view, what is wrong with those that are not used at all.
-        unsure: views whose own pose is off, but whose points are where the others put them.
+        kept: mask of the views that Step 3 uses.
+        words: by view index, what is wrong with the views that are rejected.
+        unsure: views with an uncertain pose of their own, whose points agree with the others.
     """
 
     kept: Bool[np.ndarray, "views"]
@@ -71,15 +72,15 @@ def agreeing_views(
     deviation: Callable[[SE3, SE3], Float[np.ndarray, "views"]] | None = None,
     view_ids: Sequence[str] | None = None,
 ) -> Agreement:
-    """Find the views that agree, and say what is wrong with those that do not.
+    """Find the views that agree, and state what is wrong with the others.
 
     Args:
         mount_from_holder: the robot's part of the chain, `(views)`.
         camera_from_world: from the pictures alone, `(views)`.
-        weights: zero leaves a view out, without a word.
-        deviation: of the points of each view, px, from where `camera_from_mount` and
-            `holder_from_world` put them; where it is not given, a view's own pose decides.
-        view_ids: names for the words; by default numbers.
+        weights: zero leaves a view out without reporting it.
+        deviation: function of `camera_from_mount` and `holder_from_world` that returns the
+            reprojection error of each view, px; without it a view's own pose decides.
+        view_ids: names of the views in the sentences; by default numbers.
     """
     given = np.asarray(weights) > 0.0
     ids = [str(k) for k in range(len(given))] if view_ids is None else view_ids
@@ -88,12 +89,14 @@ def agreeing_views(
     least = LEAST * np.stack([away, np.ones(len(away))], axis=1)
 
     def fitted(used: np.ndarray) -> _Fitted:
-        """The transforms by some views; misfits of all in m and rad, and in medians of those."""
+        """Compute the transforms from some views, and the misfits of all views."""
         eye, world, misfit = _fit(mount_from_holder, camera_from_world, jnp.asarray(used))
         misfit = np.asarray(misfit)
         unit = np.maximum(np.median(misfit[used], axis=0), least)
         return _Fitted(eye, world, misfit, (misfit / unit).max(axis=1), unit)
 
+    # One view per round, judged by transforms computed without it: a wrong view biases the
+    # transforms, and then good views may look worse than it does.
     while kept.sum() >= FEWEST and len(wrong) + len(unsure) < AT_MOST * given.sum():
         worst = int(np.argmax(np.where(kept, fitted(kept).times, 0.0)))
         rest = kept & (np.arange(len(kept)) != worst)
@@ -108,7 +111,8 @@ def agreeing_views(
             unsure.append(worst)
         else:
             wrong.append(worst)
-    # In words by the transforms without any of them: of two that were exchanged, one pulls.
+    # The sentences use transforms without any rejected view: of two exchanged pictures, the
+    # second still biased the transforms when the first was rejected.
     found = fitted(kept)
     px = None if deviation is None else deviation(found.camera_from_mount, found.holder_from_world)
     words = {}
@@ -128,9 +132,9 @@ def agreeing_views(
 def median_deviation(
     calibration: Calibration, observations: Observations, seen: Bool[Array, "views points"]
 ) -> Float[np.ndarray, "views"]:
-    """Median distance of each view's points from where the chain puts them, px.
+    """Return the median reprojection error of each view through the whole chain, px.
 
-    Infinite where no point is seen.
+    It is infinite for a view without visible points.
     """
     off = np.linalg.norm(np.asarray(chain_residuals(calibration, observations)), axis=2)
     return np.array(
@@ -142,7 +146,14 @@ def median_deviation(
 
 
 class _Fitted(NamedTuple):
-    """Transforms by some of the views, and how all views fit them."""
+    """The transforms computed from some of the views, and the misfit of every view.
+
+    Attributes:
+        camera_from_mount, holder_from_world: the transforms.
+        misfit: translation (m) and rotation (rad) of each view.
+        times: the larger of the two in multiples of the median view's.
+        unit: the median misfit, not below `LEAST`.
+    """
 
     camera_from_mount: SE3
     holder_from_world: SE3
@@ -152,6 +163,7 @@ class _Fitted(NamedTuple):
 
 
 def _size(misfit: Float[np.ndarray, "2"]) -> str:
+    """Return a misfit in words, in degrees and millimetres."""
     return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
 
 
@@ -162,10 +174,10 @@ def _whose(
     camera_from_world: SE3,
     ids: Sequence[str],
 ) -> str:
-    """The pose of another view that the picture fits; if there is none, that it may have moved."""
+    """Return which other view's pose the picture fits, or that it fits none, in words."""
     robot, camera = (host_matrices(p) for p in (mount_from_holder, camera_from_world))
     eye, world = (host_matrices(p) for p in (found.camera_from_mount, found.holder_from_world))
-    # Where the mount would have to be in the holder's frame for this picture.
+    # The robot pose that this picture needs, from Eq. 10: T = H^-1 C X^-1.
     wanted = np.linalg.inv(eye) @ camera[view] @ np.linalg.inv(world)
     offset = wanted @ np.linalg.inv(robot)
     turn = np.arccos(np.clip(0.5 * (np.trace(offset[:, :3, :3], axis1=1, axis2=2) - 1.0), -1, 1))
@@ -180,10 +192,13 @@ def _whose(
 
 @compiled
 def _fit(T: SE3, C: SE3, used: Bool[Array, "views"]) -> tuple[SE3, SE3, Float[Array, "views 2"]]:
-    """Both transforms, and translation (m) and rotation (rad) at the mount that they leave over."""
+    """Compute both transforms, and each view's misfit at the mount: translation (m), rotation (rad).
+
+    The misfit of view i is the twist `log(H^-1 C_i X^-1 T_i^-1)`, zero if Eq. 10 holds exactly.
+    """
     weights = used.astype(float)
     eye, world = park_martin(T, C, weights)
-    # Averaged over the views, the error of the one transform cancels in the other.
+    # Recomputing one transform from the other makes their errors cancel in the chain.
     eye = mean_pose(C @ (T @ SE3(world.wxyz_xyz[None])).inverse(), weights)
     left = SE3(eye.wxyz_xyz[None]).inverse() @ C @ SE3(world.wxyz_xyz[None]).inverse() @ T.inverse()
     twist = left.log()

@@ -1,9 +1,13 @@
-"""Closed forms of the hand-eye problem: starts for Step 3, and a check on it.
+"""Solve the hand-eye problem in closed form, as starts for Step 3 and as a check on it.
 
-All take the chain `camera_from_world_i = camera_from_mount @ mount_from_holder_i @
-holder_from_world` and return both unknowns; for a camera on the hand the mount is the tool and the
-holder the base. They do not use OpenCV, whose version 5 left its own out of the Python package. A
-view of weight zero has no say, whatever its (finite) pose: a fold needs no new compilation.
+Every method takes the chain (Eq. 10)
+
+    camera_from_world_i = camera_from_mount @ mount_from_holder_i @ holder_from_world
+
+and returns both unknowns, `(camera_from_mount, holder_from_world)`. For a camera on the hand the
+mount is the tool and the holder is the base. OpenCV is not used: its version 5 no longer has these
+functions in its Python package. A view of weight zero does not affect the result, whatever its
+(finite) pose, so that a cross-validation fold needs no new compilation.
 """
 
 from collections.abc import Callable
@@ -21,7 +25,7 @@ def holder_from_world(
     camera_from_world: SE3,
     weights: Float[Array, "views"],
 ) -> SE3:
-    """The other unknown once one is known, averaged over the views."""
+    """Compute `holder_from_world` for a given `camera_from_mount`, averaged over the views."""
     per_view = SE3(camera_from_mount.wxyz_xyz[None]) @ mount_from_holder
     return mean_pose(per_view.inverse() @ camera_from_world, weights)
 
@@ -29,7 +33,11 @@ def holder_from_world(
 def motion_pairs(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Float[Array, "views"]
 ) -> tuple[SE3, SE3, Float[Array, "pairs"]]:
-    """`A X = X B` for `X = camera_from_mount`, over all ordered pairs of different views."""
+    """Return A, B and weights of `A X = X B` for all ordered pairs of different views.
+
+    `A = C_j C_i^-1` and `B = T_j T_i^-1` with `X = camera_from_mount`: Eq. 10 for two views with
+    `holder_from_world` eliminated.
+    """
     views = len(mount_from_holder.wxyz_xyz)
     first, second = jnp.nonzero(~jnp.eye(views, dtype=bool), size=views * (views - 1))
 
@@ -42,7 +50,11 @@ def motion_pairs(
 def park_martin(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Float[Array, "views"]
 ) -> tuple[SE3, SE3]:
-    """Rotation from the rotation vectors, then translation. Park and Martin, 1994."""
+    """Compute the rotation from rotation vectors, then the translation (Park and Martin, 1994).
+
+    `R_A R = R R_B` means that R takes the rotation vectors of B to those of A, so R is the rotation
+    nearest to `sum w a b^T`.
+    """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     rotation = nearest_rotation((w[:, None] * A.rotation().log()).T @ B.rotation().log())
     return _with_translation(rotation, A, B, w, mount_from_holder, camera_from_world, weights)
@@ -51,9 +63,17 @@ def park_martin(
 def tsai_lenz(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Float[Array, "views"]
 ) -> tuple[SE3, SE3]:
-    """Rotation from modified Rodrigues vectors, then translation. Tsai and Lenz, 1989."""
+    """Compute the rotation from modified Rodrigues vectors, then the translation.
+
+    With `a, b = 2 sin(angle / 2) axis` of A and B, `skew(a + b) p' = b - a` is solved for
+    `p' = tan(angle / 2) axis` of X, and `p = 2 p' / sqrt(1 + |p'|^2)` gives
+
+        R = (1 - |p|^2 / 2) I + (p p^T + sqrt(4 - |p|^2) skew(p)) / 2
+
+    Reference: Tsai and Lenz, 1989.
+    """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
-    # 2 sin(angle / 2) axis, from the quaternion on the half with a positive scalar part.
+    # q and -q are the same rotation; the one with a positive scalar part has angles up to pi.
     a, b = (
         2.0 * q[:, 1:] * jnp.where(q[:, :1] < 0.0, -1.0, 1.0)
         for q in (A.rotation().wxyz, B.rotation().wxyz)
@@ -73,7 +93,11 @@ def tsai_lenz(
 def daniilidis(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Float[Array, "views"]
 ) -> tuple[SE3, SE3]:
-    """Rotation and translation at once, by dual quaternions. Daniilidis, 1999."""
+    """Compute rotation and translation together by dual quaternions (Daniilidis, 1999).
+
+    `a q = q b` for dual quaternions is linear in the eight numbers `(q, q')` of X. The null space
+    has two dimensions, and the constraints `|q| = 1`, `q . q' = 0` select the solution in it.
+    """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     (a, a_dual), (b, b_dual) = _dual_quaternion(A), _dual_quaternion(B)
     zero = jnp.zeros((len(a), 3, 1))
@@ -86,10 +110,12 @@ def daniilidis(
     rows = (w[:, None, None] * rows).reshape(-1, 8)
     _, vectors = jnp.linalg.eigh(rows.T @ rows)
     v, u = vectors[:, 0], vectors[:, 1]
-    # x v + y u with a unit real part that is orthogonal to the dual part.
+    # The solution is x v + y u = y (s v + u) with q . q' = 0, quadratic in s = x / y, and with a
+    # unit real part. Of its two roots the one with the longer real part is right.
     s = _quadratic_root(v[:4] @ v[4:], v[:4] @ u[4:] + u[:4] @ v[4:], u[:4] @ u[4:])
 
     def size(s):
+        """Return the squared length of the real part of `s v + u`."""
         return s**2 * (v[:4] @ v[:4]) + 2.0 * s * (v[:4] @ u[:4]) + u[:4] @ u[:4]
 
     best = jnp.where(size(s[0]) >= size(s[1]), s[0], s[1])
@@ -104,13 +130,19 @@ def daniilidis(
 def shah(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Float[Array, "views"]
 ) -> tuple[SE3, SE3]:
-    """Both unknowns of `A X = Z B` by a Kronecker product. Shah, 2013."""
+    """Compute both transforms of `A X = Z B` by a Kronecker product (Shah, 2013).
+
+    The rotations follow from `sum w kron(M_i, C_i)`, of which vec(R_world) and vec(R_camera) are
+    the first singular pair. The translations are then linear:
+    `R_camera M_i t_world + t_camera = t_C_i - R_camera t_M_i`.
+    """
     M, C = mount_from_holder.rotation().as_matrix(), camera_from_world.rotation().as_matrix()
-    # C_i R_world^T M_i^T = R_camera for every view: one singular pair of the summed product.
+    # C_i R_world^T M_i^T = R_camera holds in every view.
     K = jnp.einsum("i,iab,icd->acbd", weights, M, C).reshape(9, 9)
     left, _, right = jnp.linalg.svd(K)
     camera, world = left[:, 0].reshape(3, 3).T, right[0].reshape(3, 3).T
     sign = jnp.where(jnp.linalg.det(camera) < 0.0, -1.0, 1.0)
+    # Singular vectors have no sign; both matrices must be proper rotations.
     R_camera = nearest_rotation(sign * camera)
     R_world = nearest_rotation(sign * world * jnp.sign(jnp.linalg.det(sign * world))).T
     views = len(M)
@@ -133,7 +165,7 @@ CLOSED_FORMS: dict[str, Callable[[SE3, SE3, Array], tuple[SE3, SE3]]] = {
     "Daniilidis": daniilidis,
     "Shah": shah,
 }
-"""Every closed form by the name it is reported under."""
+"""The closed forms, by the names under which they are reported."""
 
 
 def _with_translation(
@@ -145,7 +177,7 @@ def _with_translation(
     camera_from_world: SE3,
     weights: Float[Array, "views"],
 ) -> tuple[SE3, SE3]:
-    """`(R_A - I) t = R t_B - t_A` by least squares, and the other unknown."""
+    """Solve `(R_A - I) t = R t_B - t_A` by least squares, and return both transforms."""
     left = (w[:, None, None] * (A.rotation().as_matrix() - jnp.eye(3)[None])).reshape(-1, 3)
     right = (w[:, None] * (B.translation() @ rotation.T - A.translation())).reshape(-1)
     translation = jnp.linalg.lstsq(left, right)[0]
@@ -154,6 +186,7 @@ def _with_translation(
 
 
 def _skew(v: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:
+    """Return the cross-product matrices of vectors."""
     zero = jnp.zeros_like(v[:, 0])
     x, y, z = v.T
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
@@ -161,6 +194,7 @@ def _skew(v: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:
 
 
 def _dual_quaternion(pose: SE3) -> tuple[Array, Array]:
+    """Return real part q and dual part `t q / 2` of the unit dual quaternions of poses."""
     q = pose.rotation().wxyz
     q = q * jnp.where(q[:, :1] < 0.0, -1.0, 1.0)
     t = jnp.concatenate([jnp.zeros((len(q), 1)), pose.translation()], axis=1)
@@ -168,10 +202,12 @@ def _dual_quaternion(pose: SE3) -> tuple[Array, Array]:
 
 
 def _quaternion_product(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Return the quaternion product `p q`, scalar part first."""
     return jnp.stack([*_product_rows(p, q)])
 
 
 def _product_rows(p: Array, q: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the four components of the quaternion product, for arrays with components first."""
     a, b, c, d = p
     e, f, g, h = q
     return (
@@ -183,6 +219,8 @@ def _product_rows(p: Array, q: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _quadratic_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    """Return both roots of `a s^2 + b s + c = 0`, without cancellation."""
+    # q = -(b + sign(b) root) / 2 adds numbers of equal sign; the roots are q / a and c / q.
     root = jnp.sqrt(jnp.maximum(b * b - 4.0 * a * c, 0.0))
     q = -0.5 * (b + jnp.where(b < 0.0, -1.0, 1.0) * root)
     tiny = 1e-300

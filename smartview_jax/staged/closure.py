@@ -1,8 +1,9 @@
-"""How well the motions of robot and camera belong together, in NumPy on the host.
+"""Measure how well one hand-eye transform explains the motions of robot and camera.
 
-`A X = X B` between all pairs of views: the rotation of X by Park and Martin, then its translation
-by least squares; what is left over, as medians over the pairs, so that a few bad views do not
-decide. Besides, one length scale between robot and camera where the motion tells it.
+`A X = X B` is solved over all pairs of views: the rotation of X by Park and Martin's method, then
+its translation by least squares. The closure error is what remains, as a median over the pairs, so
+that a few bad views do not dominate. A length scale between robot and camera is estimated as well
+where the motion determines it. Everything runs once, in NumPy.
 """
 
 from typing import NamedTuple
@@ -12,24 +13,25 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 Poses = Float[np.ndarray, "views 4 4"]
+"""Homogeneous matrices, one per view, m."""
 
 MOST_VIEWS = 40
-"""Views that are looked at, evenly spaced: their pairs tell enough."""
+"""Largest number of views compared, evenly spaced; their pairs are enough."""
 
 SCALE_TOLD = 0.1
-"""Relative standard deviation of a length scale under which the motion tells it."""
+"""Largest relative standard deviation at which a length scale counts as determined."""
 
 TRIMMED = 2
-"""Times that a fit is repeated without the pairs that lie far off."""
+"""Number of times a fit is repeated without outlying pairs."""
 
 
 class Closure(NamedTuple):
-    """What the best hand-eye transform leaves over.
+    """The closure error that remains with the best hand-eye transform.
 
     Attributes:
         rotation: median over the pairs of views, rad.
-        translation: median, in the camera's unit of length, m.
-        score: both together, the translation as a share of the distance to the target.
+        translation: median over the pairs, in the camera's unit of length, m.
+        score: rotation plus translation divided by the distance to the target.
     """
 
     rotation: float
@@ -38,16 +40,18 @@ class Closure(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motions between pairs of views, and the hand-eye rotation that explains them best.
+    """The motions between pairs of views, expressed with the best hand-eye rotation R.
+
+    The hand-eye translation t then solves `left t = turned - moved`.
 
     Attributes:
         left: `R_A - I` of every pair.
-        turned: translations of the robot's motions in the camera's axes, m.
-        moved: translations of the camera's motions, m.
-        gap: angle left over by the rotation, rad.
+        turned: translations of the robot's motions in the camera's axes, `R t_B`, m.
+        moved: translations of the camera's motions, `t_A`, m.
+        gap: angle between `R_A` and `R R_B R^T`, rad.
         away: median distance of the target from the camera, m.
-        second_axis: how far the camera turns about a second axis, over how far about the first; the
-            hand-eye rotation is not told where it is next to nothing.
+        second_axis: second over first singular value of the camera's rotation vectors. Near zero
+            all rotations have the same axis, and the hand-eye rotation is not determined.
     """
 
     left: Float[np.ndarray, "pairs 3 3"]
@@ -59,7 +63,7 @@ class Motion(NamedTuple):
 
 
 def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
-    """Motions of both between all pairs of views, at least three of them."""
+    """Compute the motions of robot and camera between all pairs of three or more views."""
     pick = np.unique(np.linspace(0, len(camera_from_world) - 1, MOST_VIEWS).astype(int))
     M, C = mount_from_holder[pick], camera_from_world[pick]
     i, j = np.triu_indices(len(pick), 1)
@@ -69,7 +73,8 @@ def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
     for _ in range(TRIMMED):
         used = _near(np.linalg.norm(a - b @ X.T, axis=1))
         X = _aligned(a[used], b[used])
-    # As an angle of a rotation: near half a turn an axis may point either way.
+    # The residual as the angle of a rotation, not as a difference of rotation vectors: for motions
+    # near 180 degrees the axis may have either sign.
     expected = X @ B[:, :3, :3] @ X.T
     cosine = 0.5 * (np.einsum("pab,pab->p", A[:, :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -80,7 +85,7 @@ def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
 
 
 def closure(pairs: Motion, scale: float = 1.0) -> Closure:
-    """What is left over with the robot's positions multiplied by a scale."""
+    """Return the closure error with the robot's positions multiplied by a scale."""
     right = scale * pairs.turned - pairs.moved
     gap = np.linalg.norm(pairs.left @ _shift(pairs.left, right) - right, axis=1)
     for _ in range(TRIMMED):
@@ -91,11 +96,13 @@ def closure(pairs: Motion, scale: float = 1.0) -> Closure:
 
 
 def length_ratio(pairs: Motion) -> float:
-    """Camera motion over robot motion, found with the hand-eye translation; 1 where not told.
+    """Estimate the ratio of camera motion to robot motion, or return 1 if it is not determined.
 
-    An orbit about the target fits with any ratio: then the standard deviation is large.
+    The unknowns are the hand-eye translation t and the ratio s in `left t - s turned = -moved`. An
+    orbit about the target fits any ratio; its standard deviation is then large.
     """
     rows = np.concatenate([pairs.left, -pairs.turned[:, :, None]], axis=2).reshape(-1, 4)
+    # Columns are scaled to unit length, so that the rank decision does not depend on units.
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     right = -pairs.moved.reshape(-1)
     answer, _, rank, _ = np.linalg.lstsq(rows / size, right, rcond=1e-6)
@@ -103,23 +110,23 @@ def length_ratio(pairs: Motion) -> float:
         return 1.0
     gap = right - rows / size @ answer
     spread = np.linalg.inv((rows / size).T @ (rows / size))[3, 3]
-    # Pairs of the same views are not independent: as many are as there are views.
+    # n (n - 1) / 2 pairs of n views are not independent; count n of them as independent.
     views = 0.5 * (1.0 + np.sqrt(1.0 + 8.0 * len(pairs.moved)))
     std = np.sqrt(spread * np.mean(gap**2) * len(pairs.moved) / views)
     return float(answer[3] / size[3]) if std < SCALE_TOLD * abs(answer[3]) else 1.0
 
 
 def _near(gap: np.ndarray) -> np.ndarray:
-    """Which pairs the rest does not contradict: without them a bad view does not pull."""
+    """Return which pairs have a residual within three times the median."""
     return gap <= 3.0 * np.median(gap) + 1e-12
 
 
 def _shift(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Translation of the hand-eye transform by least squares, m."""
+    """Compute the translation of the hand-eye transform by least squares, m."""
     return np.linalg.lstsq(left.reshape(-1, 3), right.reshape(-1), rcond=1e-6)[0]
 
 
 def _aligned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The rotation that takes rotation vectors `b` nearest to `a`."""
+    """Compute the rotation that takes vectors `b` closest to `a` (orthogonal Procrustes)."""
     U, _, Vt = np.linalg.svd(a.T @ b)
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

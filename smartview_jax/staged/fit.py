@@ -1,4 +1,8 @@
-"""The paper's pipeline, Steps 1, 2 and 3, as one call."""
+"""Calibrate by the paper's three steps in one call.
+
+Step 1 (`weng.py`, Eq. 8) calibrates each view by itself, Step 2 (`kalman.py`, Eq. 9) fits one
+camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and world transforms.
+"""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
@@ -23,12 +27,12 @@ from .region import with_region
 from .weng import ViewCalibrations, calibrate_views, locate_views
 
 MINIMUM_POINTS = 6
-"""Points a view must show to be calibrated by itself."""
+"""Smallest number of points with which a view can be calibrated by itself."""
 
 
 @runtime_checkable
 class CommonCamera(Protocol):
-    """What Step 2 answers: a `KalmanResult`, or the batch fit's answer."""
+    """The interface of a result of Step 2: a `KalmanResult`, or the result of the batch fit."""
 
     @property
     def camera(self) -> Camera: ...
@@ -47,15 +51,15 @@ class CommonCamera(Protocol):
 
 
 class StagedFit(eqx.Module):
-    """What the staged pipeline found.
+    """The result of the staged pipeline.
 
     Attributes:
         calibration: camera, hand-eye and world transforms.
-        step1: per-view calibrations; None where the camera was given.
+        step1: per-view calibrations; None if the camera was given.
         step2: common camera and per-view poses, with their covariance.
         step3: the hand-eye solution with every start tried.
         residuals: measured minus predicted through the whole chain, px; 0 where not seen.
-        inliers: the observations that Step 2 kept, of the views that were used.
+        inliers: the observations that Step 2 kept, in the views that were used.
         rejected: view id, point index (None for a whole view) and reason.
         views: indices of the views that Step 3 used.
         conventions: how well robot and camera motion agree.
@@ -74,7 +78,7 @@ class StagedFit(eqx.Module):
     result: FitResult = eqx.field(static=True)
 
     def interpolation(self, data: Dataset) -> Interpolation:
-        """The comparison method: interpolate between the calibrated viewpoints of `data`."""
+        """Return the paper's comparison method: interpolation between the viewpoints of `data`."""
         views = np.array(self.views)
         robot = SE3(data.base_from_tool.wxyz_xyz[views])
         seen = SE3(self.step2.camera_from_world.wxyz_xyz[views])
@@ -82,10 +86,10 @@ class StagedFit(eqx.Module):
 
 
 def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
-    """Indices of the views that show enough points, and not only points on one line.
+    """Return the indices of the views that show enough points, not all on one line.
 
     Raises:
-        ValueError: they are too few; the message says what each of the others shows.
+        ValueError: fewer than three are left; the message says what is wrong with the others.
     """
     unusable = _unusable(data, _least_points(camera))
     _require_enough(data, unusable, _least_points(camera))
@@ -93,7 +97,7 @@ def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
 
 
 def _require_enough(data: Dataset, unusable: dict[int, str], minimum: int) -> None:
-    """Raise a ValueError that says what is wrong with the views where too few are left."""
+    """Raise a ValueError that names the unusable views if fewer than three are left."""
     left = data.view_count - len(unusable)
     if left >= 3:
         return
@@ -108,9 +112,9 @@ def _require_enough(data: Dataset, unusable: dict[int, str], minimum: int) -> No
 def _only_usable(
     data: Dataset, unusable: dict[int, str]
 ) -> tuple[Observations, Bool[np.ndarray, "views"]]:
-    """The observations of the other views, and which views those are.
+    """Return the observations with unusable views masked, and the mask of usable views.
 
-    The unusable are hidden, not cut out: a fold then has the shape that is already compiled.
+    Views are masked, not removed: the arrays keep the shape for which programs are compiled.
     """
     used = np.ones(data.view_count, dtype=bool)
     used[list(unusable)] = False
@@ -119,7 +123,7 @@ def _only_usable(
 
 
 def _unusable(data: Dataset, minimum: int) -> dict[int, str]:
-    """Views that no pose can be found of, with the reason."""
+    """Return the views whose pose cannot be determined, with the reason."""
     reasons, visible = dict(data.masked_views), np.asarray(data.visible)
     seen, line = visible.sum(axis=1), on_one_line(np.asarray(data.points), visible)
     return {
@@ -134,7 +138,7 @@ def _unusable(data: Dataset, minimum: int) -> dict[int, str]:
 
 
 def _least_points(camera: Camera | None) -> int:
-    """Points that a view has to show."""
+    """Return the number of points that a view must show; 4 if the camera is known."""
     return MINIMUM_POINTS if camera is None else 4
 
 
@@ -155,16 +159,17 @@ def fit_staged(
 
     Args:
         data: at least three views with six visible points each.
-        lens: a name or a lens; Step 1 always uses the paper's, or none for `"pinhole"`.
-        camera: a camera that is known: Steps 1 and 2 then find the poses alone.
-        rough_translation: roughly where the target stands, m (the paper's start of Step 3).
-        length_scale: of Eq. 17, m.
+        lens: a name or a lens; Step 1 always uses the paper's (Eq. 3), or none for `"pinhole"`.
+        camera: a known camera; Steps 1 and 2 then estimate the poses only.
+        rough_translation: approximate position of the target, m (the paper's start of Step 3).
+        length_scale: metres per unit of length in Eq. 17, whose result depends on that unit.
         pixel_sigma: standard deviation of u and v, px; estimated if not given.
-        gate_probability: share of good measurements that the outlier gate lets pass.
-        conventions: `"raise"` an error where robot and camera motion contradict each other, or
+        gate_probability: fraction of good measurements that pass the outlier gate.
+        conventions: `"raise"` an error if robot and camera motion contradict each other, or
             `"report"` it in the result.
-        step2: the paper's filter, or another with its arguments, such as `joint.batch_filter`.
-        progress: told what is being done.
+        step2: the paper's filter, or a function with the same arguments, such as
+            `joint.batch_filter`.
+        progress: called with a sentence about each step.
 
     Raises:
         ValueError: too few usable views, or poses that cannot belong to these pictures.
@@ -181,7 +186,7 @@ def fit_staged(
     )
     unlike = unlike_the_target(rms, used, data.image_size)
     if unlike:
-        # Once more, so that they have no say in the start of the others.
+        # Repeat without them: they entered the median intrinsics from which Step 2 starts.
         unusable = {**unusable, **unlike}
         _require_enough(data, unusable, _least_points(camera))
         observations, used = _only_usable(data, unusable)
@@ -205,6 +210,8 @@ def fit_staged(
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
     robot = mount_from_holder(data.mount, data.base_from_tool)
+    # Step 3 has no outlier gate of its own: Eq. 17 is a sum of squares, which one wrong pair of
+    # picture and pose can dominate.
     agreement = agreeing_views(
         robot,
         common.camera_from_world,
@@ -227,6 +234,7 @@ def fit_staged(
     calibration = Calibration(
         common.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )
+    # Views with an uncertain pose do not enter Step 3, but their points are good observations.
     sound = agreeing.copy()
     sound[list(agreement.unsure)] = True
     inliers = common.inliers & jnp.asarray(sound)[:, None]
@@ -253,7 +261,12 @@ def _step_one(
     lens: str | AbstractLens,
     camera: Camera | None,
 ) -> tuple[ViewCalibrations | None, Camera, SE3, Bool[Array, "views points"], np.ndarray]:
-    """Per-view calibrations, from them the point where Step 2 starts, and deviations, px."""
+    """Run Step 1 and return what Step 2 starts from.
+
+    Returns:
+        The per-view calibrations (None for a known camera), start camera and poses, the points
+        that are not gross errors, and the RMS reprojection error of each view, px.
+    """
     if camera is not None:
         poses, rms, kept = locate_views(observations, camera)
         return None, camera, _safe(poses, used), kept, np.asarray(rms)
@@ -261,7 +274,8 @@ def _step_one(
     step1 = calibrate_views(observations, image_size, distortion)
     numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
     common = Camera(*numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=image_size)
-    # A view that took a longer lens for itself stood farther off than the common lens says.
+    # The size in the picture is alpha / depth. A view with a larger alpha of its own has a larger
+    # depth than it has with the common alpha, so depths are rescaled by the ratio.
     poses = np.array(step1.camera_from_world.wxyz_xyz)
     poses[:, 6] *= numbers[0] / np.asarray(step1.intrinsics.alpha_u)
     start = _safe(SE3(jnp.asarray(poses)), used)
@@ -269,17 +283,19 @@ def _step_one(
 
 
 def _safe(poses: SE3, used: np.ndarray) -> SE3:
-    """Any finite pose for the views that are not used."""
+    """Return the poses with an arbitrary finite pose in the views that are not used."""
     ahead = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     return SE3(jnp.asarray(np.where(used[:, None], np.asarray(poses.wxyz_xyz), ahead)))
 
 
 def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:
-    """What the paper criticises: the intrinsics of one view, by Step 1, taken for all.
+    """Calibrate with the intrinsics that Step 1 finds in a single view, taken for all views.
+
+    This is the method that the paper criticises, for comparison.
 
     Args:
         data: as for `fit_staged`.
-        view: which; by default the one that determines its focal length best.
+        view: index of the view; by default the one that determines its focal length best.
         options: passed on to `fit_staged`.
     """
     used = data.select(data.usable_views(MINIMUM_POINTS))
@@ -291,6 +307,7 @@ def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -
 def _rejected(
     data: Dataset, unusable: dict[int, str], inliers: np.ndarray
 ) -> tuple[Rejection, ...]:
+    """Return every rejected view and every point rejected by Step 2, with reasons."""
     whole = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
     points = [
         Rejection(data.view_ids[view], int(point), "outside the gate of Step 2")
@@ -301,6 +318,7 @@ def _rejected(
 
 
 def _result(step2: CommonCamera, step3: HandEyeResult, calibration: Calibration) -> FitResult:
+    """Return whether all steps converged, with a message."""
     finite = all(
         np.isfinite(np.asarray(pose.wxyz_xyz)).all()
         for pose in (calibration.camera_from_mount, calibration.holder_from_world)

@@ -1,11 +1,17 @@
-"""Step 3: hand-eye and world transforms from `A X = X B`, by BFGS (Eqs. 10 to 17).
+"""Compute the hand-eye and world transforms from `A X = X B` by BFGS (Step 3 of the paper).
 
-    A_ij X = X B_ij,  A_ij = T_i^-1 T_j,  B_ij = C_i^-1 C_j,  X = base_from_world
+Every view i has the chain `C_i = H T_i X` (Eq. 10), with `C = camera_from_world`,
+`T = tool_from_base`, `H = camera_from_tool` and `X = base_from_world`. Eliminating H between two
+views, `C_i^-1 C_j = X^-1 T_i^-1 T_j X`, leaves
 
-with `T = tool_from_base` and `C = camera_from_world`. `X` is yaw-pitch-roll and a translation, and
-minimises the sum over all i != j of the squared Frobenius norm of `A X - X B` (Eq. 17). That norm
-adds radians to metres, so the answer depends on the unit of length: metres here, unless a length
-scale is given.
+    A_ij X = X B_ij,  A_ij = T_i^-1 T_j,  B_ij = C_i^-1 C_j
+
+The paper writes this derivation in Eq. 11, Eq. 12, Eq. 13, Eq. 14 and Eq. 15. X is yaw, pitch, roll
+(Eq. 16) and a translation, and minimises the sum over all i != j of the squared Frobenius norm of
+`A X - X B` (Eq. 17).
+
+Known weakness of Eq. 17: the norm adds dimensionless rotation entries (radians) to metres, so the
+result depends on the unit of length. It is the metre here, unless a length scale is given.
 """
 
 from typing import NamedTuple
@@ -23,10 +29,11 @@ from ..geometry import mean_pose
 from .closed_form import CLOSED_FORMS
 
 PAPER_START = "paper: rotation identity"
+"""Name of the paper's start: identity rotation and a roughly known translation."""
 
 
 class StartTried(NamedTuple):
-    """One start of the search and what came of it."""
+    """The record of one BFGS search: its start, its cost before and after, and its outcome."""
 
     name: str
     start_cost: float
@@ -36,19 +43,20 @@ class StartTried(NamedTuple):
 
 
 class HandEyeResult(eqx.Module):
-    """Step 3's answer.
+    """The result of Step 3: hand-eye and world transforms, and the record of both searches.
 
     Attributes:
-        holder_from_world: where the target stands.
-        camera_from_mount: the hand-eye transform from the first answer, averaged over the views.
-            The errors of the two then cancel in the chain, so this is the answer to use.
-        camera_from_mount_same_form: the hand-eye transform found by itself, from the same form
-            with the roles exchanged (`C_j C_i^-1 X = X T_j T_i^-1`).
-        difference: between the two, translation (m) and rotation (rad).
+        holder_from_world: pose of the target, by minimising Eq. 17.
+        camera_from_mount: the hand-eye transform computed from `holder_from_world` and averaged
+            over the views. The errors of the two then cancel in the chain, so use this one.
+        camera_from_mount_same_form: the hand-eye transform by minimising the same cost for the
+            other unknown (`C_j C_i^-1 X = X T_j T_i^-1`).
+        difference: between the two hand-eye transforms, translation (m) and rotation (rad).
         starts: every start tried for `holder_from_world`.
         hand_eye_starts: every start tried for `camera_from_mount`.
-        chosen: the names of the starts that won.
-        converged, message: whether both searches did.
+        chosen: names of the two starts that reached the lowest cost.
+        converged: whether both searches converged.
+        message: the same in words.
     """
 
     holder_from_world: SE3
@@ -69,12 +77,12 @@ def solve_hand_eye(
     rough_translation: Float[Array, "3"] | np.ndarray | None = None,
     length_scale: float = 1.0,
 ) -> HandEyeResult:
-    """Both transforms from robot poses and camera poses, `(views)` each.
+    """Compute hand-eye and world transforms from robot poses and camera poses, `(views)` each.
 
     Args:
         mount_from_holder: `tool_from_base` for a camera on the hand.
         camera_from_world: the extrinsics of Step 2.
-        weights: of the views; zero leaves one out. All alike by default.
+        weights: of the views; zero leaves a view out. Equal by default.
         rough_translation: the user's rough `holder_from_world` translation, m, for the paper's
             start; zero if not given.
         length_scale: metres per unit of length in Eq. 17; smaller gives translation more weight.
@@ -94,7 +102,9 @@ def solve_hand_eye(
     T, C = mount_from_holder, camera_from_world
     world_starts = {PAPER_START: paper, **{name: form[1] for name, form in forms.items()}}
     world, world_tried, world_best = _search(T, C, weights, world_starts, length_scale)
-    # The other form has the inverses in the places of T and C: A = C_j C_i^-1, B = T_j T_i^-1.
+    # Eliminating base_from_world instead of camera_from_tool from Eq. 10 gives
+    #     C_j C_i^-1 X = X T_j T_i^-1,  X = camera_from_tool,
+    # which is the same search with C^-1 and T^-1 in the roles of T and C.
     eye_starts = {
         PAPER_START: SE3.identity(),
         **{name: form[0] for name, form in forms.items()},
@@ -118,7 +128,10 @@ def solve_hand_eye(
 
 @compiled
 def _averaged(T: SE3, C: SE3, world: SE3, eye: SE3, weights: Array) -> tuple[Array, Array]:
-    """`camera_from_mount` from the world transform, averaged, and its distance to the other."""
+    """Return `camera_from_mount` averaged over the views, and the twist from it to `eye`.
+
+    By Eq. 10 every view gives one estimate, `C_i (T_i X)^-1`.
+    """
     averaged = mean_pose(C @ (T @ SE3(world.wxyz_xyz[None])).inverse(), weights)
     return averaged.wxyz_xyz, (averaged.inverse() @ eye).log()
 
@@ -130,10 +143,15 @@ def frobenius_cost(
     weights: Float[Array, "views"],
     length_scale: float | Float[Array, ""] = 1.0,
 ) -> Float[Array, ""]:
-    """Eq. 17: `sum over i != j of || T_i^-1 T_j X - X C_i^-1 C_j ||_F^2`, pairs weighted."""
+    """Return the cost of Eq. 17, `sum over i != j of || T_i^-1 T_j X - X C_i^-1 C_j ||_F^2`.
+
+    Pairs are weighted by the product of the weights of their views. The norm adds rotation entries
+    to lengths, so its minimum depends on the unit of length, `length_scale` metres.
+    """
     unit = jnp.asarray(length_scale, dtype=float)
     A = (SE3(T.wxyz_xyz[:, None]).inverse() @ SE3(T.wxyz_xyz[None])).as_matrix()
     B = (SE3(C.wxyz_xyz[:, None]).inverse() @ SE3(C.wxyz_xyz[None])).as_matrix()
+    # Pairs with i = j have A = B = I and add nothing, so they need no mask.
     gap = A @ X.as_matrix()[None, None] - X.as_matrix()[None, None] @ B
     gap = gap.at[..., :3, 3].divide(unit)
     return jnp.einsum("i,j,ijab->", weights, weights, gap**2)
@@ -143,6 +161,7 @@ def frobenius_cost(
 def _closed_forms(
     mount_from_holder: SE3, camera_from_world: SE3, weights: Array
 ) -> dict[str, tuple[SE3, SE3]]:
+    """Return both transforms by every closed form; they are further starts beside the paper's."""
     return {
         name: form(mount_from_holder, camera_from_world, weights)
         for name, form in CLOSED_FORMS.items()
@@ -152,9 +171,10 @@ def _closed_forms(
 def _search(
     T: SE3, C: SE3, weights: Array, starts: dict[str, SE3], length_scale: float
 ) -> tuple[SE3, tuple[StartTried, ...], StartTried]:
-    """BFGS from every start; the lowest finite cost wins."""
+    """Run BFGS from every start and return the result with the lowest finite cost."""
     stacked = SE3(jnp.stack([start.wxyz_xyz for start in starts.values()]))
     finite = jnp.all(jnp.isfinite(stacked.wxyz_xyz), axis=-1)
+    # Closed forms give NaN for degenerate motions; one such start must not spoil the batch.
     safe = jnp.where(finite[:, None], stacked.wxyz_xyz, SE3.identity().wxyz_xyz[None])
     found, before, after, converged = _bfgs(T, C, weights, SE3(safe), jnp.asarray(length_scale))
     after = jnp.where(finite & jnp.isfinite(after), after, jnp.inf)
@@ -180,26 +200,31 @@ def _search(
 def _bfgs(
     T: SE3, C: SE3, weights: Array, starts: SE3, length_scale: Array
 ) -> tuple[SE3, Array, Array, Array]:
+    """Minimise Eq. 17 from every start; return transforms, costs before and after, convergence."""
     solver = optx.BFGS(rtol=1e-12, atol=1e-12)
+    # The mean over pairs is minimised, so that the tolerances do not depend on their number.
     pairs = jnp.sum(weights) ** 2
 
     def transform(start: SE3, numbers: Array) -> SE3:
-        """Yaw-pitch-roll (Eq. 16) about the start, so that no start sits at the gimbal."""
+        """Return `start` times `Rz Ry Rx` (Eq. 16), so that no start is at gimbal lock."""
         turn = SO3.from_rpy_radians(numbers[2], numbers[1], numbers[0])
         return SE3.from_rotation_and_translation(
             start.rotation() @ turn, start.translation() + numbers[3:]
         )
 
     def cost(numbers, start):
+        """Return Eq. 17 divided by the total weight of the pairs."""
         return frobenius_cost(transform(start, numbers), T, C, weights, length_scale) / pairs
 
     def one(wxyz_xyz):
+        """Run one search."""
         start = SE3(wxyz_xyz)
         solution = optx.minimise(cost, solver, jnp.zeros(6), args=start, max_steps=300, throw=False)
         numbers = solution.value
         gradient = jax.grad(cost)(numbers, start)
         after = cost(numbers, start)
-        # BFGS stops where its line search finds nothing lower: at the optimum that is convergence.
+        # BFGS also fails when its line search finds no lower cost. With a zero gradient that is
+        # convergence to the limit of rounding, not a failure.
         settled = (solution.result == optx.RESULTS.successful) | (
             jnp.max(jnp.abs(gradient)) < 1e-7 * (1.0 + after)
         )

@@ -1,14 +1,15 @@
-"""The paper's comparison: extrinsics of a new viewpoint by linear interpolation.
+"""Interpolate the extrinsics of a new viewpoint linearly, the paper's comparison method.
 
     e(command) = sum_k w_k e^k
 
-over the calibrated viewpoints, `w` being the least-norm weights of sum 1 that reproduce the
-commanded position. `e` is yaw, pitch, roll and the translation of `camera_from_world`: averaging
-angles is what this method does, and a reason why it is the worst of Table 1.
+is a sum over the calibrated viewpoints, where w are the minimum-norm weights of sum 1 that
+reproduce the commanded position. `e` is yaw, pitch, roll (Eq. 16) and the translation of
+`camera_from_world`. The method averages angles, which is one reason why it has the largest error
+in the paper's Table 1.
 
-Viewpoints about one object at one distance nearly lie in a plane. Weights that reproduced the small
-part of a position across it would be huge, of either sign, and made of noise; so positions are
-reproduced in the plane alone, or along the line, that the viewpoints span.
+Viewpoints around one object at one distance lie nearly in a plane. Weights that reproduce the small
+component of a position normal to that plane would be very large, of both signs, and determined by
+noise. Positions are therefore reproduced only within the plane (or line) that the viewpoints span.
 """
 
 import equinox as eqx
@@ -23,27 +24,29 @@ from ..geometry import transform_points
 from ..robots import CommandLike, as_command
 
 FLAT = 0.1
-"""Spread of the viewpoints across a direction, over their widest, under which they do not span it.
-Viewpoints within 19 degrees about an object have 0.07 at most across their plane, views that roam
-over distances and angles 0.1 to 0.4."""
+"""Ratio of the spread of the viewpoints along a direction to their largest spread, below which they
+do not span that direction.
+
+Viewpoints within 19 degrees around an object have at most 0.07 normal to their plane, views at
+various distances and angles 0.1 to 0.4."""
 
 ON_THE_HULL = 0.01
-"""Share of the farthest viewpoint's distance from the middle by which a position may lie outside
-the hull and still count as on it: robots err."""
+"""Distance by which a position may lie outside the convex hull and still count as inside, as a
+fraction of the farthest viewpoint's distance from the centroid. It allows for robot error."""
 
 _SUM_TO_ONE = 10.0
-"""Weight of the weights' sum beside positions of about 1, so that the sum gives way the least."""
+"""Row weight of the sum-to-one condition, beside position rows of size about 1."""
 
 
 class Interpolation(eqx.Module):
-    """Calibrated viewpoints, and what lies between them.
+    """A predictor of extrinsics and pixels by interpolation between calibrated viewpoints.
 
     Attributes:
         camera: intrinsics common to all viewpoints (Step 2).
-        positions: where the tool was at each, in the base frame, m.
+        positions: tool position at each viewpoint, in the base frame, m.
         extrinsics: yaw, pitch, roll (rad, unwrapped) and translation (m) of each.
         axes: unit vectors in the base frame that the positions span, `(dimensions, 3)`: three,
-            two for a plane, one for a line, none for a single place.
+            two for a plane, one for a line, none for a single point.
         gains: the weights as linear functions of `(1, x, y, z)`, the position in the base frame.
     """
 
@@ -55,6 +58,7 @@ class Interpolation(eqx.Module):
 
     def __init__(self, camera: Camera, base_from_tool: SE3, camera_from_world: SE3):
         angles = jnp.stack(camera_from_world.rotation().as_rpy_radians()[::-1], axis=-1)
+        # Unwrap the angles: 179 and -179 degrees must not average to 0.
         turns = jnp.round((angles - angles[:1]) / (2.0 * jnp.pi))
         self.camera = camera
         self.positions = base_from_tool.translation()
@@ -64,31 +68,35 @@ class Interpolation(eqx.Module):
         placed = np.asarray(self.positions)
         middle = placed.mean(axis=0)
         U, spread, Vt = np.linalg.svd(placed - middle, full_matrices=False)
+        # Minimum-norm weights: w = 1/n + (centred positions)^+ (position - middle), with the
+        # pseudoinverse restricted to the directions that the viewpoints span.
         spanned = spread > FLAT * max(spread[0], np.finfo(float).tiny)
         slopes = (U[:, spanned] / spread[spanned]) @ Vt[spanned]
         self.axes = jnp.asarray(Vt[spanned])
         self.gains = jnp.asarray(np.column_stack([1.0 / len(placed) - slopes @ middle, slopes]))
 
     def weights(self, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch views"]:
-        """Return least-norm weights with sum 1 that reproduce positions as far as they can.
+        """Return minimum-norm weights of sum 1 that reproduce the given positions.
 
-        What of a position, m, lies across the plane or line of the viewpoints is left out.
+        The component of a position (m) normal to the viewpoints' plane or line is ignored.
         """
         one = jnp.ones_like(position[..., :1])
         return jnp.concatenate([one, position], axis=-1) @ self.gains.T
 
     def inside(self, base_from_tool: CommandLike) -> Bool[np.ndarray, "*views"]:
-        """Return whether robot poses lie between the viewpoints; others are extrapolated.
+        """Return whether robot poses lie between the viewpoints, so that none is extrapolated.
 
-        Between means within the hull of the viewpoints' positions along what they span, and no
-        farther across it than the farthest of them, or than `FLAT` times their reach.
+        A position must be within the convex hull of the viewpoints along the directions they span,
+        and no farther from their plane or line than the farthest viewpoint, or than `FLAT` times
+        the distance of the farthest viewpoint from the centroid.
         """
         positions = np.asarray(as_command(base_from_tool).base_from_tool.translation())
         corners, axes = np.asarray(self.positions), np.asarray(self.axes)
         middle = corners.mean(axis=0)
         size = max(np.linalg.norm(corners - middle, axis=1).max(), np.finfo(float).tiny)
         corners, places = (corners - middle) / size, (positions.reshape(-1, 3) - middle) / size
-        # In the hull is what weights of sum 1 reproduce without one of them being negative.
+        # A point is in the convex hull if non-negative weights of sum 1 reproduce it. The residual
+        # of non-negative least squares is then zero.
         A = np.vstack([np.full(len(corners), _SUM_TO_ONE), axes @ corners.T])
         gaps = np.array([nnls(A, np.r_[_SUM_TO_ONE, axes @ place])[1] for place in places])
         thickness = max(_distance_across(corners, axes).max(), FLAT)
@@ -96,7 +104,7 @@ class Interpolation(eqx.Module):
         return (near & (gaps <= ON_THE_HULL)).reshape(positions.shape[:-1])
 
     def camera_from_world(self, base_from_tool: CommandLike) -> SE3:
-        """Extrinsics at the given robot poses, `(*views)`."""
+        """Return the interpolated extrinsics at the given robot poses, `(*views)`."""
         e = self.weights(as_command(base_from_tool).base_from_tool.translation()) @ self.extrinsics
         rotation = SO3.from_rpy_radians(e[..., 2], e[..., 1], e[..., 0])
         return SE3.from_rotation_and_translation(rotation, e[..., 3:])
@@ -104,18 +112,18 @@ class Interpolation(eqx.Module):
     def points_in_camera(
         self, base_from_tool: CommandLike, points: Float[Array, "*points 3"]
     ) -> Float[Array, "*moved 3"]:
-        """Target points in the camera frame, m."""
+        """Return target points in the camera frame, m."""
         return transform_points(self.camera_from_world(base_from_tool), jnp.asarray(points, float))
 
     def project(
         self, base_from_tool: CommandLike, points: Float[Array, "*points 3"]
     ) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
-        """Pixels of target points, shapes as in `Calibration.project`."""
+        """Return pixels of target points and their validity, shapes as in `Calibration.project`."""
         return self.camera.project(self.points_in_camera(base_from_tool, points))
 
 
 def _distance_across(
     places: Float[np.ndarray, "places 3"], axes: Float[np.ndarray, "dimensions 3"]
 ) -> Float[np.ndarray, "places"]:
-    """Return how far places are from what the axes through the middle span, in their own unit."""
+    """Return the distance of points from the subspace spanned by the axes, in the points' unit."""
     return np.linalg.norm(places - places @ axes.T @ axes, axis=1)

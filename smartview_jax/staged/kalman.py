@@ -1,20 +1,26 @@
-"""Step 2: one camera for all views, by an iterated extended Kalman filter (Eq. 9).
+"""Fit one camera to all views by an iterated extended Kalman filter (Step 2 of the paper, Eq. 9).
 
-The state holds the camera and every view's pose, `n_camera + 6 M` numbers; it takes in one
-two-dimensional measurement at a time. A measurement touches the camera's columns and six of one
-view, but corrects the whole state, since the camera correlates all views.
+The state of Eq. 9, `(s, e^1 .. e^M)`, holds the camera and the pose of every view,
+`n_camera + 6 M` numbers (5 + 6 M with the paper's lens). It is updated with one two-dimensional
+measurement at a time. A measurement depends on the camera and the pose of one view only, but it
+corrects the whole state, because the camera correlates all views.
 
-Step 1 gives the mean only: it used these same pixels, so the start covariance is wide on purpose,
-and every further pass begins with that wide covariance again and keeps only the linearisation
-point. Otherwise the data would count twice. A pass is linear, so where the passes settle is the
-least-squares optimum; a pass that raises the cost is not taken, and is repeated with less freedom.
+Step 1 gives the mean only. Its estimates come from these same pixels, so the initial covariance is
+deliberately wide. Every further pass starts from that wide covariance again and keeps only the
+linearisation point; otherwise the data would count twice. The fixed point of the passes is the
+least-squares optimum, since one pass solves the linearised problem. A pass that raises the cost is
+rejected and repeated with a narrower initial covariance, which has the effect of damping.
 
-A view turns about the middle of what it shows. One plane seen from few sides leaves a valley in
-which focal length, distance and tilt grow together; turned about the camera, the target swings
-aside as it tilts, the valley curves, and passes that are linear creep along it without an end.
+Outliers are rejected by a chi-square gate on the innovation, but not before the pose of their view
+is determined.
 
-Reference: Kosaka and Kak's model-based stereo, and the textbook iterated filter (Bell, Cathey 1993:
-it is Gauss-Newton).
+Poses are parameterised by a rotation about the centroid of the visible points. For one plane seen
+from similar directions the cost has a narrow valley, in which focal length, distance and tilt vary
+together. With rotations about the camera the target is displaced as it tilts; the valley is then
+curved, and linearised passes advance along it very slowly.
+
+References: Kosaka and Kak's model-based stereo; Bell and Cathey 1993, who show that the iterated
+filter is the Gauss-Newton method.
 """
 
 from collections.abc import Callable
@@ -34,40 +40,43 @@ from ..dataset import Observations
 from ..geometry import transform_points
 
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+"""Ratio of the standard deviation of a normal variable to its median absolute deviation."""
 
 _SETTLED = 3.0
-"""Movement of the state, in its own sigmas, under which the gate begins to work. Before, a whole
-view whose pose is still off would look like outliers."""
+"""Change of the state, in its standard deviations, below which the outlier gate is switched on.
+
+Earlier, all points of a view whose pose is still wrong would look like outliers."""
 
 _ALLOWED_RISE = 0.01
-"""Share by which a pass may raise the cost once the gate works: what a pass sets aside on its way
-is not quite what stands out at its end."""
+"""Fraction by which a pass may raise the cost once the gate is on.
+
+The points rejected during a pass are not exactly those with large residuals after it."""
 
 _GATED_PASSES = 25
-"""Passes with the gate at work, after which outliers that still come and go are given up."""
+"""Maximum number of passes with the gate on; the set of outliers may alternate for ever."""
 
 _LEAST_FREEDOM = 1e-10
-"""Share of the wide variances under which a pass that still raises the cost is the last."""
+"""Fraction of the initial variances at which the filter stops if a pass still raises the cost."""
 
 _SIGMA_FLOOR = 1e-3
-"""Smallest pixel sigma that is believed, px; noise-free data would make it zero."""
+"""Smallest pixel standard deviation, px; noise-free data would make it zero."""
 
 
 class KalmanResult(eqx.Module):
-    """The camera that all views share, their poses, and how well both are known.
+    """The result of Step 2: the common camera, the pose of every view, and their covariance.
 
     Attributes:
         camera: intrinsics and lens.
-        camera_from_world: one pose a view; the start's where a view shows nothing.
-        covariance: of the camera's numbers, then a tangent a view (translation, rotation) that
-            acts from the left on its pose.
+        camera_from_world: one pose per view; the start pose for a view without visible points.
+        covariance: of the camera's numbers, followed by one tangent (translation, rotation) per
+            view that acts on its pose from the left.
         inliers: the observations used.
         pixel_sigma: standard deviation of u and of v, px: as given, or estimated.
-        rms: root mean square deviation of the inliers with these poses, px.
-        passes: passes made.
-        converged: whether the last pass moved the state by less than a thousandth of its sigma.
-        message: in words.
+        rms: root mean square reprojection error of the inliers with these poses, px.
+        passes: number of passes.
+        converged: whether the last pass changed the state by less than a thousandth of its
+            standard deviation.
+        message: the outcome in words.
     """
 
     camera: Camera
@@ -92,20 +101,22 @@ def kalman_filter(
     hold_camera: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> KalmanResult:
-    """Filter all observations into one camera and one pose a view.
+    """Estimate one camera and one pose per view from all observations (Eq. 9).
 
     Args:
         observations: points, pixels, visibility; the robot's poses are not used.
         start_camera, start_camera_from_world: the first linearisation point, from Step 1.
-        start_inliers: what is not known to be an outlier already (Step 1 sets gross ones aside).
+        start_inliers: observations not yet known to be outliers (Step 1 rejects gross errors).
             They are used until the state has settled; from then on the gate decides.
-        pixel_sigma: of u and of v, px; by default estimated, robustly, before each pass.
-        gate_probability: a measurement is set aside where its innovation is larger than this
-            share of good ones (chi-square with two degrees of freedom).
-        maximum_passes: over the data; three to ten are usual, a hundred where Step 1 was far off.
-        hold_camera: the camera is known: refine the poses alone.
-        progress: told what is being done.
+        pixel_sigma: standard deviation of u and of v, px; by default estimated robustly before
+            each pass.
+        gate_probability: probability that the innovation of a good measurement passes the gate
+            (chi-square with two degrees of freedom).
+        maximum_passes: over the data; three to ten are usual, a hundred if Step 1 was far off.
+        hold_camera: treat the camera as known and refine the poses only.
+        progress: called with a sentence about every pass.
     """
+    # Quantile of chi-square with two degrees of freedom: P(x <= g) = 1 - exp(-g / 2).
     gate = -2.0 * np.log1p(-gate_probability)
     point = (start_camera, start_camera_from_world)
     visible = observations.visible
@@ -133,7 +144,7 @@ def kalman_filter(
         if progress is not None:
             progress(f"pass {passes}: sigma {sigma:.3f} px, moved {trial.movement:.2g} sigma")
         if not _lowers_the_cost(trial, float(sigma), gating):
-            # The step went too far: trust the linearisation less.
+            # The step left the range of the linearisation: start narrower, that is, damp more.
             freedom = 0.1 * freedom
             if freedom < _LEAST_FREEDOM:
                 message = "the passes kept raising the cost"
@@ -141,7 +152,8 @@ def kalman_filter(
             continue
         moved, same = float(trial.movement), bool(jnp.all(trial.inliers == inliers))
         point, inliers, covariance = trial.point, trial.inliers, trial.covariance
-        # A pass that was held back moves little wherever it is, and knows less than it says.
+        # A damped pass makes a short step anywhere, and its covariance is too small: only an
+        # undamped pass may switch the gate on or end the iteration.
         free = freedom == 1.0
         gating = gating or (free and moved < _SETTLED)
         if moved < 1e-3 and same and gating and free:
@@ -156,29 +168,32 @@ def kalman_filter(
 
 
 class _Pass(NamedTuple):
+    """The result of one pass over all measurements."""
+
     point: tuple[Camera, SE3]
     covariance: Array
     inliers: Array
     movement: Array  # largest change of the state, in its own standard deviations
-    costs: Array  # mean squared deviation before and after, px^2, over the same observations
+    costs: Array  # mean squared reprojection error before and after, px^2, same observations
 
 
 def _lowers_the_cost(trial: _Pass, sigma: float, gating: bool) -> bool:
-    """Return whether a pass may be taken; one that ends in no number may not."""
+    """Return whether a pass may be accepted; a cost of NaN is rejected."""
     before, after = np.asarray(trial.costs)
-    # What rounding and a step of a thousandth of a sigma change is no rise.
+    # Rounding, and a step of a thousandth of a standard deviation, may raise the cost this much.
     allowed = (_ALLOWED_RISE if gating else 0.0) * before + 1e-6 * sigma**2
     return bool(after <= before + allowed)
 
 
 @compiled
 def _rms(observations: Observations, point: tuple[Camera, SE3], inliers: Array) -> Array:
+    """Return the root mean square reprojection error of the inliers, px."""
     residuals = jnp.where(inliers[..., None], pixel_residuals(observations, *point), 0.0)
     return jnp.sqrt(jnp.sum(residuals**2) / jnp.maximum(jnp.sum(inliers.astype(float)), 1.0))
 
 
 def pixel_residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
-    """Measured minus projected, px; a point that cannot be projected counts as far off."""
+    """Return measured minus projected pixels; 1e4 px for a visible point without projection."""
     predicted, valid = camera.project(transform_points(camera_from_world, observations.points))
     residuals = observations.residuals(predicted, valid)
     return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)
@@ -191,6 +206,7 @@ def robust_sigma(
     inliers: Bool[Array, "views points"],
     given: float | None,
 ) -> Float[Array, ""]:
+    """Return the pixel standard deviation: as given, or from the median absolute residual, px."""
     if given is not None:
         return jnp.asarray(given, dtype=float)
     size = jnp.where(inliers[..., None], pixel_residuals(observations, *point), jnp.nan)
@@ -198,12 +214,15 @@ def robust_sigma(
 
 
 def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, Array]:
-    """Standard deviations that Step 1's answer is given: wide, for it saw the same pixels.
+    """Return the initial standard deviations of the state.
+
+    They are wide because the start from Step 1 was computed from the same pixels (see the module's
+    docstring).
 
     Returns:
-        `(n_camera,)` for the camera's numbers (a quarter of alpha, a quarter of the picture, for
-        the lens what moves the picture's corner by that, and 1 at the least) and `(views, 6)` for
-        the poses (half the distance, half a radian).
+        `(n_camera,)` for the camera (a quarter of alpha; for u0, v0 a quarter of the picture's
+        size; for a lens coefficient the change that displaces the picture's corner by a quarter of
+        the width, not below 1) and `(views, 6)` for the poses (half the distance, half a radian).
     """
     numbers, rebuild = ravel_pytree(camera)
     width, height = camera.image_size
@@ -218,7 +237,7 @@ def initial_deviations(camera: Camera, camera_from_world: SE3) -> tuple[Array, A
             jnp.asarray(0.25 * height),
         ]
     )
-    # A corner outside the lens's domain does not move, or not by a number.
+    # Outside the domain of the lens the derivative at the corner is zero or NaN; use 1 there.
     lens = jnp.where(moved > 1e-6 * width, jnp.maximum(0.25 * width / moved, 1.0), 1.0)
     distance = jnp.linalg.norm(camera_from_world.translation(), axis=-1, keepdims=True)
     half = jnp.full((len(distance), 3), 0.5)
@@ -236,15 +255,22 @@ def _one_pass(
     hold_camera: Bool[Array, ""],
     gating: Bool[Array, ""],
 ) -> _Pass:
+    """Update the state with all measurements once, from the wide initial covariance.
+
+    The residuals are linear in the change x of the state, `r = J x + noise`, with x ~ N(0, P0) and
+    the noise N(0, sigma^2 I). Scaled by the initial standard deviations, P0 = I.
+    """
     camera, poses = point
     numbers, rebuild = ravel_pytree(camera)
     camera_sigma, pose_sigma = initial_deviations(camera, poses)
+    # A known camera keeps its columns, with a variance of practically zero: one program for both.
     camera_sigma = jnp.where(hold_camera, 1e-12 * camera_sigma, camera_sigma)
-    # Unit variances to begin with: lengths, angles and focal lengths become comparable.
+    # Scale to unit initial variances, so that lengths, angles and focal lengths are comparable.
     scale = jnp.sqrt(freedom) * jnp.concatenate([camera_sigma, pose_sigma.ravel()])
     residuals = pixel_residuals(observations, camera, poses)
     middle = _middles(observations, poses)
     J_camera, J_pose = _jacobians(observations, numbers, rebuild, poses)
+    # Rotate about the centroid, exp(x) -> m exp(x) m^-1: by the chain rule J becomes J Ad(m).
     J_pose = jnp.einsum("vnij,vjk->vnik", J_pose, middle.adjoint())
     J_camera = J_camera * camera_sigma[None, None, None] * jnp.sqrt(freedom)
     J_pose = J_pose * pose_sigma[:, None, None] * jnp.sqrt(freedom)
@@ -258,7 +284,8 @@ def _one_pass(
     movement = jnp.max(jnp.abs(change) / jnp.sqrt(jnp.maximum(jnp.diag(covariance), 1e-30)))
     change = change * scale
     shift, turn = jnp.split(change[len(numbers) :].reshape(-1, 6), 2, axis=-1)
-    # Not the exponential of both: along its screw a target that moves away swings aside too.
+    # Translation and rotation are applied separately. The exponential of the whole twist is a
+    # screw motion, in which a target that recedes is also displaced sideways.
     step = SE3.from_rotation_and_translation(SO3.exp(turn), shift)
     new_point = (
         rebuild(numbers + change[: len(numbers)]),
@@ -266,7 +293,9 @@ def _one_pass(
     )
     covariance = covariance * scale[:, None] * scale[None]
 
-    # What stands out after the pass is set aside before the next, and what fits is let in again.
+    # Points with large residuals after this pass are rejected in the next; points that fit again
+    # are readmitted. The cost caps each squared residual at the gate, so that rejecting a point
+    # does not lower it.
     before = jnp.sum(residuals**2, axis=-1)
     after = jnp.sum(pixel_residuals(observations, *new_point) ** 2, axis=-1)
     fits = observations.visible & (after <= gate * sigma**2)
@@ -279,18 +308,22 @@ def _one_pass(
 
 
 def _middles(observations: Observations, poses: SE3) -> SE3:
-    """Return `(M)` shifts from the middle of what each view shows, in its camera's frame."""
+    """Return `(M)` translations to the centroid of each view's visible points, camera frame, m."""
     seen = observations.visible[..., None]
     total = jnp.sum(jnp.where(seen, transform_points(poses, observations.points), 0.0), axis=1)
     return SE3.from_translation(total / jnp.maximum(jnp.sum(seen.astype(float), axis=1), 1.0))
 
 
 def _about_the_camera(covariance: Array, middle: SE3) -> Array:
-    """Return the covariance of poses that turn about their camera, from that about middles."""
+    """Return the covariance for pose tangents about the camera, from tangents about the centroids.
+
+    A tangent x about the centroid m is `Ad(m) x` about the camera, so `P -> Ad P Ad'`.
+    """
     blocks = middle.adjoint()
     first = len(covariance) - 6 * len(blocks)
 
     def moved(rows: Array) -> Array:
+        """Return the rows with every pose block multiplied by its adjoint from the left."""
         poses = rows[first:].reshape(*blocks.shape[:2], -1)
         return jnp.concatenate([rows[:first], (blocks @ poses).reshape(-1, rows.shape[1])])
 
@@ -300,9 +333,18 @@ def _about_the_camera(covariance: Array, middle: SE3) -> Array:
 def _jacobians(
     observations: Observations, numbers: Array, rebuild: Callable, poses: SE3
 ) -> tuple[Array, Array]:
-    """Derivatives of the predicted pixels: `(M, N, 2, n_camera)` and `(M, N, 2, 6)`."""
+    """Return the derivatives of the predicted pixels by the camera and by the poses.
+
+    Returns:
+        `(M, N, 2, n_camera)` and `(M, N, 2, 6)`, for pose tangents acting from the left.
+    """
 
     def predict(numbers, tangent, pose, point):
+        """Return the pixel of one point with the pose displaced to `exp(tangent) @ pose`.
+
+        These are the collinearity equations Eq. 5 and Eq. 6 through the lens. (Eq. 7 prints t_x
+        in the rows where t_y and t_z belong, a misprint.)
+        """
         pixel, valid = rebuild(numbers).project((SE3.exp(tangent) @ SE3(pose)).apply(point))
         return jnp.where(valid, pixel, 0.0)
 
@@ -314,6 +356,8 @@ def _jacobians(
 
 
 class _Measurement(NamedTuple):
+    """One pixel measurement with its derivatives and view index; `use` masks absent ones."""
+
     residual: Array
     J_camera: Array
     J_pose: Array
@@ -324,7 +368,10 @@ class _Measurement(NamedTuple):
 def _interleave(
     observations: Observations, residuals: Array, J_camera: Array, J_pose: Array, inliers: Array
 ) -> _Measurement:
-    """All views take turns, so that the camera is soon determined and gating can begin."""
+    """Order the measurements point by point over all views, not view by view.
+
+    The camera is then determined early in the pass, and gating can begin.
+    """
     views, points = inliers.shape
 
     def flat(x):
@@ -336,13 +383,25 @@ def _interleave(
 
 
 def _absorb(sigma: Array, gate: Array, camera_size: int) -> Callable:
-    """One measurement into the state: a rank-two correction of the mean and the covariance."""
+    """Return the Kalman update for one two-dimensional measurement, as the body of a scan.
+
+        S = H P H' + sigma^2 I              covariance of the innovation
+        K = P H' S^-1                       gain
+        mean <- mean + K (r - H mean)
+        P <- P - K H P
+
+    With the Cholesky factor `S = L L'` this is `K (r - H mean) = (L^-1 H P)' L^-1 (r - H mean)` and
+    `K H P = (L^-1 H P)' (L^-1 H P)`: P stays symmetric, and each update has rank two. The gate
+    rejects a measurement with `(r - H mean)' S^-1 (r - H mean) > gate`.
+    """
 
     def absorb(carry, measurement):
+        """Update mean and covariance, unless the measurement is masked or gated out."""
         mean, P, seen = carry
         residual, J_camera, J_pose, view, use = measurement
         first = camera_size + 6 * view
-        # H P with H in 11 columns or so: never the whole of H.
+        # H is zero except for the columns of the camera and of one view (11 for the paper's
+        # lens), so H P needs only those rows of P.
         HP = J_camera @ P[:camera_size] + J_pose @ jax.lax.dynamic_slice_in_dim(P, first, 6)
         pose_columns = jax.lax.dynamic_slice_in_dim(HP, first, 6, axis=1)
         predicted = HP[:, :camera_size] @ J_camera.T + pose_columns @ J_pose.T
@@ -351,7 +410,8 @@ def _absorb(sigma: Array, gate: Array, camera_size: int) -> Callable:
         innovation = residual - J_camera @ mean[:camera_size] - J_pose @ pose_mean
         L = jnp.linalg.cholesky(S)
         whitened = jax.scipy.linalg.solve_triangular(L, innovation, lower=True)
-        # A view whose pose is still open predicts badly: nothing can be told to be wrong in it.
+        # No gating until the pose of the view is determined (small predicted variance, at least
+        # four points used): before, its predictions are poor and good points would be rejected.
         determined = (jnp.trace(predicted) < 25.0 * sigma**2) & (seen[view] >= 4.0)
         accept = use & ((jnp.sum(whitened**2) <= gate) | ~determined)
         half = jax.scipy.linalg.solve_triangular(L, HP, lower=True)

@@ -1,27 +1,30 @@
-"""Which views show the target by themselves, before anything is said of the robot.
+"""Find views that do not show the target properly, before the robot's poses are used.
 
-A view whose points lie on one line has no pose of its own, and one whose points are not where any
-view of the target has them (corners numbered wrongly, another object) spoils what all views share.
+A view whose points lie on one line does not determine a pose. A view whose points do not match any
+view of the target (corners numbered wrongly, another object) would spoil the common camera.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 ONE_LINE = 1e-3
-"""Second over largest extent of the points, under which they are one line."""
+"""Ratio of second to largest extent of the points below which they count as one line."""
 
 UNLIKE = 10.0
-"""Times the deviation of the median view that no lens and no noise reach."""
+"""Limit on a view's RMS error, in multiples of the median view's.
+
+No lens and no noise reach it."""
 
 UNLIKE_LEAST = 0.01
-"""Deviation at the least, as a share of the picture's larger side."""
+"""Lower bound of that limit, as a fraction of the picture's longer side."""
 
 
 def on_one_line(
     points: Float[np.ndarray, "views points 3"], visible: Bool[np.ndarray, "views points"]
 ) -> Bool[np.ndarray, "views"]:
-    """Tell the views of which all visible points lie on one line of the target."""
+    """Return the mask of views whose visible points all lie on one line of the target."""
     answer = np.zeros(len(points), dtype=bool)
+    # Views with fewer than two points are reported elsewhere, as showing too few.
     for view, (where, seen) in enumerate(zip(points, visible, strict=True)):
         if seen.sum() >= 2:
             extent = np.linalg.svd(where[seen] - where[seen].mean(axis=0), compute_uv=False)
@@ -34,13 +37,14 @@ def unlike_the_target(
     used: Bool[np.ndarray, "views"],
     image_size: tuple[int, int],
 ) -> dict[int, str]:
-    """Say of which views the points are no view of the target, and by how much.
+    """Return, by view, a sentence about points that do not match the target.
 
     Args:
-        rms: deviation of each view's points from the best view of the target, px.
-        used: views that are asked about.
+        rms: RMS reprojection error of each view with its own best pose, px.
+        used: mask of the views to check.
         image_size: width and height, px.
     """
+    # The lower bound keeps nearly exact data from being rejected for a tenth of a pixel.
     median = float(np.median(rms[used]))
     limit = max(UNLIKE * median, UNLIKE_LEAST * max(image_size))
     return {
@@ -48,5 +52,6 @@ def unlike_the_target(
             f"its points are not those of the target: {rms[view]:.0f} px RMS from the best view "
             f"of it, {median:.2f} px in the median view: wrongly detected or numbered?"
         )
+        # Negated, so that a NaN error is reported too.
         for view in np.flatnonzero(used & ~(rms <= limit))
     }

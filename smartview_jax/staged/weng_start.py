@@ -21,7 +21,7 @@ _COPLANAR = 1e-3
 
 
 class Intrinsics(NamedTuple):
-    """The paper's five intrinsics (px, and k1), each a scalar or an array with one entry per view."""
+    """The paper's five intrinsics (px; k1 without unit), each a scalar or one entry per view."""
 
     alpha_u: Array
     alpha_v: Array
