@@ -55,9 +55,7 @@ class CalibrationFit(eqx.Module):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The reasons to doubt the answer: the joint fit's own, and differences from the staged
-        fit.
-        """
+        """The doubts about the answer: the joint fit's own, and differences from the staged fit."""
         return (*self.joint.warnings, *_beside_staged(self))
 
     def __getattr__(self, name: str):

@@ -1,7 +1,7 @@
-"""How good a calibration is: deviations, held-out error, methods side by side.
+"""Measure how good a calibration is: reprojection errors, held-out errors, comparisons of methods.
 
-Measures on given views stand here. Errors on views that no fit saw are in `held_out`, how well a
-result is known in `uncertainty`, where an error comes from in `diagnosis`.
+Errors on given views are computed here. Errors on views that no fit used are in `held_out`, the
+uncertainty of a result is in `uncertainty`, and the causes of an error are in `diagnosis`.
 """
 
 from ..fit_result import Rejection as Rejection

@@ -1,7 +1,8 @@
-"""What the camera alone would allow: every view with a pose of its own.
+"""Compute the reprojection error that remains when every view has a free pose.
 
-No chain through a robot can predict better than this with the same camera, so the gap between the
-two is what the robot's poses, the target's size and the two fixed transforms cost.
+It is what the camera alone allows: no chain through a robot can predict better with the same
+camera. The difference from the chain's error is due to the robot's poses, the target's size and the
+two constant transforms.
 """
 
 import jax
@@ -18,14 +19,15 @@ from ..geometry import transform_points
 from .measures import Deviations, measured
 
 STEPS = 50
-"""Of Levenberg-Marquardt; the chain's poses are close, and a handful is enough."""
+"""The largest number of Levenberg-Marquardt steps; the chain's poses are close, so few are needed.
+"""
 
 
 def free_pose_deviations(calibration: Calibration, data: Dataset) -> Deviations:
-    """Deviations left when every view's pose is fitted to its own pixels, the camera held.
+    """Return reprojection errors with every view's pose fitted to its own pixels, the camera held.
 
     Args:
-        calibration: its camera and target scale are kept; its chain is where each pose starts.
+        calibration: its camera and target scale are held; its chain gives the initial poses.
         data: views with at least four visible points are fitted, others keep the chain's pose.
     """
     return measured(calibration.camera, data, *free_pose_predictions(calibration, data))
@@ -36,7 +38,7 @@ def free_pose_predictions(
 ) -> tuple[
     Float[Array, "views points 2"], Bool[Array, "views points"], Float[Array, "views points"]
 ]:
-    """Pixels, where they are valid, and depths (m), of which `free_pose_deviations` are made."""
+    """Return pixels, their validity and depths (m) of all points under the fitted free poses."""
     started = calibration.camera_from_world(data.command)
     points = calibration.target_scale * data.points
     enough = data.visible.sum(axis=1, keepdims=True) >= 4
@@ -54,9 +56,12 @@ def _fit_poses(
     pixels: Float[Array, "views points 2"],
     used: Bool[Array, "views points"],
 ) -> SE3:
+    """Return every view's `camera_from_world` that minimises its reprojection error."""
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
 
     def fit(pose: Array, points: Array, pixels: Array, used: Array) -> Float[Array, "7"]:
+        # r(xi) = pixel - project(exp(xi) T p), zero where a point is not used. From zero, each step
+        # solves (J^T J + lambda I) xi = -J^T r.
         def residuals(twist: Float[Array, "6"], _: None) -> Float[Array, "points 2"]:
             predicted, valid = camera.project((SE3.exp(twist) @ SE3(pose)) @ points)
             return jnp.where((used & valid)[:, None], pixels - predicted, 0.0)

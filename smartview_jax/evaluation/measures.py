@@ -1,4 +1,4 @@
-"""How far predicted points lie from measured ones, in pixels and in millimetres at the target."""
+"""Measure the distance between predicted and measured points, in px and in mm at the target."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -14,7 +14,8 @@ from ..robots import CommandLike
 
 @runtime_checkable
 class Predictor(Protocol):
-    """Whatever says where target points appear from a robot pose: a `Calibration`, for one."""
+    """A model that predicts where target points appear from a robot pose; a `Calibration` is one.
+    """
 
     @property
     def camera(self) -> Camera: ...
@@ -25,15 +26,15 @@ class Predictor(Protocol):
 
 
 class Deviations(NamedTuple):
-    """Distances between measured and predicted points.
+    """The reprojection errors of points: distances between measured and predicted pixels.
 
-    NaN where a point was not seen, infinite where one was seen that cannot be predicted at all
-    (behind the camera, outside the lens's domain). The figures below are over the predicted ones;
-    `unpredicted` counts the others, and whoever prints a figure prints that count too.
+    NaN where a point was not seen, infinite where one was seen but cannot be predicted (behind the
+    camera, or outside the lens's domain). The figures below are over predicted points only;
+    `unpredicted` counts the others, and any report of these figures should state that count.
 
     Attributes:
-        px: in the picture.
-        m: at the target: pixel deviation x depth / focal length.
+        px: distance in the image.
+        m: distance at the target: pixel distance x depth / focal length.
     """
 
     px: Float[np.ndarray, "views points"]
@@ -41,49 +42,51 @@ class Deviations(NamedTuple):
 
     @property
     def mean(self) -> float:
-        """Mean deviation, px (the paper's registration error)."""
+        """The mean reprojection error, px (the paper's registration error)."""
         values = self.values
         return float(np.mean(values)) if values.size else float("nan")
 
     @property
     def std(self) -> float:
-        """Standard deviation of the deviations, px."""
+        """The standard deviation of the reprojection errors, px."""
         values = self.values
         return float(np.std(values)) if values.size else float("nan")
 
     @property
     def rms(self) -> float:
-        """Root mean square deviation over points, px."""
+        """The root mean square reprojection error over points, px."""
         return _rms(self.px)
 
     @property
     def rms_mm(self) -> float:
-        """Root mean square deviation over points, mm at the target."""
+        """The root mean square error over points, mm at the target."""
         return 1e3 * _rms(self.m)
 
     @property
     def per_view(self) -> Float[np.ndarray, "views"]:
-        """RMS of each view, px; NaN for a view without points."""
+        """The RMS error of each view, px; NaN for a view without points."""
         return np.array([_rms(row) for row in self.px])
 
     @property
     def values(self) -> Float[np.ndarray, "predicted"]:
-        """The deviations of all predicted points in one row, px."""
+        """The reprojection errors of all predicted points as one vector, px."""
         return self.px[np.isfinite(self.px)]
 
     @property
     def unpredicted(self) -> int:
-        """How many points were seen that cannot be predicted."""
+        """The number of points that were seen but cannot be predicted."""
         return int(np.count_nonzero(np.isinf(self.px)))
 
 
 def _rms(values: np.ndarray) -> float:
+    """Return the root mean square of the finite values; NaN if there are none."""
     found = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(found**2))) if found.size else float("nan")
 
 
 def deviations(predictor: Predictor, data: Dataset) -> Deviations:
-    """Deviations of everything that was seen; infinite where it cannot be predicted."""
+    """Return the reprojection errors of all visible points; infinite where there is no prediction.
+    """
     predicted, valid, depth = predict(predictor, data.command, data.points)
     return measured(predictor.camera, data, predicted, valid, depth)
 
@@ -95,7 +98,7 @@ def measured(
     valid: Bool[Array, "views points"],
     depth: Float[Array, "views points"],
 ) -> Deviations:
-    """Deviations of predicted pixels whose points lie at these depths (m)."""
+    """Return the reprojection errors of predicted pixels whose points have the given depths (m)."""
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
     visible = np.asarray(data.visible)
     px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
@@ -105,7 +108,8 @@ def measured(
 def at_target(
     camera: Camera, px: Float[np.ndarray, "views points"], depth: Float[Array, "views points"]
 ) -> Deviations:
-    """Lengths in the picture, px, of points at these depths (m), and what they are there."""
+    """Return reprojection errors (px) with the distances at the target, at the given depths (m)."""
+    # Pixel distance x depth / focal length, with the geometric mean of the two focal lengths.
     focal = float(jnp.sqrt(jnp.abs(camera.alpha_u * camera.alpha_v)))
     # A depth of exactly zero would make an unpredicted point's infinity a NaN.
     distance = np.maximum(np.abs(np.asarray(depth)), np.finfo(float).tiny)
@@ -116,6 +120,6 @@ def at_target(
 def predict(
     predictor: Predictor, command: CommandLike, points: Array
 ) -> tuple[Array, Bool[Array, "views points"], Array]:
-    """Pixels, where they are valid, and depths (m)."""
+    """Return predicted pixels, their validity and the points' depths (m)."""
     pixels, valid = predictor.project(command, points)
     return pixels, valid, predictor.points_in_camera(command, points)[..., 2]

@@ -1,4 +1,4 @@
-"""What a fit left out of the data, and why."""
+"""Report which observations a fit left out of the data, and why."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,30 +12,30 @@ from ..joint import JointFit
 
 
 class RejectionCount(NamedTuple):
-    """How much was left out."""
+    """The numbers of points and of whole views that were left out."""
 
     points: int
     views: int
 
 
 def rejected_by(fit: Any) -> tuple[Rejection, ...] | None:
-    """What a fit rejected; None if it cannot tell."""
+    """Return a fit's rejections; None if it does not report any."""
     rejected = getattr(fit, "rejected", None)
     return None if rejected is None else tuple(Rejection(*entry) for entry in rejected)
 
 
 def without_rejected_views(data: Dataset, fit: JointFit | CalibrationFit) -> Dataset:
-    """The data without the views that a joint fit did not use at all: what to judge it on.
+    """Return the data without the views that a joint fit did not use at all, to evaluate the fit.
 
-    A view whose pose contradicts the others' is as far off as its pose is wrong, whoever predicts
-    it. Points that were left out one by one stay: others like them will be seen again.
+    A view whose pose contradicts the others' has an error as large as its pose error, for any
+    predictor. Points that were left out one by one stay: new data will have similar outliers.
     """
     used = np.asarray(fit.problem.observations.visible).any(axis=1)
     return data.without(np.flatnonzero(~used))
 
 
 def count_rejected(rejected: Sequence[Rejection]) -> RejectionCount:
-    """Points rejected one by one, and whole views."""
+    """Return how many points were rejected one by one, and how many whole views."""
     views = {item.view for item in rejected if item.point is None}
     points = sum(item.point is not None and item.view not in views for item in rejected)
     return RejectionCount(points, len(views))

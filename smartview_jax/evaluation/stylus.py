@@ -1,7 +1,7 @@
-"""The paper's Fig. 2: how far a stylus on the tool misses the place that it is told to touch.
+"""Simulate the paper's stylus test (Fig. 2): how far a stylus misses the point it should touch.
 
-Pixels can be right for the wrong reason; a tool that goes where the calibration says the target is
-cannot.
+Errors in pixels can be small for the wrong reason; a tool that reaches where the calibration
+locates the target cannot be right by such a chance.
 """
 
 import jax.numpy as jnp
@@ -15,12 +15,12 @@ from ..calibration import Calibration
 def touching(
     tip: Float[np.ndarray, "3"], world_from_tool: SO3, place: Float[np.ndarray, "3"] | None = None
 ) -> SE3:
-    """`world_from_tool` with the tip of a stylus at a place of the world.
+    """Return `world_from_tool` at which the tip of a stylus is at a point of the world.
 
     Args:
-        tip: in the tool's frame, m.
-        world_from_tool: `(*touches)` how the tool is turned.
-        place: to be touched, m; by default the origin.
+        tip: position in the tool's frame, m.
+        world_from_tool: `(*touches)` orientations of the tool.
+        place: point to touch, m; by default the origin.
     """
     wanted = jnp.zeros(3) if place is None else jnp.asarray(place)
     reach = world_from_tool.apply(jnp.broadcast_to(tip, (*world_from_tool.get_batch_axes(), 3)))
@@ -35,20 +35,22 @@ def stylus_miss(
     world_from_tool: SE3,
     robot_noise: Float[Array, "*touches 6"] | Float[np.ndarray, "*touches 6"] | None = None,
 ) -> Float[Array, "*touches 3"]:
-    """Where the tip is, minus where it should be, in the true world frame, m.
+    """Return the position of the tip minus its intended position, in the true world frame, m.
 
-    The calibration says which pose to command (Eq. 20); the true robot and the true world say where
-    that puts the tip.
+    The calibration gives the pose to command (Eq. 20); the true robot and the true world determine
+    where that puts the tip.
 
     Args:
-        calibration: of a camera on the hand, by which the robot is commanded.
-        truth: behind the simulation.
-        tip: in the tool's frame, m.
-        world_from_tool: `(*touches)` wanted.
-        robot_noise: of the commanded poses: `tool_from_base = exp(noise) @ commanded`.
+        calibration: of an eye-in-hand camera, used to command the robot.
+        truth: the calibration of the simulation.
+        tip: position in the tool's frame, m.
+        world_from_tool: `(*touches)` intended poses.
+        robot_noise: twists of the commanded poses: `tool_from_base = exp(noise) @ commanded`.
     """
     tool_from_world = world_from_tool.inverse()
+    # Eq. 20: the pose to command has the camera at camera_from_tool tool_from_world.
     command = calibration.command_for(calibration.camera_from_tool @ tool_from_world)
+    # tool_from_world = tool_from_camera camera_from_world, by the true transforms.
     reached = truth.camera_from_tool.inverse() @ truth.camera_from_world(command)
     if robot_noise is not None:
         reached = SE3.exp(jnp.asarray(robot_noise)) @ reached

@@ -85,7 +85,7 @@ def moves_without(problem: JointProblem, z: Step) -> Float[Array, "views free"]:
 
 
 class PoseScores(NamedTuple):
-    """How far each view's free pose lies from the pose that the other views predict.
+    """The distance of each view's free pose from the pose that the other views predict.
 
     Attributes:
         distance: Mahalanobis distance, in standard deviations; where the variance components were

@@ -1,4 +1,4 @@
-"""How well a result is known: its covariance, the bound on it, and whether it is as stated."""
+"""Quantify how well a result is known: covariances, lower bounds, and tests of both."""
 
 from .consistency import Measured as Measured
 from .consistency import coverage as coverage

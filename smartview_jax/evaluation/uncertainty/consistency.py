@@ -1,8 +1,8 @@
-"""Is what a fit states about its own errors true? Over many runs with a known truth.
+"""Test whether the uncertainty that a fit states is true, over many runs with a known truth.
 
-NEES, the normalised estimation error squared `e^T P^-1 e`, is chi-square distributed with as many
-degrees of freedom as numbers if the stated covariance `P` is true; and an interval of 95 % holds
-the truth in 95 runs of a hundred.
+The normalised estimation error squared (NEES), `e^T P^-1 e`, is chi-square distributed with as many
+degrees of freedom as numbers if the stated covariance `P` is true; and a 95 % interval contains the
+truth in 95 runs of a hundred.
 
 Reference: Bar-Shalom, Li and Kirubarajan, Estimation with applications to tracking and navigation,
 2001, section 5.4.
@@ -15,11 +15,14 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtri, ndtri, stdtrit
 
 LEVEL = 0.95
-"""Of intervals, and of bands."""
+"""The probability of intervals and bands."""
 
 
 class Measured(NamedTuple):
-    """A mean over runs, and the band in which it lies `LEVEL` of the time if all is as stated."""
+    """A mean over runs, with the band that contains it with probability `LEVEL`.
+
+    The band holds if all uncertainty is as stated.
+    """
 
     value: float
     low: float
@@ -27,7 +30,7 @@ class Measured(NamedTuple):
 
     @property
     def within(self) -> bool:
-        """Whether it lies in its band."""
+        """Whether the mean lies in its band."""
         return self.low <= self.value <= self.high
 
 
@@ -35,7 +38,7 @@ def nees(
     errors: Float[np.ndarray, "runs numbers"],
     covariances: Float[np.ndarray, "runs numbers numbers"],
 ) -> Float[np.ndarray, "runs"]:
-    """Every run's squared error in the metric of its stated covariance.
+    """Return every run's normalised estimation error squared.
 
     Args:
         errors: estimates minus truth, in any units.
@@ -47,6 +50,7 @@ def nees(
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     sound = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
     sound &= np.asarray((variances > 0.0).all(axis=1))
+    # Correlations instead of covariances: numbers of very different units keep their precision.
     lengths = np.sqrt(np.where(sound[:, None], variances, 1.0))
     unit = covariances / (lengths[:, :, None] * lengths[:, None])
     unit = np.where(sound[:, None, None], unit, np.eye(variances.shape[1]))
@@ -59,8 +63,9 @@ def nees(
 
 
 def mean_nees(squares: Float[np.ndarray, "runs"], numbers: int) -> Measured:
-    """The mean of `nees`: the count of numbers, up to chance, where the covariances are true."""
+    """Return the mean of `nees` and its band; it is near `numbers` if the covariances are true."""
     tail, runs = 0.5 - 0.5 * LEVEL, len(squares)
+    # Over n runs the sum is chi-square with n times as many degrees of freedom.
     low, high = (float(chdtri(runs * numbers, p)) / runs for p in (1.0 - tail, tail))
     return Measured(float(np.mean(squares)), low, high)
 
@@ -70,13 +75,13 @@ def covered(
     std: Float[np.ndarray, "*runs"],
     degrees_of_freedom: Float[np.ndarray, "*runs"] | float = np.inf,
 ) -> Bool[np.ndarray, "*runs"]:
-    """Whether each error lies within its two-sided interval of `LEVEL`.
+    """Return whether each error lies within its two-sided interval at `LEVEL`.
 
     Args:
         errors: estimates minus truth.
-        std: stated.
-        degrees_of_freedom: that the deviations rest on (Student's t); infinite where they are
-            known.
+        std: stated standard deviations.
+        degrees_of_freedom: degrees of freedom of the standard deviations (Student's t); infinite
+            where they are known.
     """
     degrees, p = np.asarray(degrees_of_freedom, dtype=float), 0.5 + 0.5 * LEVEL
     finite = np.isfinite(degrees)
@@ -85,6 +90,9 @@ def covered(
 
 
 def coverage(held: Bool[np.ndarray, "runs"]) -> Measured:
-    """The share of runs that hold the truth; the band is the normal approximation's."""
+    """Return the fraction of runs whose interval contains the truth.
+
+    Its band is that of the normal approximation.
+    """
     half = float(ndtri(0.5 + 0.5 * LEVEL) * np.sqrt(LEVEL * (1.0 - LEVEL) / len(held)))
     return Measured(float(np.mean(held)), LEVEL - half, LEVEL + half)

@@ -1,4 +1,7 @@
-"""The bound that no unbiased estimator can pass, for any set-up, before any picture is taken."""
+"""Compute the Cramer-Rao bound of a set-up before any image is taken.
+
+No unbiased estimator has a smaller covariance.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -24,14 +27,16 @@ from ...robot_errors import AbstractField
 
 
 class Bound(eqx.Module):
-    """The Cramer-Rao bound of a set-up; `std_of` says what it means for anything computed from it.
+    """The Cramer-Rao bound of a set-up; `std_of` carries it to any function of a calibration.
 
     Attributes:
-        calibration: where it holds.
-        covariance: least covariance of the free parameters, in the order of `parameter_names`.
-        std: least standard deviation by name; infinite where the data do not tell.
-        observability: what the data cannot tell.
-        parameter_names: of the free parameters that all views share.
+        calibration: the calibration at which the bound holds.
+        covariance: smallest possible covariance of the free parameters, in the order of
+            `parameter_names`.
+        std: smallest possible standard deviation by name; infinite where the data do not determine
+            a parameter.
+        observability: the directions that the data do not determine.
+        parameter_names: names of the free parameters that all views have in common.
     """
 
     calibration: Calibration
@@ -50,20 +55,22 @@ def cramer_rao(
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
 ) -> Bound:
-    """The Cramer-Rao bound of everything that a joint fit estimates.
+    """Return the Cramer-Rao bound of all parameters that a joint fit estimates.
 
-    Errors of reported poses, and the coefficients of a field, are integrated out under their
-    priors, so that for them it is the bound on average over robots (van Trees).
+    Errors of reported poses, and the coefficients of a field, are marginalised under their priors,
+    so that for them it is the bound on average over robots (van Trees).
 
     Args:
         calibration: the truth, as far as it is known.
         data: poses, points, and which of them are seen. The pixels do not matter: planned poses
             will do, through `simulation.simulate(calibration, poses, points, pixel_noise=0.0)`.
-        noise: sizes of all errors; a number is that of pixels, px, with a robot that is exact.
-        field: of the robot's error, with one deviation for each of its groups in the noise.
-        fixed: paths that are known, as for `fit_joint`; and so are `free` and `priors`.
-        free: see there.
-        priors: see there.
+        noise: the noise model; a number is the standard deviation of pixels, px, with an exact
+            robot.
+        field: the robot error field, with one standard deviation for each of its groups in the
+            noise.
+        fixed: paths of known parameters, as for `fit_joint`.
+        free: as for `fit_joint`.
+        priors: as for `fit_joint`.
 
     Raises:
         ValueError: as `fit_joint` does.
@@ -75,6 +82,7 @@ def cramer_rao(
     if not isinstance(noise, Noise):
         sigma = np.asarray(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)
+    # Bound: covariance >= I^-1, with I = J^T S^-1 J + priors the Fisher information matrix.
     reduced, lengths = _information(built.problem)
     columns = UnitColumns(np.asarray(reduced), np.asarray(lengths))
     least, std = covariance(columns, 1.0)
@@ -90,6 +98,7 @@ def cramer_rao(
 
 @compiled
 def _information(problem: JointProblem) -> tuple:
-    """With the views' own numbers eliminated, and the length of each column before."""
+    """Return the information matrix, pose corrections marginalised, and its columns' lengths."""
+    # Marginalising Gaussian corrections is the Schur complement: I = A - sum_v B_v^T C_v^-1 B_v.
     matrix = problem.normal_equations(problem.start()).matrix
     return eliminate(matrix).reduced, matrix.diagonal().shared ** 0.5

@@ -1,4 +1,4 @@
-"""How well anything computed from a calibration is known: covariance, carried through the model."""
+"""Propagate a calibration's covariance to anything computed from it, to first order."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
@@ -15,7 +15,7 @@ from ...engine import Observability, Parameters, Step, parameter_names
 
 @runtime_checkable
 class Estimate(Protocol):
-    """A calibration and how well its parameters are known: a joint fit, or a bound."""
+    """A calibration with the covariance of its parameters, such as a joint fit or a bound."""
 
     calibration: Calibration
     covariance: Float[np.ndarray, "free free"]
@@ -30,18 +30,19 @@ class Estimate(Protocol):
 def std_of(
     estimate: Estimate, function: Callable[[Calibration], Array]
 ) -> Float[Array, "*numbers"]:
-    """Standard deviation of every number that a function of the calibration gives, to first order.
+    """Return the standard deviation of every number that a function of the calibration gives.
 
-    For instance, in pixels, where the camera on a hand sees the target from a new pose:
+    It is to first order. For instance, in pixels, where an eye-in-hand camera sees the target from
+    a new pose:
 
         std_of(fit, lambda calibration: calibration.project(base_from_tool, points)[0])
 
     Args:
-        estimate: what `fit_joint` or `cramer_rao` found.
-        function: differentiable; works on one calibration. The same function is compiled once.
+        estimate: the result of `fit_joint` or `cramer_rao`.
+        function: a differentiable function of one calibration. The same function is compiled once.
 
     Raises:
-        ValueError: the data leave something entirely open; the message says what.
+        ValueError: the data leave something entirely undetermined; the message names it.
     """
     return jnp.sqrt(_variance(estimate.calibration, function, _independent_steps(estimate)))
 
@@ -49,20 +50,23 @@ def std_of(
 def covariance_of(
     estimate: Estimate, function: Callable[[Calibration], Float[Array, "numbers"]]
 ) -> Float[Array, "numbers numbers"]:
-    """Covariance of the numbers in the row that a function gives; otherwise as `std_of`."""
+    """Return the covariance of the numbers in the vector that a function gives; else as `std_of`.
+    """
     spread = _moves(estimate.calibration, function, _independent_steps(estimate))
     return spread.T @ spread
 
 
 def _independent_steps(estimate: Estimate) -> Float[Array, "directions parameters"]:
-    """Steps of one standard deviation along each of the independent directions of uncertainty."""
+    """Return steps of one standard deviation along independent directions of the covariance."""
     if estimate.observability.null:
         words = "; ".join(direction.words for direction in estimate.observability.null)
         raise ValueError(f"the data leave something open, add views or a prior: {words}")
     names = parameter_names(estimate.calibration)
     where = np.array([names.index(name) for name in estimate.parameter_names], dtype=int)
     lengths = np.sqrt(np.diagonal(estimate.covariance))
-    # Of the correlations: pixels beside radians would cost the eigenvectors their digits.
+    # P = L C L with L the standard deviations, C = V diag(s) V^T the correlations, and P = sum_k
+    # d_k d_k^T with d_k = sqrt(s_k) L v_k. Correlations instead of the covariance: with pixels
+    # beside radians the eigenvectors would lose precision.
     values, vectors = np.linalg.eigh(estimate.covariance / np.outer(lengths, lengths))
     roots = (vectors * np.sqrt(np.maximum(values, 0.0))).T * lengths
     steps = np.zeros((len(roots), len(names)))
@@ -76,6 +80,8 @@ def _variance(
     function: Callable[[Calibration], Array],
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "*numbers"]:
+    # var(f) = sum_k (J d_k)^2, as P = sum_k d_k d_k^T. One tangent at a time: J is never stored.
+    """Return the variances of a function's numbers under steps of one standard deviation each."""
     return sum_of_squares(_by_step(calibration, function), steps)
 
 
@@ -85,6 +91,7 @@ def _moves(
     function: Callable[[Calibration], Array],
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "directions *numbers"]:
+    """Return the function's first-order changes `J d_k` along each of the steps."""
     _, along = jax.linearize(_by_step(calibration, function), jnp.zeros(steps.shape[1]))
     return jax.lax.map(along, steps)
 
@@ -92,6 +99,7 @@ def _moves(
 def _by_step(
     calibration: Calibration, function: Callable[[Calibration], Array]
 ) -> Callable[[Float[Array, "parameters"]], Array]:
+    """Return the function composed with a step of the calibration's common parameters."""
     parameters = Parameters(calibration)
 
     def of(step: Float[Array, "parameters"]) -> Array:
@@ -103,7 +111,10 @@ def _by_step(
 def sum_of_squares(
     function: Callable[[Float[Array, "inputs"]], Array], steps: Float[Array, "directions inputs"]
 ) -> Float[Array, "*numbers"]:
-    """Of a function's first-order changes along all steps from zero, one step at a time."""
+    """Return the sum of squares of a function's first-order changes along all steps from zero.
+
+    It takes one step at a time, so that memory does not grow with their number.
+    """
     value, along = jax.linearize(function, jnp.zeros(steps.shape[1]))
 
     def add(total: Array, step: Array) -> tuple[Array, None]:
