@@ -179,10 +179,11 @@ class JointProblem(eqx.Module):
 
         The results are the gradient and the matrix of the observations alone.
         """
-        # With G_v and g_v a view's matrix and gradient in (camera, twist), S_v the derivative of
-        # these by the shared parameters and O_v that of the twist by the view's own: shared block =
-        # sum_v S_v^T G_v S_v,  border_v = O_v^T G_v S_v,  own_v = O_v^T G_v O_v, gradient = sum_v
-        # S_v^T g_v and O_v^T g_v; O_v has only the twist's rows, from n on.
+        # shared = sum_v S_v^T G_v S_v,  border_v = O_v^T G_v S_v,  own_v = O_v^T G_v O_v,
+        # gradient = sum_v S_v^T g_v and O_v^T g_v,
+        # where G_v and g_v are a view's matrix and gradient by (camera, twist), S_v the derivative
+        # of these by the shared parameters, and O_v that of the twist (rows from n on) by the
+        # view's own.
         shared, n, count = self._by_shared(chain), self.parameters.camera_size, len(views.cost)
         gram_shared = views.gram @ shared
         matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)

@@ -1,4 +1,4 @@
-"""How large all errors are, by restricted likelihood, and which models of them the data want."""
+"""Estimate the standard deviations of all errors by restricted likelihood, over several models."""
 
 from .alternatives import MINIMUM_RELIABLE_VIEWS as MINIMUM_RELIABLE_VIEWS
 from .alternatives import SCALE as SCALE

@@ -1,4 +1,4 @@
-"""What it means for a fit's parameters that the sizes of errors were found, and not given.
+"""Uncertainty of a fit's parameters due to estimated, instead of known, variance components.
 
 References:
     Kackar and Harville, Approximations for standard errors of estimators of fixed and random
@@ -20,19 +20,19 @@ from .likelihood import LinearisedViews, Sizes, integrate
 from .scoring import Likeliest
 
 UNTOLD = 3.0
-"""Deviation of a size's logarithm where the views say nothing of it."""
+"""Standard deviation of a size's logarithm if the views give no information on it."""
 
 
 class Doubt(NamedTuple):
-    """How uncertain sizes make the parameters uncertain.
+    """The contribution of uncertain error sizes to the uncertainty of the parameters.
 
     Attributes:
-        relative_std: deviations of the sizes' logarithms.
-        covariance: what they add to the parameters'.
-        freedom: degrees of freedom that each parameter's deviation rests on; infinite where no size
-            matters to it.
-        spread: covariance of the logarithms of the sizes, beyond the least that each can be.
-        by_size: derivative of the parameters' covariance by each of these.
+        relative_std: standard deviations of the logarithms of the sizes.
+        covariance: what the estimated sizes add to the covariance of the parameters.
+        freedom: degrees of freedom of each parameter's estimated variance; infinite where no size
+            affects it.
+        spread: covariance of the logarithms of the sizes' excess over their lower bounds.
+        by_size: derivative of the parameters' covariance by each of these logarithms.
     """
 
     relative_std: Float[Array, "kinds"]
@@ -42,7 +42,11 @@ class Doubt(NamedTuple):
     by_size: Float[Array, "kinds shared shared"]
 
     def of(self, chosen: np.ndarray) -> "Doubt":
-        """That of some of the parameters, by their places."""
+        """Return the uncertainty for a subset of the parameters.
+
+        Args:
+            chosen: indices of these parameters.
+        """
         pairs = np.ix_(chosen, chosen)
         return self._replace(
             covariance=self.covariance[pairs],
@@ -52,29 +56,36 @@ class Doubt(NamedTuple):
 
 
 def doubt(views: LinearisedViews, found: Likeliest) -> Doubt:
-    """How the sizes' own uncertainty carries over, to first order in their logarithms.
+    """Propagate the uncertainty of the error sizes to the parameters.
 
-    A size at the least that it can be moves nothing: it can but grow, and half of the time it is
-    there because it truly is. The covariance grows by twice what Kackar and Harville have, since
-    at sizes that scatter about the true ones it is too small by as much on average (Kenward and
-    Roger).
+    The propagation is of first order in the logarithms of the sizes. A size at its lower bound has
+    no effect: it can only grow, and half of the time it is there because its true value is. The
+    added covariance is twice that of Kackar and Harville, because the covariance at estimated sizes
+    is too small by the same amount on average (Kenward and Roger).
+
+    Args:
+        views: the linearised views.
+        found: the estimated sizes and their information matrix.
     """
 
     def fitted(logarithms: Float[Array, "kinds"]) -> tuple[tuple[Array, Array], Array]:
+        """Return the fitted parameters and their covariance for given logarithms of the sizes."""
         at = integrate(views, Sizes.of(jnp.exp(logarithms)))
         covariance = at.shared_covariance
         return (at.step.shared, covariance), jnp.diagonal(covariance)
 
     numbers = found.sizes.numbers
     (moves, by_size), variance = jax.jacfwd(fitted, has_aux=True)(jnp.log(numbers))
-    # By the logarithm of what a size has beyond its least: d log(size) / d log(beyond).
+    # size^2 = bound^2 + excess^2: d log(size) / d log(excess) = 1 - (bound / size)^2
     along = jnp.maximum(1.0 - (views.least(len(numbers)) / numbers) ** 2, 0.0)
     vague = jnp.eye(len(numbers)) / UNTOLD**2
     spread = jnp.linalg.inv(found.information * jnp.outer(along, along) + vague)
     moves, by_size = along[None] * moves, along[None, None] * by_size
 
+    # Satterthwaite: Var(log v_i) = a_i^T W a_i for the variance v_i of parameter i, with W =
+    # `spread` and a_i the derivatives of log(v_i) by the logarithms that W is the covariance of.
     grows = jnp.diagonal(by_size).T / variance[:, None]
-    # A variance that rests on n degrees of freedom has a logarithm of variance 2 / n.
+    # The logarithm of a variance with n degrees of freedom has variance 2 / n.
     known = jnp.sum((grows @ spread) * grows, axis=1)
     freedom = jnp.where(known > 0.0, 2.0 / jnp.where(known > 0.0, known, 1.0), jnp.inf)
     relative = jnp.sqrt(jnp.diagonal(jnp.linalg.inv(found.information + vague)))
@@ -88,15 +99,15 @@ def p_value(
     covariance: Float[np.ndarray, "numbers numbers"],
     doubt: Doubt | None = None,
 ) -> float:
-    """Chance of estimates at least as far from the truth as by `offset`, all together.
+    """Compute the probability of estimates at least as far from the truth as `offset`, jointly.
 
-    By the chi-square distribution; by F, scaled as Kenward and Roger have it, where the sizes of
-    errors were found.
+    It is from the chi-square distribution or, where the sizes of errors were estimated, from an F
+    distribution scaled according to Kenward and Roger.
 
     Args:
-        offset: of the estimates from what would be true.
-        covariance: stated of these numbers.
-        doubt: of these numbers, where sizes were found.
+        offset: difference of the estimates from the hypothetical true values.
+        covariance: covariance of these numbers, as reported.
+        doubt: uncertainty of these numbers due to estimated sizes; None where the sizes are known.
     """
     count, square = len(offset), float(offset @ np.linalg.solve(covariance, offset))
     scale, freedom = (1.0, np.inf) if doubt is None else _scaled_f(covariance, doubt)
@@ -108,8 +119,14 @@ def p_value(
 def _scaled_f(
     covariance: Float[np.ndarray, "numbers numbers"], doubt: Doubt
 ) -> tuple[float, float]:
-    """Scale, and degrees of freedom of the denominator, of Kenward and Roger's F."""
+    """Compute scale and denominator degrees of freedom of Kenward and Roger's F statistic.
+
+    An infinite number of degrees of freedom means that the sizes do not matter.
+    """
     count = len(covariance)
+    # Kenward and Roger's A1 = sum_jk W_jk tr(F_j) tr(F_k) and A2 = sum_jk W_jk tr(F_j F_k), with
+    # F_j = C^-1 dC/dj for the covariance C without its correction, and W the covariance of the
+    # logarithms of the sizes.
     given = np.asarray(covariance - doubt.covariance)
     shares = np.linalg.solve(given[None], np.asarray(doubt.by_size))
     traces, spread = np.trace(shares, axis1=1, axis2=2), np.asarray(doubt.spread)
@@ -118,11 +135,17 @@ def _scaled_f(
     if of_products < 1e-9 * count:
         return 1.0, np.inf
 
+    # For l numbers and B = (A1 + 6 A2) / (2 l), with c1, c2, c3 as in their paper, F has
+    # expectation E = 1 / (1 - A2 / l),
+    # variance V = (2 / l) (1 + c1 B) / ((1 - c2 B)^2 (1 - c3 B)),
+    # degrees of freedom m = 4 + (l + 2) / (l rho - 1) with rho = V / (2 E^2),
+    # and scale m / (E (m - 2)).
     g = ((count + 1) * of_traces - (count + 4) * of_products) / ((count + 2) * of_products)
     c = np.array([g, count - g, count + 2 - g]) / (3 * count + 2 * (1 - g))
     b = (of_traces + 6.0 * of_products) / (2.0 * count)
     mean = 1.0 - of_products / count
-    # The variance's two factors have poles: beyond them there is no F of that mean and variance.
+    # Beyond the poles of V no F distribution has these moments. The fallback, 2 l / A2, is
+    # Satterthwaite's for a single number.
     first, second = 1.0 - c[1] * b, 1.0 - c[2] * b
     if min(mean, first, second) > 0.0:
         ratio = (1.0 + c[0] * b) / (first**2 * second) * mean**2

@@ -1,4 +1,4 @@
-"""Choose the noise model of a joint fit from the data: how large which errors are."""
+"""Estimate the noise model of a joint fit from the data: the standard deviation of every error."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -44,28 +44,27 @@ from .likelihood import LEAST, LinearisedViews, Sizes, best_step, integrate
 from .scoring import Likeliest, SizePrior, fisher_information
 
 ROUNDS = 6
-"""Of linearising anew with the sizes found, at most."""
+"""Largest number of linearisations, each at the parameters fitted with the last estimated sizes."""
 
 SIZE_TOLERANCE = 0.02
-"""Relative change of every size below which sizes found anew are not better."""
+"""Relative change of every size below which the iteration has converged."""
 
 FINEST = 1e-4
-"""Sigma of pixels, px, below which data count as free of noise."""
+"""Smallest pixel sigma, px; data with a smaller one count as free of noise."""
 
 DECIDED = 0.5
-"""Probability of another size of the target above which it is made free."""
+"""Probability that the target does not have its stated size, above which its scale is made free."""
 
 
 class Alternative(NamedTuple):
-    """A model of the robot's error that was tried.
+    """A model of the robot error that was tried.
 
     Attributes:
-        name: "white", where it has no field, or the field's; with ", target_scale" where the
-            target's size was free besides.
-        probability: of the model after the views were seen; zero where a field was asked for
-            instead.
-        gain: penalised deviance below white noise of the poses alone.
-        sizes: the errors at which its posterior is largest.
+        name: "white" where the model has no field, otherwise the field's name; followed by
+            ", target_scale" where the target's scale was free as well.
+        probability: posterior probability of the model; zero where another field was asked for.
+        gain: decrease of the penalised deviance from that of white noise of the poses alone.
+        sizes: the standard deviations that maximise its posterior.
     """
 
     name: str
@@ -75,12 +74,12 @@ class Alternative(NamedTuple):
 
 
 class ScaleFinding(NamedTuple):
-    """What the views say of the target's size.
+    """The evidence of the views on the size of the target.
 
     Attributes:
-        probability: that it is not as stated.
-        size: of the target over its stated one, if it is not.
-        std: of `size`.
+        probability: probability that the size is not as stated.
+        size: size of the target over its stated size, if it is not as stated.
+        std: standard deviation of `size`.
     """
 
     probability: float
@@ -89,24 +88,24 @@ class ScaleFinding(NamedTuple):
 
 
 class NoiseEstimate(NamedTuple):
-    """A noise model averaged over the models of the robot's error by their probabilities.
+    """A noise model, averaged over models of the robot error by their probabilities.
 
     Attributes:
-        name: of the most probable model.
-        noise: the sizes of all errors: standard deviations of the averaged model.
-        field: of the robot's error; None where the views have no use for one.
-        start: the calibration that the estimate ended at.
-        alternatives: every model of the robot's error that was tried.
-        scale: what the views say of the target's size; None where it was not a question.
-        mount_shift: translation (m) and rotation (rad) by which the smooth error of the robot moves
-            the camera's mount, beside a robot with white noise alone; None where there is none, or
+        name: name of the most probable model.
+        noise: standard deviations of all errors in the averaged model.
+        field: robot error field; None where the views do not call for one.
+        start: the calibration at the end of the estimation.
+        alternatives: all models of the robot error that were tried.
+        scale: evidence on the target's size; None where its scale was not in question.
+        mount_shift: translation (m) and rotation (rad) of the camera's mount with the smooth robot
+            error, relative to that with white noise alone; None where there is no smooth error, or
             the mount is held.
-        settled: whether the sizes stopped changing.
-        relative_std: of pixels, translations, rotations and groups of the field, as shares of their
-            sizes; of one that is next to nothing the data do not tell, and it is large.
-        parameter_names: of the fit's shared parameters.
-        doubt: what the sizes' own uncertainty means for these.
-        prior: of the robot's errors.
+        settled: whether the sizes converged.
+        relative_std: standard deviations of pixel, translation, rotation and field sizes, relative
+            to these sizes; large for a size near zero, which the data do not determine.
+        parameter_names: names of the fit's shared parameters.
+        doubt: contribution of the sizes' uncertainty to that of the shared parameters.
+        prior: prior of the robot's errors.
     """
 
     name: str
@@ -124,12 +123,12 @@ class NoiseEstimate(NamedTuple):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Paths that the views made free."""
+        """The paths of the parameters that are made free because the views call for it."""
         found = self.scale is not None and self.scale.probability > DECIDED
         return (SCALE,) if found else ()
 
     def doubt_of(self, names: Sequence[str]) -> Doubt:
-        """Return the doubt of some of the parameters."""
+        """Return the contribution of the sizes' uncertainty for a subset of the parameters."""
         return self.doubt.of(np.array([self.parameter_names.index(n) for n in names], dtype=int))
 
 
@@ -143,23 +142,24 @@ def estimate_noise(
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
 ) -> NoiseEstimate:
-    """Find the sizes of all errors by restricted likelihood and what is known of arms.
+    """Estimate the standard deviations of all errors by restricted likelihood and priors on arms.
 
     Args:
-        data: the more views the better; below about eight nothing is reliable.
+        data: data set; below about eight views nothing is reliable, and more are better.
         start: any calibration near enough, with the lens that is to be fitted.
-        field: None averages over a robot with white noise, and with a field besides: linear in
-            position or in the pose, or that of an arm that nobody described, or, where an arm's
-            joints are known, of their zeros or of all its Denavit-Hartenberg numbers; False is
-            white noise alone; a field of `robot_errors`, or your own, is taken as it is.
-        fixed: as `fit_joint` takes them, and so are `free` and `priors`.
-        free: see there.
-        priors: see there.
-        progress: told what is being done.
-        robot_prior: how large errors of arms usually are.
+        field: model of the robot error. None averages over a robot with white noise alone, and with
+            a field in addition: linear in position or in the pose, or that of an arm of unknown
+            geometry, or, where an arm's joints are known, of their zeros or of all its
+            Denavit-Hartenberg parameters. False is white noise alone. A field of `robot_errors`, or
+            one of your own, is used as it is.
+        fixed: paths of parameters to hold, as in `fit_joint`.
+        free: paths of parameters to make free, as in `fit_joint`.
+        priors: priors on parameters, as in `fit_joint`.
+        progress: function that is called with a message on the current step.
+        robot_prior: usual sizes of the errors of arms.
 
     Raises:
-        ValueError: as `fit_joint` does, and for a prior on what is estimated here.
+        ValueError: as in `fit_joint`, and for a prior on what is estimated here.
     """
     say = progress or (lambda _: None)
     prior = robot_prior or RobotPrior()
@@ -172,12 +172,14 @@ def estimate_noise(
             )
 
     def built_with(basis: AbstractField | None, scaled: bool) -> Built:
+        """Build the problem with all standard deviations one; their values are set later."""
         unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
         more = (SCALE,) if scaled else ()
         return build_problem(
             data, start, noise=unit, field=basis, fixed=fixed, free=(*free, *more), priors=priors
         )
 
+    # First pass: all models on the basis that contains them, linearised at the fit with free poses.
     placed = data.usable_views()
     held = ROBOT_ERROR in fixed
     if held:
@@ -199,7 +201,7 @@ def estimate_noise(
             "start nearer to the truth (fit_staged), or check the poses"
         )
     if field:
-        # Who asks for a model is given it.
+        # A field that was asked for is used whatever the probability of white noise.
         last = {list(models)[-1], f"{list(models)[-1]}, {SCALE}"}
         weights = probabilities({name: one for name, one in tried.items() if name in last})
     else:
@@ -207,6 +209,8 @@ def estimate_noise(
     alternatives = _alternatives(tried, weights, views.white_sigma)
     scale = _scale_finding(built, there, solution.z, tried, weights) if asked else None
 
+    # Second pass: only the models with more than negligible probability, on the smallest field that
+    # contains them, alternating between the fit and the sizes.
     scaled = scale is not None and scale.probability > DECIDED
     weights = kept({name: w for name, w in weights.items() if tried[name].scaled == scaled})
     named = {name.removesuffix(f", {SCALE}"): weight for name, weight in weights.items()}
@@ -242,7 +246,17 @@ def estimate_noise(
 
 
 class _Statistics:
-    """What the free poses and the free camera left, and the chain linearised where one asks."""
+    """The statistics of the views from the fit with free poses, for any linearisation.
+
+    Attributes:
+        problem: the joint problem.
+        groups: group of unknown standard deviation of each free shared parameter, -1 for none.
+        inner: sum of squared residuals of the fit with free poses and a free camera, px^2.
+        names: names of the groups.
+        count: number of statistics: free parameters of the camera and of the views' own poses.
+        white_sigma: standard deviation of the noise within views, px.
+        known_weight: one over the standard deviation of the priors with known standard deviations.
+    """
 
     def __init__(self, built: Built, placed: Int[np.ndarray, "placed"], inner: float, scale=False):
         problem, groups = built.problem, _groups(built, scale)
@@ -253,12 +267,15 @@ class _Statistics:
         self.names = (*fitted, SCALE) if scale else fitted
         self.count = camera + int(np.asarray(problem.own_free)[placed].sum())
         seen = int(np.asarray(problem.observations.visible).sum())
+        # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
+        # poses).
         white = np.sqrt(inner / max(2 * seen - self.count, 1))
         self.white_sigma = max(float(white), FINEST)
         known = np.asarray(problem.prior_weight.shared)[list(problem.free)]
         self.known_weight = jnp.asarray(np.where(groups < 0, known, 0.0))
 
     def linearised(self, z: Step) -> LinearisedViews:
+        """Linearise the problem at a step."""
         observed, off = _observed(self.problem, z)
         return LinearisedViews(
             matrix=observed.matrix,
@@ -273,7 +290,7 @@ class _Statistics:
         )
 
     def sizes_of(self, sizes: Sizes, names: tuple[str, ...]) -> Sizes:
-        """Return the sizes of some of the groups, in another order."""
+        """Return the sizes with the groups selected and ordered by name."""
         places = [3 + self.names.index(name) for name in names]
         return Sizes.of(sizes.numbers[jnp.array([0, 1, 2, *places])])
 
@@ -285,14 +302,17 @@ def _settled(
     sizes: Sizes,
     prior: SizePrior,
 ) -> tuple[Step, LinearisedViews, Likeliest, bool]:
-    """Alternate between the parameters for given sizes and the averaged sizes at these parameters.
+    """Alternate between fitting the parameters and averaging the sizes, until the sizes converge.
 
     Args:
-        views: with the field that holds all models.
-        ahead: step of all parameters where the first fit begins.
-        models: to average over.
-        sizes: where the first fit begins.
-        prior: of the sizes of the field's groups.
+        views: statistics with the field that contains all models.
+        ahead: step of all parameters at which the first fit begins.
+        models: models to average over.
+        sizes: sizes for the first fit.
+        prior: prior of the sizes of the field's groups.
+
+    Returns:
+        The step of the fit, the views linearised there, the sizes, and whether they converged.
     """
     rounds, settled = 0, False
     z, there = ahead, views.linearised(ahead)
@@ -301,7 +321,8 @@ def _settled(
         linearised, rounds = views.linearised(better), rounds + 1
         tried = try_all(linearised, models, views.names, sizes, prior, 0.0)
         if not tried:
-            # The fit fell apart, as where pictures and poses do not belong together.
+            # No model has a finite weight, for example where pictures and poses do not belong
+            # together: return the last good result.
             return z, there, _at(there, sizes, prior), False
         z, there = better, linearised
         before, sizes = sizes, averaged(tried, kept(probabilities(tried)))
@@ -313,12 +334,12 @@ def _settled(
 
 
 def _ahead(views: LinearisedViews, z: Step, sizes: Sizes) -> Step:
-    """Return the most probable parameters for given sizes, to first order."""
+    """Compute the most probable parameters for given sizes, to first order."""
     return jax.tree.map(jnp.add, z, _best_step(views, sizes))
 
 
 def _carried(z: Step, names: tuple[str, ...], others: tuple[str, ...]) -> Step:
-    """Return a step of the parameters that another problem has; zero for those it adds."""
+    """Convert a step to the parameters of another problem; parameters that it adds are zero."""
     known = dict(zip(names, np.asarray(z.shared), strict=True))
     shared = np.array([known.get(name, 0.0) for name in others])
     return Step(jnp.asarray(shared), z.corrections)
@@ -327,6 +348,7 @@ def _carried(z: Step, names: tuple[str, ...], others: tuple[str, ...]) -> Step:
 def _alternatives(
     tried: Mapping[str, Tried], weights: Mapping[str, float], white: float
 ) -> tuple[Alternative, ...]:
+    """Return all models tried, with probabilities and the gain over white noise alone."""
     alone = float(tried["white"].found.deviance)
     return tuple(
         Alternative(
@@ -342,7 +364,7 @@ def _alternatives(
 def _scale_finding(
     built: Built, views: LinearisedViews, z: Step, tried: Mapping[str, Tried], weights: dict
 ) -> ScaleFinding:
-    """Return the size of the target by the most probable model in which it is free."""
+    """Estimate the target's size by the most probable model in which its scale is free."""
     scaled = {name: weight for name, weight in weights.items() if tried[name].scaled}
     best = max(scaled, key=lambda name: scaled[name])
     step, std = _shared(views, tried[best].found.sizes)
@@ -352,22 +374,29 @@ def _scale_finding(
 
 
 def _mount_shift(built: Built, views: LinearisedViews, sizes: Sizes) -> tuple[float, ...] | None:
-    """Return how far the mount moves where the field is let go of, to first order."""
+    """Compute the shift of the mount when the robot error field is removed, to first order."""
     mount = f"{built.problem.parameters.start.transform_names[0]}."
     places = [k for k, name in enumerate(built.names) if name.startswith(mount)]
     if len(places) != 6:
         return None
+    # A field with standard deviations of `LEAST` is held at zero.
     nothing = Sizes.of(sizes.numbers.at[3:].set(LEAST))
     with_field, without = (_best_step(views, each).shared for each in (sizes, nothing))
     return tuple(map(float, np.asarray(with_field - without)[places]))
 
 
 def _concerns_scale(paths: Sequence[str]) -> bool:
+    """Return whether the target's scale is among the paths."""
     return SCALE in paths
 
 
 def _loose(problem: JointProblem) -> JointProblem:
-    """The problem in which every view has a pose of its own: the same program, other priors."""
+    """Return the problem with a free pose for every view, by changing only the priors.
+
+    Only arrays differ, so that the same compiled program is used.
+    """
+    # The shared parameters except the camera's get priors so narrow that they are held, and the
+    # corrections of the views get none.
     weight, free = problem.prior_weight, np.array(problem.free, dtype=int)
     held = free[free >= problem.parameters.camera_size]
     return eqx.tree_at(
@@ -379,16 +408,17 @@ def _loose(problem: JointProblem) -> JointProblem:
 
 @compiled
 def _observed(problem: JointProblem, z: Step) -> tuple[NormalEquations, Step]:
+    """Return the normal equations of the observations, and the differences from the prior means."""
     off = problem.off_mean(problem.step(z))
     return problem.observed(z), Step(off.shared[problem.chosen], off.corrections)
 
 
 def _groups(built: Built, scale: bool) -> Int[np.ndarray, "free"]:
-    """Number the group of unknown size of each free shared parameter; -1 for those in none.
+    """Return the group of unknown standard deviation of each free shared parameter; -1 for none.
 
     Args:
-        built: whose parameters they are.
-        scale: whether the target's size is a group of its own, the last one.
+        built: problem with the names of its parameters.
+        scale: whether the target's scale is a group of its own, the last one.
     """
     error = built.problem.parameters.start.robot_error
     groups = () if error is None else error.field.groups
@@ -405,7 +435,7 @@ def _groups(built: Built, scale: bool) -> Int[np.ndarray, "free"]:
 
 @compiled
 def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem:
-    """The problem with priors of these sizes."""
+    """Return the problem with priors of the given standard deviations."""
     chosen, shared = problem.chosen, problem.prior_weight.shared
     weights = sizes.weights(groups, shared[chosen])
     own = jnp.broadcast_to(weights.corrections, problem.own_free.shape)
@@ -415,7 +445,7 @@ def _weighed(problem: JointProblem, sizes: Sizes, groups: Array) -> JointProblem
 
 @compiled
 def _at(views: LinearisedViews, sizes: Sizes, prior: SizePrior) -> Likeliest:
-    """Return what a search that ends at these sizes gives."""
+    """Return the result of a search that ends at the given sizes."""
     at = integrate(views, sizes)
     told = fisher_information(views, at, len(sizes.field))
     told = told + jnp.diag(jnp.pad(prior.spread**-2, (1, 0)))
@@ -426,7 +456,7 @@ def _at(views: LinearisedViews, sizes: Sizes, prior: SizePrior) -> Likeliest:
 def _shared(
     views: LinearisedViews, sizes: Sizes
 ) -> tuple[Float[Array, "shared"], Float[Array, "shared"]]:
-    """Return the best step of the shared parameters, and their standard deviations."""
+    """Compute the best step of the shared parameters, and their standard deviations."""
     at = integrate(views, sizes)
     return at.step.shared, jnp.sqrt(jnp.diagonal(at.shared_covariance))
 
@@ -436,6 +466,7 @@ _doubt = compiled(doubt)
 
 
 def _noise(sizes: Sizes, white: float, active: Bool[np.ndarray, "robot"] | None = None) -> Noise:
+    """Convert sizes to a `Noise`; with `active`, only the active groups of the field."""
     field = np.asarray(sizes.field)
     field = field if active is None else field[active[2:]]
     numbers = (float(sizes.pixel), float(sizes.translation), float(sizes.rotation))

@@ -1,15 +1,15 @@
-"""The restricted likelihood of the errors' sizes: of pixels, of reported poses, of their field.
+"""Restricted likelihood (REML) of the standard deviations of pixels, poses and robot error field.
 
-A view's thousands of residuals say how white noise scatters within it, and next to nothing of what
-shifts all of its points together. So the likelihood is that of view-level statistics: each view's
-best free pose, and the camera of the fit with free poses, with the information that their pixels
-give. Those scatter by an *effective* pixel sigma, not smaller than the white one; and around the
-chain, by what the robot errs, smoothly and at random. Everything that is fitted without a prior is
-integrated out with a flat one (restricted likelihood), so that few views do not look better than
-they are.
+The residuals of a view determine the white noise within the view, but give almost no information on
+errors that shift all of its points together. The likelihood is therefore that of statistics per
+view: the best free pose of each view, and the camera of the fit with free poses, with the
+information that their pixels give. These statistics scatter by an *effective* pixel sigma, which is
+not smaller than the white one, and about the poses predicted by the chain by the robot's random and
+smooth errors. Everything that is fitted without a prior is marginalised with a flat prior
+(restricted likelihood), so that a few views are not rated more precise than they are.
 
-With the chain linearised once, all of it is linear and Gaussian, and evaluated without another look
-at the pixels.
+After the chain is linearised once, the model is linear and Gaussian, and the likelihood is
+evaluated without another pass over the pixels.
 
 Reference: Patterson and Thompson, Recovery of inter-block information when block sizes are unequal,
 1971.
@@ -27,28 +27,34 @@ from jaxtyping import Array, Bool, Float, Int
 from ..engine import BlockArrow, Elimination, SchurCholesky, Step
 
 LEAST = 1e-8
-"""Deviation, m or rad, at which an error of a robot counts as none.
+"""Standard deviation, m or rad, at which an error of the robot counts as zero.
 
-Its inverse square times poses that are centimetres off must leave the deviance its digits.
+It is not smaller because its inverse square, times the square of centimetres by which poses may be
+wrong, must not cost the deviance its significant digits.
 """
 
 RIDGE = 1e-13
-"""Share of its own information added to every shared parameter: what no view tells stays finite."""
+"""Fraction of its own information added to that of every shared parameter.
+
+The variance of a parameter that no view determines then stays finite.
+"""
 
 
 class LinearisedViews(eqx.Module):
-    """The observations' normal equations for one px of noise, and what the priors act on.
+    """The observations' normal equations for a pixel sigma of 1 px, and the layout of the priors.
 
     Attributes:
-        matrix: of the free shared parameters and of each view's own, without priors.
-        gradient: of half the squared residuals.
-        between: squared residuals there, px^2, beyond those that no pose and no camera removes.
-        off_mean: how far the parameters are there from the means of their priors.
-        known_weight: one over the deviation of the priors whose size is not asked for.
-        group: number of the shared parameters' group of unknown size, -1 where there is none.
-        own_free: which of each view's own six may move.
-        count: view-level statistics: the camera's free numbers, and the views' own.
-        white_sigma: of the noise within views, px.
+        matrix: normal equations of the free shared parameters and each view's own, without priors.
+        gradient: gradient of half the sum of squared residuals.
+        between: sum of squared residuals at the linearisation, px^2, minus that of the fit with
+            free poses and a free camera.
+        off_mean: difference of the parameters from their prior means at the linearisation.
+        known_weight: one over the standard deviation of the priors with known standard deviations.
+        group: index of the group of unknown standard deviation of each shared parameter, -1 for
+            none.
+        own_free: mask of the free parameters among each view's own six.
+        count: number of statistics: free parameters of the camera, and of the views' own poses.
+        white_sigma: standard deviation of the noise within views, px.
     """
 
     matrix: BlockArrow
@@ -64,15 +70,19 @@ class LinearisedViews(eqx.Module):
     def with_field(
         self, twists: Float[Array, "views 6 coefficients"], group: np.ndarray, known: int
     ) -> "LinearisedViews":
-        """The same views where the robot errs by another field, which has no coefficient yet.
+        """Return the same views with another robot error field, whose coefficients are still zero.
 
-        No pixel is looked at again: what a field does to a view, the view's own six can do.
+        The pixels are not needed again, since the effect of a field on a view is a twist, and each
+        view's own six parameters are a twist as well.
 
         Args:
-            twists: of the field, as its `by_coefficients` has them.
-            group: of every coefficient.
-            known: how many of the shared parameters are not of a field; they come first.
+            twists: derivatives of the field, as its `by_coefficients` returns them.
+            group: group index of every coefficient.
+            known: number of shared parameters that do not belong to a field; they come first.
         """
+        # With T_v the derivative of a view's correction by the coefficients, the new columns are
+        # the view's own columns times T_v: sum_v B_v^T T_v, sum_v T_v^T D_v T_v, and D_v T_v in the
+        # border.
         moves, count = -twists, len(group)
         matrix, border = self.matrix, self.matrix.border[:, :, :known]
         moved = matrix.own @ moves
@@ -96,18 +106,21 @@ class LinearisedViews(eqx.Module):
         )
 
     def least(self, kinds: int) -> Float[Array, "kinds"]:
-        """What each size is at the least, in the order of `Sizes.numbers`."""
+        """Return the lower bound of each standard deviation, in the order of `Sizes.numbers`."""
         return jnp.full(kinds, LEAST).at[0].set(self.white_sigma)
 
 
 class Sizes(eqx.Module):
-    """Standard deviations, all positive.
+    """The standard deviations of all errors, all positive.
+
+    Their squares are the variance components.
 
     Attributes:
-        pixel: effective, px.
-        translation: of reported poses, m.
-        rotation: of reported poses, rad.
-        field: of each group of coefficients; zero switches a group off.
+        pixel: effective pixel sigma, px.
+        translation: standard deviation of the translation of reported poses, m.
+        rotation: standard deviation of the rotation of reported poses, rad.
+        field: standard deviation of the coefficients in each group of the robot error field;
+            `LEAST` disables a group.
     """
 
     pixel: Float[Array, ""]
@@ -117,23 +130,26 @@ class Sizes(eqx.Module):
 
     @property
     def numbers(self) -> Float[Array, "kinds"]:
-        """In one vector: pixel, translation, rotation, field."""
+        """The standard deviations as a vector: pixel, translation, rotation, field."""
         return jnp.concatenate(
             [jnp.stack([self.pixel, self.translation, self.rotation]), self.field]
         )
 
     @classmethod
     def of(cls, numbers: Float[Array, "kinds"]) -> "Sizes":
-        """From one vector, as `numbers` is."""
+        """Create the sizes from a vector in the order of `numbers`."""
         return cls(numbers[0], numbers[1], numbers[2], numbers[3:])
 
     def weights(self, group: Int[Array, "shared"], known: Float[Array, "shared"]) -> Step:
-        """One over the deviation of every parameter's prior; one row for the views' own.
+        """Return one over the prior standard deviation of every parameter.
+
+        The views' own have one common row.
 
         Args:
-            group: of each shared parameter, as in `LinearisedViews`.
-            known: the weights of those in no group.
+            group: group of each shared parameter, as in `LinearisedViews`.
+            known: weights of the parameters that belong to no group.
         """
+        # Index -1 (no group) reads the one at the end, which `where` then discards.
         field = jnp.concatenate([self.field, jnp.ones(1)])[group]
         each = jnp.repeat(jnp.stack([self.translation, self.rotation]), 3)
         return Step(jnp.where(group >= 0, 1.0 / field, known), 1.0 / each[None])
@@ -141,7 +157,7 @@ class Sizes(eqx.Module):
 
 @eqx.filter_custom_jvp
 def deviance(views: LinearisedViews, sizes: Sizes) -> Float[Array, ""]:
-    """Twice the negative logarithm of the restricted likelihood, up to a constant."""
+    """Compute the deviance, -2 log of the restricted likelihood, up to a constant."""
     return integrate(views, sizes).deviance
 
 
@@ -149,7 +165,10 @@ def deviance(views: LinearisedViews, sizes: Sizes) -> Float[Array, ""]:
 def _deviance_jvp(
     primals: tuple[LinearisedViews, Sizes], tangents: tuple[LinearisedViews, Sizes]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """By the sizes in closed form: half the work of a derivative through the factorisations."""
+    """Differentiate the deviance by the standard deviations in closed form.
+
+    It takes half the work of differentiating through the factorisations.
+    """
     if jax.tree.leaves(tangents[0]):
         return eqx.filter_jvp(lambda v, s: integrate(v, s).deviance, primals, tangents)
     views, sizes = primals
@@ -165,19 +184,20 @@ def _deviance_jvp(
 
 
 def best_step(views: LinearisedViews, sizes: Sizes) -> Step:
-    """From the point of linearisation to the likeliest parameters, for errors of given sizes."""
+    """Compute the step to the most probable parameters for errors of given sizes."""
     return integrate(views, sizes).step
 
 
 class Integral(eqx.Module):
-    """Everything integrated out: what is left, and what its derivatives are made of.
+    """The result of marginalising all fitted parameters, with the parts that its derivatives need.
 
     Attributes:
-        deviance: see there.
-        step: to the likeliest parameters.
-        precision: of the priors: of each shared parameter, of each view's own.
-        elimination: of the views' own from the whole matrix.
-        factor: Cholesky factor of what is left.
+        deviance: -2 log of the restricted likelihood, up to a constant; see `deviance`.
+        step: step from the linearisation to the most probable parameters.
+        precision: prior precision of each shared parameter and of each view's own.
+        elimination: elimination of the views' own parameters from the posterior's information
+            matrix.
+        factor: Cholesky factor of the reduced information matrix.
     """
 
     deviance: Float[Array, ""]
@@ -188,12 +208,19 @@ class Integral(eqx.Module):
 
     @property
     def shared_covariance(self) -> Float[Array, "shared shared"]:
-        """Of the shared parameters, the views' own integrated out."""
+        """The covariance of the shared parameters, with the views' own parameters marginalised."""
         return cho_solve((self.factor, False), jnp.eye(len(self.factor)))
 
 
 def integrate(views: LinearisedViews, sizes: Sizes) -> Integral:
-    """Integrate everything that is fitted out, for errors of given sizes."""
+    """Marginalise all fitted parameters for given error sizes."""
+    # p = 1 / sigma^2, M and g the views' matrix and gradient for 1 px, W the prior precisions, o
+    # the difference from the prior means. The information matrix of the posterior and its gradient
+    # are A = p M + W and h = p g + W o, the best step is s = -A^-1 h, and
+    #
+    # deviance = -n log p + p between + o^T W o + h^T s + log det A - log det W
+    #
+    # with W in the last determinant only for priors of unknown size.
     unknown = views.group >= 0
     weights = sizes.weights(views.group, views.known_weight)
     prior = Step(weights.shared**2, jnp.where(views.own_free, weights.corrections**2, 0.0))
@@ -201,7 +228,7 @@ def integrate(views: LinearisedViews, sizes: Sizes) -> Integral:
 
     shared = precision * matrix.shared
     shared = shared + jnp.diag(prior.shared + RIDGE * jnp.diagonal(shared))
-    # A correction that is held has no column: a one keeps its equation solvable.
+    # A held correction has a zero column; the one keeps its equation solvable.
     diagonal = jnp.where(views.own_free, prior.corrections, 1.0)
     own = precision * matrix.own + jnp.eye(6)[None] * diagonal[:, None]
     whole = BlockArrow(shared, precision * matrix.border, own)
@@ -223,21 +250,23 @@ def integrate(views: LinearisedViews, sizes: Sizes) -> Integral:
 
 
 def slopes(views: LinearisedViews, sizes: Sizes, at: Integral) -> Sizes:
-    """Derivative of the deviance by every size.
+    """Compute the derivative of the deviance by every standard deviation.
 
-    By the precision of a parameter's prior it is its expected square less its prior's. What the
-    step does can be left out: it is the best one.
+    The derivative of the best step does not contribute, since the deviance is stationary there.
     """
+    # dD / d log w_j = w_j E[(o_j + s_j)^2] - 1 for the precision w_j of a prior, where the
+    # posterior expectation is (o_j + s_j)^2 + C_jj with C = A^-1.
     prior, covariance = at.precision, at.shared_covariance
     own_covariance = at.elimination.own_covariance(covariance)
     variance = Step(jnp.diagonal(covariance), jnp.diagonal(own_covariance, axis1=1, axis2=2))
     square = jax.tree.map(lambda off, s, v: (off + s) ** 2 + v, views.off_mean, at.step, variance)
-    # By the logarithm of a prior's precision; what has no prior, or does not move, does not count.
+    # Parameters without a prior of unknown size, and held ones, do not contribute.
     pull = jax.tree.map(jnp.multiply, prior, square)
     shared = jnp.where(views.group >= 0, pull.shared - 1.0, 0.0)
     own = jnp.where(views.own_free, pull.corrections - 1.0, 0.0)
 
-    # The observations' precision: p M s = -p g - w (off + s), where s is the best step.
+    # dD / d log p = p (between + 2 g.s + s.M s) + tr(p M C) - n, with p M s = -p g - W (o + s) at
+    # the best step, and tr(p M C) = (number of parameters) - tr(W C).
     pixel = sizes.pixel**-2
     moved = jnp.sum(views.own_free.astype(float)) + len(at.factor)
     freedom = moved - _total(jax.tree.map(jnp.multiply, prior, variance))
@@ -249,6 +278,7 @@ def slopes(views: LinearisedViews, sizes: Sizes, at: Integral) -> Sizes:
         at.step,
     )
     precision = pixel * views.between + _total(along) + freedom - views.count
+    # Precision w = 1 / size^2: d log w / d size = -2 / size.
     return Sizes(
         -2.0 * precision / sizes.pixel,
         -2.0 * jnp.sum(own[:, :3]) / sizes.translation,
@@ -258,16 +288,17 @@ def slopes(views: LinearisedViews, sizes: Sizes, at: Integral) -> Sizes:
 
 
 def _total(parts: Step) -> Float[Array, ""]:
+    """Sum all components."""
     return jnp.sum(parts.shared) + jnp.sum(parts.corrections)
 
 
 def _log_diagonal(factor: Float[Array, "*batch n n"]) -> Float[Array, ""]:
-    """Logarithm of the determinant of what Cholesky's factors are of."""
+    """Compute the log-determinant of matrices from their Cholesky factors."""
     return 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
 
 
 def draws(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
-    """How many numbers each size is the deviation of, in the order of `Sizes.numbers`."""
+    """Count the random numbers behind each standard deviation, in the order of `Sizes.numbers`."""
     own = views.own_free.astype(float)
     field = jnp.sum(members(views, groups), axis=1)
     robot = jnp.stack([jnp.sum(own[:, :3]), jnp.sum(own[:, 3:])])
@@ -275,5 +306,5 @@ def draws(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
 
 
 def members(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
-    """One where a shared parameter is of a group of unknown size, zero elsewhere."""
+    """Return one where a shared parameter belongs to a group of unknown size, zero elsewhere."""
     return (views.group[None] == jnp.arange(groups)[:, None]).astype(float)
