@@ -132,6 +132,7 @@ def calibrate(
         from .evaluation import without_rejected_views
         from .report import halves_agree, summaries, write_page
 
+        # Checked first, so that minutes of fitting are not lost to a folder that is read-only.
         refuse_unwritable(out, "--out")
         run = _run_name()
         with _progress() as say:
@@ -139,6 +140,7 @@ def calibrate(
             notes = list(data.notes)
             fit = fit_both(data, lens, noise=noise.value, progress=say)
             warnings = fit.warnings
+            # Views that the joint fit rejected are outliers, and say nothing about the calibration.
             counted = without_rejected_views(data, fit)
             unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
             halves = budget = None
@@ -152,12 +154,14 @@ def calibrate(
         if budget is not None:
             _print_budget(budget)
         with _progress() as say, written_together(out, tuple(_RESULTS)) as folder:
+            # All files appear together, so that the report always belongs to the calibration.
             _save(fit, data, folder, run, warnings)
             title, page = f"Calibration of {name}", folder / "report.html"
             write_page(page, fit, data, unseen, title, say, halves, budget, notes, run)
         for file, words in _RESULTS.items():
             if (out / file).is_file():
                 typer.echo(f"{out / file}: {words}")
+        # The results are written nevertheless, but a script must notice a fit without convergence.
         if not fit.result.converged:
             raise typer.Exit(1)
 
@@ -252,6 +256,7 @@ def export(
         from . import io
         from .calibration import Calibration
 
+        # The note goes to stderr, because stdout may be redirected to the exported file.
         found = Calibration.load(calibration)
         if found.robot_error is not None and to is not ExportFormat.CAMERA_INFO:
             typer.echo(
@@ -361,6 +366,7 @@ def viewpoint(
         wanted = _wanted(known, place, distance, (tilt, azimuth, roll), five, below)
         serial = _arm(arm, known)
         commands = viewpoint_commands(known, wanted, place[None], serial, _readings(near, serial))
+        # Printed before any refusal, which refers to the views by the names in the table.
         _print_viewpoints(commands, codec)
         joints = None if commands.joints is None else np.asarray(commands.joints)
         if serial is not None and joints is not None:
@@ -542,6 +548,7 @@ def _diagnosis(
         say("half of the views")
         return fit_both(part, lens, noise=noise.value).joint
 
+    # Each of the two may be impossible, such as with too few views, without harm to the other.
     halves = budget = None
     try:
         halves = repeatability(data, half)
@@ -602,6 +609,7 @@ def _print_result(rows, fit, data) -> None:
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
     """Report progress on stderr: one changing line on a terminal, plain lines elsewhere."""
+    # On stderr, so that redirected results contain no progress.
     console = Console(stderr=True)
     if not console.is_terminal:
         yield lambda text: console.print(text, highlight=False, soft_wrap=True)

@@ -66,7 +66,7 @@ def import_matrix_rows(
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
 ) -> Dataset:
-    """Import a data set from such a file and pictures that are numbered by its lines.
+    """Import a data set from a file of pose matrices and pictures numbered by its lines.
 
     Args:
         path: of the file of base_from_tool, one pose on each line.

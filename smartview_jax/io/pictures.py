@@ -246,10 +246,11 @@ def _in_one_order(
 
 
 def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
-    """Return a hash of the target's description and of all pictures, by which a cache is valid."""
+    """Return a hash of the target's description and of all pictures, which identifies a cache."""
     digest = hashlib.sha256(repr(target).encode())
     for view, paths in pictures.items():
         digest.update(view.encode())
+        # The content is hashed, not the modification time, which copying a folder changes.
         for path in paths:
             digest.update(path.read_bytes() if path.is_file() else b"missing")
     return digest.hexdigest()[:16]

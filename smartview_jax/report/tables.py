@@ -174,6 +174,7 @@ def _left_out(name: str, unseen: HeldOut) -> list[str]:
 def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
     """Return views and reasons of rejection: whole views first, then counts of rejected points."""
     whole, points = {}, {}
+    # A rejection without a point is that of a whole view. A set counts every point once.
     for view, point, reason in rejected_by(fit) or ():
         if point is None:
             whole[view] = reason
@@ -250,7 +251,7 @@ def models_chosen(names: Iterable[str]) -> str:
 
 
 def halves_agree(halves: Repeatability | None) -> list[tuple[str, str]]:
-    """Return a row on how far the hand-eye transforms of two halves of the views differ, if known."""
+    """Return a row with the hand-eye difference of two halves of the views; empty if unknown."""
     if halves is None:
         return []
     estimates = [getattr(fit, "estimate", None) for fit in halves.fits]
@@ -368,6 +369,8 @@ def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
         # errors are reported instead.
         if np.isfinite(unseen).all():
             measured, what = unseen, "on views it never saw"
+    # With a free pose for every view the residual is that of the camera model and the detections
+    # alone: no calibration of the whole chain can be expected to be below it.
     floor = float(fit.staged.step2.rms)
     text = (
         f"The joint fit predicts target points to {measured[1]:.2f} px RMS {what}; "

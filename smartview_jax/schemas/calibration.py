@@ -149,6 +149,7 @@ class _Calibration(Entry):
         """
         if self.smartview_calibration == 2 and self.end != END:
             raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
+        # Version 1 had no end mark; its last entry, robot_error, may be null but must be there.
         if self.smartview_calibration == 1 and "robot_error" not in self.model_fields_set:
             raise ValueError(
                 "a file of version 1 without robot_error looks like one that was cut before it: "
