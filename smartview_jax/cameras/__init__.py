@@ -1,4 +1,4 @@
-"""Cameras: four pinhole numbers and a lens, one lens model a file."""
+"""Camera models: four pinhole parameters and a lens, with one lens model in each file."""
 
 from .camera import Camera as Camera
 from .circles import circle_centre_bias as circle_centre_bias

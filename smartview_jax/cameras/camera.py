@@ -1,4 +1,4 @@
-"""A camera: four pinhole numbers and a lens (Eqs. 2 to 4 of the paper)."""
+"""Project points to pixels with four pinhole parameters and a lens (Eqs. 2 to 4 of the paper)."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,10 +8,11 @@ from .lens import AbstractLens
 
 
 class Camera(eqx.Module):
-    """`u = alpha_u x + u0`, `v = alpha_v y + v0`, with `(x, y)` from the lens.
+    """A camera that maps points of its own frame to pixels.
 
-    Pixels follow OpenCV: the centre of the top-left pixel is (0, 0), u to the right, v down; the
-    camera frame has x to the right, y down, z forward.
+    The pixel is `u = alpha_u x + u0`, `v = alpha_v y + v0`, with `(x, y)` from the lens. Pixels
+    follow OpenCV: the centre of the top-left pixel is (0, 0), u to the right, v down; the camera
+    frame has x to the right, y down, z forward.
 
     Attributes:
         alpha_u, alpha_v: focal length over pixel pitch (px).
@@ -46,13 +47,20 @@ class Camera(eqx.Module):
     def project(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-        """Pixels of camera-frame points, and where they are valid; NaN where not.
+        """Return the pixels of points in the camera frame.
 
-        Valid means in front of the camera and inside the lens's domain; a valid pixel may still
-        lie outside the picture.
+        A point is valid if it is in front of the camera and inside the lens's domain; a valid
+        pixel may still lie outside the picture.
+
+        Args:
+            points: in the camera frame, m.
+
+        Returns:
+            The pixels, NaN where not valid; and whether each is valid.
         """
+        # u = alpha_u x + u0,   v = alpha_v y + v0
         plane, valid = self.lens.distort(points)
-        # NaN is put in last: as a factor it would make the derivatives of masked points NaN too.
+        # NaN is inserted last: as a factor it would make the derivatives of masked points NaN too.
         x, y = jnp.where(valid, plane[..., 0], 0.0), jnp.where(valid, plane[..., 1], 0.0)
         pixels = jnp.stack([self.alpha_u * x + self.u0, self.alpha_v * y + self.v0], axis=-1)
         return jnp.where(valid[..., None], pixels, jnp.nan), valid
@@ -60,11 +68,18 @@ class Camera(eqx.Module):
     def unproject(
         self, pixels: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
-        """Unit rays in the camera frame that are seen at these pixels, and where they are valid."""
+        """Return the unit rays in the camera frame that are seen at the given pixels.
+
+        Returns:
+            The rays, NaN where not valid; and whether each is valid.
+        """
+        # x = (u - u0) / alpha_u,   y = (v - v0) / alpha_v, then the inverse of the lens.
         return self.lens.undistort((pixels - self._centre(pixels.ndim)) / self._focal(pixels.ndim))
 
     def _focal(self, rank: int) -> Float[Array, "*ones 2"]:
+        """Return alpha_u and alpha_v, px, with as many leading axes of size one as a rank needs."""
         return jnp.stack([self.alpha_u, self.alpha_v]).reshape((1,) * (rank - 1) + (2,))
 
     def _centre(self, rank: int) -> Float[Array, "*ones 2"]:
+        """Return u0 and v0, px, with as many leading axes of size one as a rank needs."""
         return jnp.stack([self.u0, self.v0]).reshape((1,) * (rank - 1) + (2,))

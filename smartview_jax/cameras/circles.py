@@ -1,8 +1,8 @@
-"""Where the image of a circle has its centre: not where the circle's centre is seen.
+"""Compute the centre of a circle's image, which differs from the image of the circle's centre.
 
-Perspective makes an ellipse of it whose centre is shifted towards the farther side, and the lens
-bends that ellipse. A detector finds the centroid of the region, so this is what is computed here,
-through any lens.
+Perspective maps a circle to an ellipse, and the image of the circle's centre is shifted from the
+ellipse's centre towards the farther side; the lens then bends the ellipse. A detector finds the
+centroid of the imaged region. This centroid is computed here, for any lens.
 """
 
 import jax
@@ -14,33 +14,39 @@ from ..geometry import region_centroid, transform_points
 from .camera import Camera
 
 SAMPLES = 16
-"""Points around a circle; more change the centroid by less than 1e-9 px even where the circle fills
-a third of a wide picture."""
+"""Number of points that sample a circle's boundary.
+
+More points change the centroid by less than 1e-9 px, even if the circle fills a third of a wide
+picture.
+"""
 
 
 def circle_image_centre(
     camera: Camera, camera_from_circle: SE3, radius: Float[Array, "*batch"]
 ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-    """The centroid of a circle's image, px, and where the whole circle can be projected.
+    """Return the centroid of a circle's image, px.
 
     Args:
         camera: with any lens.
-        camera_from_circle: `(*batch)`; the circle lies around the origin of the xy-plane.
+        camera_from_circle: `(*batch)`; the circle lies in the xy-plane, around the origin.
         radius: m.
 
     Returns:
-        As `Camera.project` does: NaN where not valid.
+        The centroid, NaN where not valid; and whether the whole circle can be projected.
     """
     angle = 2.0 * jnp.pi / SAMPLES * jnp.arange(SAMPLES, dtype=float)
 
     def boundary(angle: Float[Array, "samples"]) -> tuple[Array, Array]:
+        """Return the pixels of the boundary at these angles, and whether each is valid."""
         unit = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)], axis=-1)
         circle = radius[..., None, None] * unit.reshape((1,) * radius.ndim + unit.shape)
         return camera.project(transform_points(camera_from_circle, circle))
 
+    # Green's theorem needs the curve and its derivative with respect to the angle. One
+    # Jacobian-vector product gives both, through any lens.
     pixels, velocity, seen = jax.jvp(boundary, (angle,), (jnp.ones_like(angle),), has_aux=True)
     valid = jnp.all(seen, axis=-1)
-    # A stand-in keeps the derivatives of masked circles finite.
+    # Circles that are not valid are replaced by the unit circle, which keeps derivatives finite.
     cos, sin = (jnp.broadcast_to(f(angle), seen.shape) for f in (jnp.cos, jnp.sin))
     whole = valid[..., None, None]
     centre = region_centroid(
@@ -53,7 +59,7 @@ def circle_image_centre(
 def circle_centre_bias(
     camera: Camera, camera_from_circle: SE3, radius: Float[Array, "*batch"]
 ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-    """How far the centre of a circle's image lies from the image of its centre, px.
+    """Return the centre of a circle's image minus the image of its centre, px.
 
     Arguments and validity as in `circle_image_centre`.
     """

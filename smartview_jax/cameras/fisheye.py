@@ -1,4 +1,4 @@
-"""OpenCV's fisheye: Kannala and Brandt's polynomial in the angle to the optical axis."""
+"""Define OpenCV's fisheye lens, Kannala and Brandt's polynomial in the angle to the axis."""
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +9,14 @@ from .lens import AbstractLens
 
 
 class Fisheye(AbstractLens):
-    """`theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)`.
+    """A fisheye lens whose image radius is a polynomial in the angle to the optical axis.
 
-    The angle is taken from the ray itself, so points beside and behind the camera (`z <= 0`) are
-    valid as far as the polynomial grows. Reference: Kannala, Brandt, PAMI 28(8), 2006.
+        theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
+
+    The angle is computed from the ray itself, so that points beside and behind the camera
+    (`z <= 0`) are valid as long as the polynomial increases.
+
+    Reference: Kannala, Brandt, PAMI 28(8), 2006.
     """
 
     k1: Float[Array, ""]
@@ -28,12 +32,14 @@ class Fisheye(AbstractLens):
     def distort(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return the points on the unit image plane that camera-frame points are mapped to."""
+        # (x_d, y_d) = (x, y) theta_d(theta) / r   with   r = |(x, y)|,   theta = atan2(r, z)
         xy, z = points[..., :2], points[..., 2]
         square = jnp.sum(xy**2, axis=-1)
         on_axis = square <= _TINY * z**2
         radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
         angle = jnp.arctan2(radius, z)
-        # On the axis the limit of theta_d / radius is 1 / z.
+        # On the axis, where both vanish, the limit of theta_d / r is 1 / z.
         depth = jnp.where(on_axis & (z > 0.0), z, 1.0)
         ratio = jnp.where(on_axis, 1.0 / depth, self._distorted_angle(angle) / radius)
         valid = jnp.where(on_axis, z > 0.0, angle < self._fold_angle())
@@ -42,6 +48,8 @@ class Fisheye(AbstractLens):
     def undistort(
         self, plane: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
+        """Return the unit rays that are mapped to points of the unit image plane."""
+        # ray = ((x_d, y_d) sin(theta) / r_d, cos(theta))   with   theta_d(theta) = r_d
         square = jnp.sum(plane**2, axis=-1)
         on_axis = square <= _TINY
         radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
@@ -54,16 +62,24 @@ class Fisheye(AbstractLens):
         return jnp.where(valid[..., None], ray, jnp.nan), valid
 
     def _distorted_angle(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Return theta_d, the image radius of rays at an angle theta (rad) to the axis."""
         s = angle * angle
         return angle * (1.0 + s * (self.k1 + s * (self.k2 + s * (self.k3 + s * self.k4))))
 
     def _slope(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Return the derivative of theta_d with respect to theta."""
+        # 1 + 3 k1 theta^2 + 5 k2 theta^4 + 7 k3 theta^6 + 9 k4 theta^8
         s = angle * angle
         k1, k2, k3, k4 = 3.0 * self.k1, 5.0 * self.k2, 7.0 * self.k3, 9.0 * self.k4
         return 1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
 
     def _fold_angle(self) -> Float[Array, ""]:
-        """The first angle at which the polynomial stops growing, pi where it never does."""
+        """Return the smallest angle, rad, at which the polynomial stops increasing.
+
+        It is pi if the polynomial increases everywhere. It is not differentiated, because it only
+        limits where the lens is valid.
+        """
+        # A grid finds the interval of the derivative's first sign change, and bisection refines it.
         rising = self._slope(jnp.asarray(_ANGLES)) > 0.0
         first = jnp.argmin(rising)
         low, high = jnp.asarray(_ANGLES)[jnp.maximum(first - 1, 0)], jnp.asarray(_ANGLES)[first]
@@ -80,7 +96,11 @@ class Fisheye(AbstractLens):
     def _undistorted_angle(
         self, distorted: Float[Array, "*batch"], fold: Float[Array, ""]
     ) -> Float[Array, "*batch"]:
-        """The inverse of `_distorted_angle` below the fold, by bisection and Newton's method."""
+        """Return the angle below the fold at which theta_d has a given value, rad.
+
+        Bisection finds a start and Newton's method the solution. Derivatives follow from the
+        implicit function theorem and not from these iterations.
+        """
 
         def solve(residual, guess):
             def halve(_, bracket):
@@ -92,6 +112,8 @@ class Fisheye(AbstractLens):
             low, high = jnp.zeros_like(guess), jnp.ones_like(guess) * fold
             low, high = jax.lax.fori_loop(0, 25, halve, (low, high))
             angle = 0.5 * (low + high)
+            # Newton: theta <- theta - (theta_d(theta) - wanted) / theta_d'(theta). The bound on the
+            # derivative only matters next to the fold, where it vanishes.
             for _ in range(3):
                 angle = angle - residual(angle) / jnp.maximum(self._slope(angle), 1e-9)
             return angle
@@ -105,7 +127,7 @@ class Fisheye(AbstractLens):
 
 
 _ANGLES = np.linspace(0.0, np.pi, 400)
-"""Where the search for the fold looks."""
+"""Angles at which the search for the fold evaluates the derivative, rad."""
 
 _TINY = 1e-24
-"""Squared radius over squared depth under which a point counts as on the axis."""
+"""Limit on squared radius over squared depth, below which a point is treated as on the axis."""

@@ -1,4 +1,4 @@
-"""The inverse of a lens map by Newton's method, differentiated by the implicit function theorem."""
+"""Invert a lens map by Newton's method, with derivatives by the implicit function theorem."""
 
 from collections.abc import Callable
 
@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 _CONVERGED = 1e-10
+"""Largest accepted residual of the inverse, in units of the normalised image plane."""
 
 
 def implicit_inverse(
@@ -15,23 +16,27 @@ def implicit_inverse(
     start: Float[Array, "*batch 2"],
     steps: int = 12,
 ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-    """Solve `function(x) = target`, point by point, and say where that worked.
+    """Solve `function(x) = target` for each point and report where the solution is valid.
 
-    A lens of one's own writes one direction and has the other from here. Derivatives with respect
-    to `target` and to whatever `function` closes over are those of the solution, not of the steps
-    that led to it, so they cost one 2 x 2 solve.
+    A user's lens model that defines one direction obtains the other one here. Derivatives with
+    respect to `target`, and to any parameter that `function` closes over, are those of the
+    solution itself and not of the iterations, so that they cost one 2 x 2 solve.
 
     Args:
-        function: maps `(*batch, 2)` to `(*batch, 2)`, each point by itself.
-        target: the values wanted.
-        start: where Newton's method starts; near enough that full steps converge.
+        function: maps `(*batch, 2)` to `(*batch, 2)`, each point independently.
+        target: the wanted values.
+        start: starting points of Newton's method, close enough that full steps converge.
         steps: number of Newton steps; convergence is quadratic.
 
     Returns:
-        The solution, and whether the residual there is below 1e-10 and the map does not fold.
+        The solution, and whether its residual is below 1e-10 and the map is not folded there.
     """
+    # Newton:    x <- x - (df/dx)^-1 (f(x) - target), with full steps, for each point.
+    # Implicit:  df/dx dx = dtarget - df/dp dp   at the solution, for the parameters p of f.
 
     def newton(residual: Callable[[Array], Array], guess: Array) -> Array:
+        """Return the solution of `residual(x) = 0` after the fixed number of Newton steps."""
+
         def step(_, x):
             value = residual(x)
             return x - _solve_pointwise(lambda v: jax.jvp(residual, (x,), (v,))[1], value)
@@ -41,6 +46,7 @@ def implicit_inverse(
     solution = jax.lax.custom_root(
         lambda x: function(x) - target, jax.lax.stop_gradient(start), newton, _solve_pointwise
     )
+    # Whether a solution is valid is not differentiated.
     fixed = jax.lax.stop_gradient(solution)
     error = jnp.max(jnp.abs(function(fixed) - target), axis=-1)
     valid = (error < _CONVERGED) & unfolded(function, fixed)
@@ -50,14 +56,21 @@ def implicit_inverse(
 def unfolded(
     function: Callable[[Array], Array], at: Float[Array, "*batch 2"]
 ) -> Bool[Array, "*batch"]:
-    """Where a pointwise map of the plane still grows in every direction: before its first fold."""
+    """Return where a pointwise map of the plane is not folded.
+
+    There its Jacobian J has a positive determinant and a positive trace. Both hold at the identity
+    map, and the determinant vanishes at the first fold.
+    """
+    # det J > 0 and trace J > 0: without the trace, a map that is mirrored in both axes would pass.
     along_x, along_y = _columns(lambda v: jax.jvp(function, (at,), (v,))[1], at)
     determinant = along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]
     return (determinant > 0.0) & (along_x[..., 0] + along_y[..., 1] > 0.0)
 
 
 def _solve_pointwise(linear: Callable[[Array], Array], value: Array) -> Array:
-    """Solve a 2 x 2 system at every point; a singular one gives zero, never NaN."""
+    """Solve a 2 x 2 system at every point; the solution of a singular one is zero, never NaN."""
+    # Cramer's rule for x a + y b = v:   x = (v x b) / (a x b),   y = (a x v) / (a x b).
+    # Without NaN, a point without a solution does not spoil the derivatives of the others.
     along_x, along_y = _columns(linear, value)
     determinant = along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]
     regular = jnp.abs(determinant) > 1e-12
@@ -68,5 +81,6 @@ def _solve_pointwise(linear: Callable[[Array], Array], value: Array) -> Array:
 
 
 def _columns(linear: Callable[[Array], Array], like: Array) -> tuple[Array, Array]:
+    """Return the two columns of a linear pointwise map of the plane, at every point."""
     one, zero = jnp.ones_like(like[..., 0]), jnp.zeros_like(like[..., 0])
     return linear(jnp.stack([one, zero], axis=-1)), linear(jnp.stack([zero, one], axis=-1))

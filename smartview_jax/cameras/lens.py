@@ -1,7 +1,8 @@
-"""What a lens is: the map between directions in front of the camera and the ideal image plane.
+"""Define the interface of a lens, the map between directions and the unit image plane.
 
-Every model of this package, and a user's own, passes the same property test: going there and back
-is the identity inside the valid region, and outside the answer is NaN with `valid=False`.
+Every model of this package, and a user's own, passes the same property test: applying a map and its
+inverse gives the identity inside the valid region, and outside it the result is NaN with
+`valid=False`.
 """
 
 import abc
@@ -12,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 
 class AbstractLens(eqx.Module):
-    """A lens maps camera-frame points to the plane at unit focal length, and back to rays.
+    """A lens that maps camera-frame points to the image plane at unit focal length, and inversely.
 
     Both directions return `(answer, valid)`. Where `valid` is False the answer is NaN, and its
     derivatives with respect to every parameter are zero or NaN but never a wrong number.
@@ -22,37 +23,43 @@ class AbstractLens(eqx.Module):
     def distort(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-        """Where points of the camera frame (any length unit) fall on the unit image plane."""
+        """Return the points on the unit image plane that camera-frame points are mapped to.
+
+        Args:
+            points: in the camera frame, in any unit of length.
+        """
 
     @abc.abstractmethod
     def undistort(
         self, plane: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
-        """The ray, of unit length, that falls on a place of the unit image plane."""
+        """Return the unit rays that are mapped to points of the unit image plane."""
 
 
 class AbstractPerspectiveLens(AbstractLens):
-    """A lens that distorts the perspective image `(x/z, y/z)`; points need `z > 0`.
+    """A lens that distorts the perspective image `(x/z, y/z)` of points with `z > 0`.
 
-    A lens of one's own writes `distort_normalised` and `undistort_normalised`; `implicit_inverse`
-    turns either of them into the other.
+    A user's own lens defines `distort_normalised` and `undistort_normalised`; `implicit_inverse`
+    computes either of them from the other.
     """
 
     @abc.abstractmethod
     def distort_normalised(
         self, ideal: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-        """Distorted from ideal normalised coordinates."""
+        """Return distorted from ideal normalised coordinates, and whether each is valid."""
 
     @abc.abstractmethod
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-        """Ideal from distorted normalised coordinates."""
+        """Return ideal from distorted normalised coordinates, and whether each is valid."""
 
     def distort(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return the points on the unit image plane that camera-frame points are mapped to."""
+        # ideal = (x / z, y / z), then the distortion of the model.
         in_front = points[..., 2] > 0.0
         # The inner `where` keeps the derivatives of masked points finite.
         depth = jnp.where(in_front, points[..., 2], 1.0)
@@ -65,6 +72,8 @@ class AbstractPerspectiveLens(AbstractLens):
     def undistort(
         self, plane: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
+        """Return the unit rays that are mapped to points of the unit image plane."""
+        # ray = (x', y', 1) / |(x', y', 1)|, with the ideal coordinates (x', y').
         ideal, valid = self.undistort_normalised(plane)
         ray = jnp.concatenate([ideal, jnp.ones_like(ideal[..., :1])], axis=-1)
         ray = ray / jnp.linalg.norm(ray, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""OpenCV's lenses: radial and tangential polynomials, from ideal to distorted."""
+"""Define OpenCV's lenses: radial and tangential polynomials from ideal to distorted coordinates."""
 
 import abc
 
@@ -12,20 +12,28 @@ from .lens import AbstractPerspectiveLens
 
 
 class AbstractOpenCVLens(AbstractPerspectiveLens):
-    """`r' = r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)`, `s = r^2`, plus p1, p2.
+    """A lens of OpenCV's radial and tangential model, with up to eight coefficients.
 
-    See the documentation of OpenCV's calib3d module. The model is valid up to the first radius at
-    which the radial part stops growing; OpenCV itself gives wrong pixels beyond without a word.
+    With the ideal radius r and `s = r^2`, the radial part is
+
+        r' = r (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)
+
+    and p1, p2 add the tangential part. See the documentation of OpenCV's calib3d module. The model
+    is valid up to the smallest radius at which the radial part stops increasing; beyond it OpenCV
+    itself returns wrong pixels without a warning.
     """
 
     @property
     @abc.abstractmethod
     def coefficients(self) -> Float[Array, "8"]:
-        """k1, k2, p1, p2, k3, k4, k5, k6: OpenCV's order."""
+        """The coefficients k1, k2, p1, p2, k3, k4, k5, k6, in OpenCV's order."""
 
     def distort_normalised(
         self, ideal: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return distorted from ideal normalised coordinates, and whether each is valid."""
+        # The fold radius bounds the radial part. The tangential part can fold the map earlier,
+        # which `unfolded` tests at the point itself.
         valid = jnp.sum(ideal**2, axis=-1) < self._fold_radius() ** 2
         inside = jnp.where(valid[..., None], ideal, 0.0)
         distorted = self._polynomial(inside)
@@ -34,12 +42,19 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return ideal from distorted normalised coordinates, and whether each is valid."""
+        # The inverse of the radial part alone is close enough to the solution that Newton's method
+        # converges on the whole map.
         fold = self._fold_radius()
         start = self._undo_radial(distorted, jnp.minimum(fold, _FAR))
         ideal, valid = implicit_inverse(self._polynomial, distorted, start)
         return ideal, valid & (jnp.sum(ideal**2, axis=-1) < fold**2)
 
     def _polynomial(self, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return distorted from ideal normalised coordinates, without a test of validity."""
+        # x_d = x ratio + 2 p1 x y + p2 (s + 2 x^2)
+        # y_d = y ratio + p1 (s + 2 y^2) + 2 p2 x y
+        # ratio = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3),   s = x^2 + y^2
         k1, k2, p1, p2, k3, k4, k5, k6 = self.coefficients
         x, y = ideal[..., 0], ideal[..., 1]
         s = x * x + y * y
@@ -53,7 +68,12 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         )
 
     def _fold_radius(self) -> Float[Array, ""]:
-        """The first radius at which the radial part stops growing; infinite where it never does."""
+        """Return the smallest ideal radius at which the radial part stops increasing.
+
+        It is infinite if the radial part increases up to the largest radius of `_RADII`. It is not
+        differentiated, because it only limits where the lens is valid.
+        """
+        # A grid finds the interval of the derivative's first sign change, and bisection refines it.
         rising = self._radial_slope(jnp.asarray(_RADII)) > 0.0
         first = jnp.argmin(rising)
         low, high = jnp.asarray(_RADII)[jnp.maximum(first - 1, 0)], jnp.asarray(_RADII)[first]
@@ -68,10 +88,14 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.inf, low))
 
     def _radial_slope(self, radius: Float[Array, "*grid"]) -> Float[Array, "*grid"]:
-        """A positive multiple of the derivative of the distorted by the ideal radius.
+        """Return a positive multiple of the derivative of the distorted radius by the ideal one.
 
-        Not positive either where the denominator vanishes: the model ends there too.
+        It is -1 where the denominator of the radial part is not positive, since the model ends
+        there, too.
         """
+        # r' = r a(s) / b(s) with s = r^2 has
+        #   dr'/dr = ((a + 2 s a') b - 2 s a b') / b^2,   where a' = da/ds, b' = db/ds.
+        # The positive factor 1 / b^2 is left out.
         k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
         s = radius * radius
         above = 1.0 + s * (k1 + s * (k2 + s * k3))
@@ -84,7 +108,15 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
     def _undo_radial(
         self, distorted: Float[Array, "*batch 2"], limit: Float[Array, ""]
     ) -> Float[Array, "*batch 2"]:
-        """The radial part undone by bisection: a start from which Newton's method converges."""
+        """Return the ideal point whose radial distortion gives a distorted point, by bisection.
+
+        It is the starting point of Newton's method, and is not differentiated.
+
+        Args:
+            distorted: normalised coordinates.
+            limit: largest ideal radius to consider.
+        """
+        # 40 halvings find r in r a(r^2) / b(r^2) = r'; then ideal = distorted r / r'.
         k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
         wanted = jnp.linalg.norm(jax.lax.stop_gradient(distorted), axis=-1)
 
@@ -105,7 +137,7 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
 
 
 class OpenCV4(AbstractOpenCVLens):
-    """k1, k2, p1, p2."""
+    """A lens with OpenCV's four coefficients k1, k2, p1, p2."""
 
     k1: Float[Array, ""]
     k2: Float[Array, ""]
@@ -119,12 +151,13 @@ class OpenCV4(AbstractOpenCVLens):
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
+        """The coefficients in OpenCV's order; k3 to k6 are zero."""
         zero = jnp.zeros(())
         return jnp.stack([self.k1, self.k2, self.p1, self.p2, zero, zero, zero, zero])
 
 
 class OpenCV5(AbstractOpenCVLens):
-    """k1, k2, p1, p2, k3."""
+    """A lens with OpenCV's five coefficients k1, k2, p1, p2, k3."""
 
     k1: Float[Array, ""]
     k2: Float[Array, ""]
@@ -145,12 +178,13 @@ class OpenCV5(AbstractOpenCVLens):
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
+        """The coefficients in OpenCV's order; k4 to k6 are zero."""
         zero = jnp.zeros(())
         return jnp.stack([self.k1, self.k2, self.p1, self.p2, self.k3, zero, zero, zero])
 
 
 class OpenCV8(AbstractOpenCVLens):
-    """The rational model: k1, k2, p1, p2, k3, k4, k5, k6."""
+    """A lens with the eight coefficients k1, k2, p1, p2, k3, k4, k5, k6 of the rational model."""
 
     k1: Float[Array, ""]
     k2: Float[Array, ""]
@@ -177,10 +211,15 @@ class OpenCV8(AbstractOpenCVLens):
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
+        """The coefficients in OpenCV's order."""
         return jnp.stack([self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6])
 
 
 _RADII = np.tan(np.deg2rad(np.linspace(0.0, 89.5, 400)))
-"""Where the search for the fold looks, `x/z` of rays up to 89.5 degrees off the axis."""
+"""Ideal radii at which the search for the fold evaluates the derivative.
+
+They are `r/z` of rays up to 89.5 degrees from the axis.
+"""
 
 _FAR = float(_RADII[-1])
+"""Largest ideal radius that the inverse considers where the model has no fold."""

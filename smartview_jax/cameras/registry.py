@@ -1,4 +1,4 @@
-"""Lenses by name."""
+"""Find lens models by name, and convert one model to the start of another."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,13 +20,14 @@ LENSES: dict[str, type[AbstractLens]] = {
     "opencv8": OpenCV8,
     "fisheye": Fisheye,
 }
+"""Class of every known lens model, by name."""
 
 
 def lens_by_name(name: str | AbstractLens) -> AbstractLens:
-    """The named lens without distortion; a lens is returned as it is.
+    """Return the named lens with all coefficients zero; a lens is returned unchanged.
 
     Raises:
-        ValueError: an unknown name; the message lists those there are.
+        ValueError: an unknown name; the message lists the known ones.
     """
     if isinstance(name, AbstractLens):
         return name
@@ -39,7 +40,7 @@ def lens_by_name(name: str | AbstractLens) -> AbstractLens:
 
 
 def lens_name(lens: AbstractLens) -> str:
-    """The name of a lens; for a lens of one's own, its class name."""
+    """Return the name of a lens model; for a user's own lens, its class name."""
     for name, kind in LENSES.items():
         if type(lens) is kind:
             return name
@@ -47,10 +48,16 @@ def lens_name(lens: AbstractLens) -> str:
 
 
 def start_lens(name: str | AbstractLens, known: AbstractLens) -> AbstractLens:
-    """The lens called `name`, as a start for a fit, from what another model is known to do.
+    """Return a lens of the named model as the start of a fit, given a fitted lens of another model.
 
-    The models disagree on direction: the paper's and Weng's map distorted to ideal coordinates, so
-    a small k1 there is about -k1 of OpenCV's. A lens of one's own starts as it is given.
+    A lens of the same model is returned unchanged. Of another model only k1 is transferred. The
+    models differ in direction: the paper's and Weng's map distorted to ideal coordinates, so that a
+    small k1 there is about -k1 of OpenCV's. The fisheye starts without distortion, as does every
+    model after a fisheye, and a user's own lens starts as it is given.
+
+    Args:
+        name: a key of `LENSES`, or a lens.
+        known: the fitted lens.
     """
     lens = lens_by_name(name)
     if type(lens) is type(known):

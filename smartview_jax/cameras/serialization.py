@@ -1,4 +1,4 @@
-"""A camera as plain numbers with their names, as files have it."""
+"""Convert cameras to and from the mappings of plain numbers that files contain."""
 
 from typing import Any
 
@@ -7,10 +7,11 @@ from .lens import AbstractLens
 from .registry import lens_by_name, lens_name
 
 _PINHOLE = ("alpha_u", "alpha_v", "u0", "v0")
+"""Names of a camera's pinhole parameters, px."""
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
-    """Every number by name, px and lens."""
+    """Return all parameters of a camera by name: pinhole in px, and those of the lens."""
     lens = {name: float(value) for name, value in vars(camera.lens).items()}
     return {
         "image_size": list(camera.image_size),
@@ -20,10 +21,15 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
 
 
 def camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Camera:
-    """The inverse of `camera_to_dict`; `lens` stands for a model the library does not know.
+    """Return the camera that a mapping describes, the inverse of `camera_to_dict`.
+
+    Args:
+        content: the mapping.
+        lens: a lens of the mapping's model, needed for a user's own model; None for the models of
+            this library.
 
     Raises:
-        ValueError: other numbers than the lens has.
+        ValueError: an unknown lens model, or other numbers than the lens has.
         KeyError: a number is missing.
     """
     numbers = dict(content["lens"])

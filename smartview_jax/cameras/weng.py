@@ -1,4 +1,4 @@
-"""Weng's lens: radial, decentring and thin-prism distortion, from distorted to ideal."""
+"""Define Weng's lens: radial, decentring and thin-prism terms, from distorted to ideal."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, ScalarLike
@@ -8,13 +8,16 @@ from .lens import AbstractPerspectiveLens
 
 
 class Weng(AbstractPerspectiveLens):
-    """With `(x, y)` distorted and `s = x^2 + y^2`, the ideal coordinates are
+    """A lens with radial, decentring and thin-prism distortion.
+
+    With `(x, y)` distorted and `s = x^2 + y^2`, the ideal coordinates are
 
         x' = x + (g1 + g3) x^2 + g4 x y + g1 y^2 + k1 x s
         y' = y + g2 x^2 + g3 x y + (g2 + g4) y^2 + k1 y s
 
     with `g1 = s1 + p1`, `g2 = s2 + p2`, `g3 = 2 p1`, `g4 = 2 p2` (thin prism s, decentring p). The
-    model is linear in its coefficients, which Weng's second step uses; `k1` alone is `Radial`.
+    model is linear in its coefficients, which Weng's second step uses; with `k1` alone it equals
+    `Radial`.
 
     Reference: Weng, Cohen, Herniou, PAMI 14(10), 1992, Eq. 11.
     """
@@ -39,18 +42,22 @@ class Weng(AbstractPerspectiveLens):
     def distort_normalised(
         self, ideal: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return distorted from ideal normalised coordinates, and whether each is valid."""
         return implicit_inverse(self._polynomial, ideal, ideal)
 
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-        # The first fold on the way out, not only here: the map must rise all along the radius.
+        """Return ideal from distorted normalised coordinates, and whether each is valid."""
+        # A point beyond a fold may pass the test for folds itself, so that points between the
+        # centre and it are tested, too.
         valid = jnp.ones(distorted.shape[:-1], dtype=bool)
         for part in (0.25, 0.5, 0.75, 1.0):
             valid &= unfolded(self._polynomial, part * distorted)
         return self._polynomial(distorted), valid
 
     def _polynomial(self, distorted: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Return ideal from distorted normalised coordinates, without a test of validity."""
         x, y = distorted[..., 0], distorted[..., 1]
         radial = self.k1 * (x * x + y * y)
         return jnp.stack(

@@ -1,4 +1,4 @@
-"""Calibration targets: points in metres, nothing of OpenCV."""
+"""Describe calibration targets by their points in metres, without using OpenCV."""
 
 from .charuco import Charuco as Charuco
 from .chessboard import Chessboard as Chessboard

@@ -1,4 +1,4 @@
-"""ChArUco boards: a chessboard whose white squares carry markers."""
+"""Define ChArUco boards, chessboards whose white squares carry markers."""
 
 import dataclasses
 
@@ -11,17 +11,17 @@ from .target import AbstractTarget, grid_points, require_count, require_flag, re
 
 @dataclasses.dataclass(frozen=True)
 class Charuco(AbstractTarget):
-    """Inner chessboard corners, numbered as OpenCV numbers them; a view may show some of them.
+    """A ChArUco board whose points are its inner chessboard corners, in OpenCV's order.
 
-    The frame is OpenCV's: the origin is the board's outer corner, so the first inner corner lies at
-    one square in x and in y.
+    A view may show only some of the corners. The frame is OpenCV's: the origin is the board's outer
+    corner, so that the first inner corner is at one square in x and in y.
 
     Attributes:
         squares_x, squares_y: number of squares across and down.
-        square, marker: sides, m.
+        square, marker: side of a square and of a marker, m.
         dictionary: name of an OpenCV dictionary, such as `"DICT_4X4_250"`.
-        legacy: the pattern of OpenCV before 4.6, which differs where `squares_y` is even: there
-            the first square is white.
+        legacy: whether the board has the pattern of OpenCV before 4.6, which differs if
+            `squares_y` is even: its first square is white.
     """
 
     squares_x: int
@@ -32,6 +32,7 @@ class Charuco(AbstractTarget):
     legacy: bool = False
 
     def __post_init__(self):
+        """Raise a ValueError that names the first attribute that is wrong."""
         require_count(2, squares_x=self.squares_x, squares_y=self.squares_y)
         require_positive(square=self.square, marker=self.marker)
         if self.marker >= self.square:
@@ -39,9 +40,11 @@ class Charuco(AbstractTarget):
                 f"marker: expected less than the square's {self.square} m, found {self.marker}"
             )
         require_flag(legacy=self.legacy)
+        # Every second square, a white one, carries a marker; the numbers begin at zero.
         require_markers(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
+        """The inner corners, row by row, m."""
         inner = grid_points(self.squares_y - 1, self.squares_x - 1, self.square)
         return inner + np.array([self.square, self.square, 0.0])

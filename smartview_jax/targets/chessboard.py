@@ -1,4 +1,4 @@
-"""Chessboards."""
+"""Define chessboard targets."""
 
 import dataclasses
 
@@ -10,10 +10,10 @@ from .target import AbstractTarget, grid_points, grid_rotations, require_count, 
 
 @dataclasses.dataclass(frozen=True)
 class Chessboard(AbstractTarget):
-    """Inner corners, row by row.
+    """A chessboard whose points are its inner corners, row by row.
 
-    The square between the first four corners is a light one, if the colours allow it: turned so
-    that it is, most boards have one order only.
+    The order begins where the square between the first four corners is light, if the colours of the
+    board allow it. With this condition most boards have only one possible order.
 
     Attributes:
         rows, columns: number of inner corners down and across.
@@ -25,20 +25,20 @@ class Chessboard(AbstractTarget):
     square: float
 
     def __post_init__(self):
+        """Raise a ValueError that names the first attribute that is wrong."""
         require_count(2, rows=self.rows, columns=self.columns)
         require_positive(square=self.square)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
+        """The inner corners, row by row, m."""
         return grid_points(self.rows, self.columns, self.square)
 
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
-        """The turns that put light squares on light ones.
-
-        Half a turn moves the first square by `rows + columns - 4` squares, a quarter turn of a
-        square board by `rows - 2`; an odd number changes its colour.
-        """
+        """The orders of the corners after rotations that map light squares to light squares."""
+        # Rotating by 180 degrees moves the first square by rows + columns - 4 squares, and rotating
+        # a square board by 90 degrees moves it by rows - 2; an odd number changes its colour.
         turns = (0, 1, 2, 3) if self.rows % 2 == 0 else (0, 2)
         if (self.rows + self.columns) % 2:
             turns = (0,)

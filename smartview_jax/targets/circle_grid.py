@@ -1,4 +1,4 @@
-"""Grids of circles."""
+"""Define targets that are grids of circles."""
 
 import dataclasses
 
@@ -17,18 +17,18 @@ from .target import (
 
 @dataclasses.dataclass(frozen=True)
 class CircleGrid(AbstractTarget):
-    """Circle centres, row by row.
+    """A grid of circles whose points are the circle centres, row by row.
 
     Attributes:
         rows, columns: number of circles down and across; for an asymmetric grid as OpenCV counts
-            them, every second row being shifted by half a step.
-        spacing: between neighbours in a row, m; for an asymmetric grid half of that, which is also
-            the distance between rows (OpenCV's convention).
-        asymmetric: every second row shifted.
-        light_on_dark: white circles on black.
-        origin_mark: one larger corner circle marks the origin (the "modified" grid).
-        radius: of the circles, where known, m.
-        mark_radius: of the circle that marks the origin, where known, m.
+            them, with every second row shifted by half the distance in a row.
+        spacing: distance between neighbours in a row, m; for an asymmetric grid half of this
+            distance, which is also the distance between rows (OpenCV's convention).
+        asymmetric: whether every second row is shifted.
+        light_on_dark: whether the circles are white on black.
+        origin_mark: whether one larger corner circle marks the origin (the "modified" grid).
+        radius: radius of the circles, m; None if unknown.
+        mark_radius: radius of the circle that marks the origin, m; None if unknown.
     """
 
     rows: int
@@ -41,6 +41,7 @@ class CircleGrid(AbstractTarget):
     mark_radius: float | None = None
 
     def __post_init__(self):
+        """Raise a ValueError that names the first attribute that is wrong."""
         require_count(2, rows=self.rows, columns=self.columns)
         require_positive(spacing=self.spacing)
         require_flag(
@@ -59,23 +60,29 @@ class CircleGrid(AbstractTarget):
 
     @property
     def nearest(self) -> float:
-        """Distance between neighbouring centres, m."""
+        """The distance between neighbouring centres, m."""
+        # In an asymmetric grid the nearest centre is one spacing away in x and in y.
         return self.spacing * (2.0**0.5 if self.asymmetric else 1.0)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
+        """The circle centres, row by row, m."""
         if not self.asymmetric:
             return grid_points(self.rows, self.columns, self.spacing)
+        # Circle j of row i is at (2 j + i mod 2, i), in units of the spacing.
         i, j = np.mgrid[0 : self.rows, 0 : self.columns]
         flat = np.stack([(2 * j + i % 2), i, np.zeros_like(i)], axis=-1)
         return self.spacing * flat.reshape(-1, 3).astype(float)
 
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
+        """The orders of the circles that look the same, the original order first."""
         if self.origin_mark:
             return np.arange(self.rows * self.columns)[None]
         if self.asymmetric:
-            # With an even number of rows half a turn maps shifted rows to unshifted ones.
+            # Rotating by 180 degrees maps x to 2 columns - 1 - x and row i to rows - 1 - i. With an
+            # even number of rows this exchanges shifted and unshifted rows, and the pattern is the
+            # same; with an odd number it is not.
             index = np.arange(self.rows * self.columns)
             return index[None] if self.rows % 2 else np.stack([index, index[::-1]])
         return grid_rotations(self.rows, self.columns)

@@ -1,4 +1,4 @@
-"""Targets as plain mappings, as `dataset.yaml` holds them."""
+"""Convert targets to and from the mappings of plain values in `dataset.yaml`."""
 
 import dataclasses
 from typing import Any
@@ -16,10 +16,15 @@ KINDS: dict[str, type[AbstractTarget]] = {
     "charuco": Charuco,
     "tag_grid": TagGrid,
 }
+"""Class of every flat target, by the name that files use."""
 
 
 def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
-    """The target that a mapping describes: `kind`, its numbers (m), and `heights` if stacked.
+    """Return the target that a mapping describes.
+
+    Args:
+        content: `kind`, the attributes of that kind (lengths in m), and `heights` (m) for a board
+            that was used at several heights.
 
     Raises:
         ValueError: naming the entry that is unknown, missing or wrong.
@@ -53,7 +58,11 @@ def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
 
 
 def target_to_dict(target: AbstractTarget) -> dict[str, Any]:
-    """The inverse of `target_from_dict`."""
+    """Return a target as a mapping of plain values, the inverse of `target_from_dict`.
+
+    Raises:
+        ValueError: a kind of target that files have no name for.
+    """
     if isinstance(target, StackedTarget):
         return {**target_to_dict(target.board), "heights": list(target.heights)}
     for kind, cls in KINDS.items():

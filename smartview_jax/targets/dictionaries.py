@@ -1,4 +1,4 @@
-"""Names of marker dictionaries, and how many markers each holds."""
+"""List the marker dictionaries by name, with the number of markers in each."""
 
 MARKER_COUNTS: dict[str, int] = {
     **{
@@ -13,11 +13,14 @@ MARKER_COUNTS: dict[str, int] = {
     "DICT_APRILTAG_36h10": 2320,
     "DICT_APRILTAG_36h11": 587,
 }
-"""Under OpenCV's names; the pictures of the markers are OpenCV's too."""
+"""Number of markers in each dictionary, by OpenCV's name for it.
+
+The pictures of the markers are OpenCV's, too.
+"""
 
 
 def require_markers(dictionary: str, last_id: int) -> None:
-    """Raise a ValueError unless the dictionary exists and reaches up to this marker."""
+    """Raise a ValueError unless the dictionary exists and contains the marker with this number."""
     if dictionary not in MARKER_COUNTS:
         raise ValueError(f"dictionary is one of {', '.join(MARKER_COUNTS)}; found {dictionary!r}")
     count = MARKER_COUNTS[dictionary]

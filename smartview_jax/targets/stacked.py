@@ -1,4 +1,4 @@
-"""The paper's target: one board, placed at several known heights under the same viewpoint."""
+"""Define the paper's target: one board at several known heights under the same viewpoint."""
 
 import dataclasses
 from typing import ClassVar
@@ -11,17 +11,17 @@ from .target import AbstractTarget, require_lengths
 
 @dataclasses.dataclass(frozen=True)
 class StackedTarget(AbstractTarget):
-    """A board at several heights z; all heights of one viewpoint belong to that viewpoint.
+    """A flat board that is used at several heights z, as one target that is not flat.
 
-    One picture is taken at each height, with the robot standing still. Together the points are not
-    coplanar, which is what Step 1's linear start asks for.
+    One picture is taken at each height while the robot does not move, and the points of all heights
+    form one view. Together they are not coplanar, as the linear start of Step 1 requires.
 
-    A greater height is nearer to the camera, so z points out of the board here: boards whose own
-    frame has y down are turned to y up (half a turn about x), or z would be mirrored.
+    A greater height is nearer to the camera, so that z points out of the board here. Boards whose
+    own frame has y down are rotated to y up (180 degrees about x), or z would be mirrored.
 
     Attributes:
         board: the flat target.
-        heights: z of the board in the world frame at each placing, m.
+        heights: z of the board in the world frame in each picture, m.
     """
 
     board: AbstractTarget
@@ -30,6 +30,7 @@ class StackedTarget(AbstractTarget):
     y_up: ClassVar[bool] = True
 
     def __post_init__(self):
+        """Raise a ValueError if the board is stacked itself or the heights are not distinct."""
         if isinstance(self.board, StackedTarget):
             raise ValueError("board: expected a flat target, found one that has heights itself")
         require_lengths(heights=self.heights)
@@ -39,11 +40,14 @@ class StackedTarget(AbstractTarget):
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
+        """The points of the board at the first height, then at the second, and so on, m."""
+        # Rotating by 180 degrees about x changes the sign of y; z of a flat board stays zero.
         flat = self.board.points * np.array([1.0, 1.0 if self.board.y_up else -1.0, 1.0])
         return np.concatenate([flat + np.array([0.0, 0.0, z]) for z in self.heights])
 
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
+        """The orders of the board that look the same, applied at all heights alike."""
         count = len(self.board.points)
         return np.stack(
             [

@@ -1,4 +1,4 @@
-"""Grids of square markers with numbers: AprilTag and ArUco."""
+"""Define targets that are grids of numbered square markers: AprilTag and ArUco."""
 
 import dataclasses
 from typing import ClassVar
@@ -12,18 +12,18 @@ from .target import AbstractTarget, require_count, require_positive
 
 @dataclasses.dataclass(frozen=True)
 class TagGrid(AbstractTarget):
-    """Four corners a tag, tags row by row; a view may show some of them.
+    """A grid of numbered tags whose points are the four corners of each tag, tags row by row.
 
-    Corners come in OpenCV's order: top left, top right, bottom right, bottom left, as the tag is
-    read. The frame is the middle of the grid, x to the right, y *up*, z out of the board, which for
-    a single tag is the usual tag frame.
+    A view may show only some of the tags. The corners of a tag are in OpenCV's order: top left, top
+    right, bottom right, bottom left of the upright tag. The origin is the middle of the grid, with
+    x to the right, y *up* and z out of the board, which for a single tag is the usual tag frame.
 
     Attributes:
         rows, columns: number of tags down and across.
         size: side of a tag's black square, m.
-        gap: between neighbouring tags, m.
+        gap: distance between the black squares of neighbouring tags, m.
         dictionary: name of an OpenCV dictionary, such as `"DICT_APRILTAG_36h11"`.
-        first_id: of the top left tag; the others follow row by row.
+        first_id: number of the top left tag; the others follow row by row.
     """
 
     rows: int
@@ -36,6 +36,7 @@ class TagGrid(AbstractTarget):
     y_up: ClassVar[bool] = True
 
     def __post_init__(self):
+        """Raise a ValueError that names the first attribute that is wrong."""
         require_count(1, rows=self.rows, columns=self.columns)
         require_count(0, first_id=self.first_id)
         require_positive(size=self.size)
@@ -45,11 +46,12 @@ class TagGrid(AbstractTarget):
 
     @property
     def ids(self) -> range:
-        """Numbers of the tags, row by row."""
+        """The numbers of the tags, row by row."""
         return range(self.first_id, self.first_id + self.rows * self.columns)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
+        """The four corners of every tag, tags row by row, m."""
         pitch = self.size + self.gap
         i, j = np.mgrid[0 : self.rows, 0 : self.columns]
         x = (j - 0.5 * (self.columns - 1)).ravel() * pitch

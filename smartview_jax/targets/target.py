@@ -1,4 +1,4 @@
-"""What a calibration target is: points in its own frame, and what its pattern cannot tell apart."""
+"""Define the interface of a calibration target: its points and the symmetries of its pattern."""
 
 import abc
 import dataclasses
@@ -13,11 +13,11 @@ from jaxtyping import Float, Int
 
 @dataclasses.dataclass(frozen=True)
 class AbstractTarget(abc.ABC):
-    """A target of known geometry; its frame is the world frame of a calibration.
+    """A target of known geometry, whose frame is the world frame of a calibration.
 
-    Points are in metres, z = 0 for a flat target. x points to the right as the pattern is usually
-    drawn; y points down and z into the board, as OpenCV has it, unless `y_up`: then z points out
-    of the board, towards whoever looks at it.
+    Points are in metres, with z = 0 for a flat target. x points to the right of the pattern as it
+    is usually printed. y points down and z into the board, as in OpenCV, unless `y_up` is true:
+    then y points up and z out of the board, towards the camera.
     """
 
     y_up: ClassVar[bool] = False
@@ -25,13 +25,14 @@ class AbstractTarget(abc.ABC):
     @property
     @abc.abstractmethod
     def points(self) -> Float[np.ndarray, "points 3"]:
-        """The points that a detector finds, m."""
+        """The points that a detector finds, in the target's frame, m."""
 
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
-        """Orders of the points that look the same in a picture, the points' own order first.
+        """The orders of the points that look the same in a picture, the original order first.
 
-        Every row is a permutation; more than one row means that robot motion has to decide.
+        Every row is a permutation. With more than one row, the order in a picture is ambiguous, and
+        the robot's motion decides.
         """
         return np.arange(len(self.points))[None]
 
@@ -60,7 +61,7 @@ def require_flag(**flags: bool) -> None:
 
 
 def require_lengths(**lists: Sequence[float]) -> None:
-    """Raise a ValueError that names the first list that is not of finite numbers, or is empty."""
+    """Raise a ValueError that names the first list that is empty or has a number not finite."""
     for name, values in lists.items():
         is_list = isinstance(values, tuple | list) and len(values) > 0
         if not (is_list and all(_is_number(v) and math.isfinite(v) for v in values)):
@@ -68,11 +69,15 @@ def require_lengths(**lists: Sequence[float]) -> None:
 
 
 def _is_number(value: object) -> bool:
+    """Return whether a value is a real number; `True` and `False` are not."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def grid_points(rows: int, columns: int, spacing: float) -> Float[np.ndarray, "points 3"]:
-    """Row by row from the origin: x along the columns, y along the rows."""
+    """Return the points of a flat grid, row by row from the origin.
+
+    Within a row x increases by `spacing`, and from row to row y does.
+    """
     y, x = np.mgrid[0:rows, 0:columns]
     return spacing * np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(float)
 
@@ -80,6 +85,12 @@ def grid_points(rows: int, columns: int, spacing: float) -> Float[np.ndarray, "p
 def grid_rotations(
     rows: int, columns: int, turns: tuple[int, ...] = (0, 1, 2, 3)
 ) -> Int[np.ndarray, "symmetries points"]:
-    """Orders of a grid's points after these quarter turns, where they map it to itself."""
+    """Return the orders of a grid's points after rotations that map the grid to itself.
+
+    Args:
+        rows, columns: number of points down and across.
+        turns: rotations to consider, in multiples of 90 degrees. Odd multiples are left out unless
+            the grid is square.
+    """
     index = np.arange(rows * columns).reshape(rows, columns)
     return np.stack([np.rot90(index, k).ravel() for k in turns if rows == columns or k % 2 == 0])
