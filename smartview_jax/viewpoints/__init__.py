@@ -1,4 +1,4 @@
-"""Viewpoints: where the camera is wanted, what to tell the robot, and which views to take next."""
+"""Plan viewpoints: wanted camera poses, the robot commands for them, and the best next views."""
 
 from ..geometry import FIVE_STEP as FIVE_STEP
 from ..geometry import direction_of as direction_of

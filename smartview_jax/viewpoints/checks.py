@@ -1,4 +1,4 @@
-"""What may be wrong with a viewpoint before the robot moves: masks, and reasons in words."""
+"""Check viewpoints for problems before the robot moves, with masks and reasons in words."""
 
 from collections.abc import Callable
 
@@ -28,30 +28,30 @@ REASONS = {
     "tool_clearance": "the tool is {:.3f} m above the table: too low",
     "known_region": "{:.1f} times as far out as the poses that the robot's error is known from",
 }
-"""What it means that a check failed; the number is what was measured.
+"""Message of each failed check; the number in it is the measured value.
 
-Of an arm that is known its own words are said instead.
+For a known arm, its own message about reach and singularity is used instead.
 """
 
 DANGERS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
-"""Checks without which no robot should be sent anywhere, unless a person says so."""
+"""Names of the checks that a robot must pass before it moves, unless a person overrides them."""
 
 
 def _number(value: object) -> Float[Array, "..."]:
+    """Return a value as an array of floats."""
     return jnp.asarray(value, dtype=float)
 
 
 class Table(eqx.Module):
-    """A plane that nothing may come near to, in the base's frame.
+    """A plane in the base frame from which camera and tool must keep a distance.
 
-    Camera and tool are spheres, of radius `camera` about the camera's centre and `tool` about the
-    tool's origin. That is all that is looked at: cables, links and whatever else stands about are
-    not.
+    The camera is modelled as a sphere of radius `camera` about its centre, the tool as a sphere of
+    radius `tool` about its origin. Nothing else is checked: not cables, links or other obstacles.
 
     Attributes:
-        point: on the plane, m.
-        normal: away from it, to the side where the robot works; of any length.
-        camera, tool: least heights above the plane, m.
+        point: a point on the plane, m.
+        normal: normal of the plane, on the side where the robot works; of any length.
+        camera, tool: smallest allowed heights above the plane, m.
     """
 
     point: Float[Array, "3"] = eqx.field(converter=_number, default=(0.0, 0.0, 0.0))
@@ -60,23 +60,24 @@ class Table(eqx.Module):
     tool: Float[Array, ""] = eqx.field(converter=_number, default=0.05)
 
     def height(self, place: Float[Array, "*views 3"]) -> Float[Array, "*views"]:
-        """Of places in the base's frame above the plane, m."""
+        """Return the height above the plane of positions in the base frame, m."""
         offset = place - jnp.broadcast_to(self.point, place.shape)
         return offset @ (self.normal / jnp.linalg.norm(self.normal))
 
 
 class Limits(eqx.Module):
-    """What a viewpoint has to keep.
+    """The limits that a viewpoint has to keep.
 
     Attributes:
-        margin: between the picture's border and a target point that counts as seen, px.
-        share: of the target's points that have to be seen.
-        focus: least and greatest depth of target points, m: where the lens is sharp.
-        table: what camera and tool stay clear of; None is nothing.
-        extent: how far out poses may be where the robot's error is corrected; 1 is about the edge
-            of the poses that it was found from.
-        viewed: how far out cameras may stand, in multiples of the farthest of the views that the
-            calibration was fitted to, from their middle.
+        margin: smallest distance from the picture's border to a target point that counts as
+            visible, px.
+        share: smallest fraction of the target's points that have to be visible.
+        focus: smallest and largest depth of target points at which the lens is sharp, m.
+        table: plane that camera and tool keep clear of; None for no plane.
+        extent: largest extent of poses at which the robot error is corrected; 1 is about the edge
+            of the poses that it was estimated from.
+        viewed: largest distance of cameras from the middle of the views that the calibration was
+            fitted to, in multiples of the farthest of these.
     """
 
     margin: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
@@ -88,12 +89,12 @@ class Limits(eqx.Module):
 
 
 class Checks(eqx.Module):
-    """What was checked of every viewpoint; keys are those of `REASONS`.
+    """The results of the checks of every viewpoint, by the names in `REASONS`.
 
     Attributes:
-        passed: by check; checks that could not be made are not in it.
-        measured: the number that decided.
-        arm: how the arm gets there; None where no arm is known.
+        passed: whether each check passed, by name; checks that could not be made are missing.
+        measured: measured value of each check, by name.
+        arm: inverse-kinematics solution; None where no arm is known.
     """
 
     passed: dict[str, Bool[Array, "*views"]]
@@ -102,30 +103,32 @@ class Checks(eqx.Module):
 
     @property
     def ok(self) -> Bool[Array, "*views"]:
-        """Where nothing is wrong."""
+        """Whether a viewpoint passes all checks."""
         return jnp.all(jnp.stack(list(self.passed.values())), axis=0)
 
     @property
     def safe(self) -> Bool[Array, "*views"]:
-        """Where none of the `DANGERS` is, as far as they could be checked."""
+        """Whether a viewpoint passes those of the `DANGERS` that could be checked."""
         masks = [mask for name, mask in self.passed.items() if name in DANGERS]
         return jnp.all(jnp.stack(masks), axis=0)
 
     def dangers(self) -> tuple[str, ...]:
-        """Say which of the `DANGERS` each viewpoint has, in their flat order."""
+        """Return the reasons among the `DANGERS` for each viewpoint, in flat order."""
         return self.reasons(DANGERS)
 
     def reasons(self, among: tuple[str, ...] = tuple(REASONS)) -> tuple[str, ...]:
-        """Say what is wrong with each viewpoint, in their flat order; empty where nothing is.
+        """Return the reasons of all failed checks for each viewpoint, in flat order.
+
+        A reason is empty where all checks pass.
 
         Args:
-            among: the checks to speak of.
+            among: names of the checks to report.
         """
         failed = {name: ~np.ravel(mask) for name, mask in self.passed.items()}
         measured = {name: np.ravel(values) for name, values in self.measured.items()}
         checks = [name for name in REASONS if name in failed and name in among]
         return tuple(
-            # Where the arm does not get, the other numbers mean nothing.
+            # Without a pose that the arm reaches, the values of the other checks have no meaning.
             self._words("reach", 0.0, k)
             if failed["reach"][k]
             else "; ".join(self._words(n, measured[n][k], k) for n in checks if failed[n][k])
@@ -133,6 +136,7 @@ class Checks(eqx.Module):
         )
 
     def _words(self, check: str, measured: float, view: int) -> str:
+        """Return the reason of one check for one view."""
         if self.arm is not None and check in ("reach", "singular"):
             return words(self.arm, view)
         return REASONS[check].format(measured)
@@ -146,15 +150,15 @@ def check_views(
     arm: JointSolution | None,
     limits: Limits,
 ) -> Checks:
-    """Every check that what is given allows.
+    """Return the results of all checks that the given information allows.
 
     Args:
-        calibration: of camera and robot.
-        command: what the robot would be told, `(*views)`.
-        camera_from_world: where the camera would then be.
-        points: of the target, m; None leaves out what concerns them.
-        arm: how the arm gets there; None where no arm is known.
-        limits: what to keep.
+        calibration: calibration of camera and robot.
+        command: robot commands, `(*views)`.
+        camera_from_world: camera poses that the commands result in.
+        points: target points, m; None omits the checks of visibility and focus.
+        arm: inverse-kinematics solution; None where no arm is known.
+        limits: limits to keep.
     """
     views = camera_from_world.get_batch_axes()
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)
@@ -163,6 +167,7 @@ def check_views(
         passed = {"reach": arm.reached, "singular": ~singular(arm)}
         measured["singular"] = jnp.zeros(views)
 
+    # Every check keeps its value beside its mask, for the message.
     def note(name: str, value: Array, fine: Array) -> None:
         passed[name], measured[name] = fine, value
 
@@ -170,6 +175,7 @@ def check_views(
         in_camera = transform_points(camera_from_world, calibration.target_scale * points)
         inside = border_distance(calibration, in_camera) >= limits.margin
         seen = jnp.mean(inside.astype(float), axis=-1)
+        # The tolerance of 1e-9 absorbs the rounding of a mean of zeros and ones.
         note("in_picture", seen, seen >= limits.share - 1e-9)
         nearest, farthest = (f(in_camera[..., 2], axis=-1) for f in (jnp.min, jnp.max))
         note("near_focus", nearest, nearest >= limits.focus[0])
@@ -180,6 +186,7 @@ def check_views(
     if calibration.region is not None:
         _note_region(calibration, command, camera_from_world, limits, note)
     if limits.table is not None:
+        # Clearance is a matter of where the robot really is, so the robot error is applied.
         true = command.base_from_tool if error is None else error.true_pose(command)
         camera = _camera_in_base(calibration, true)
         for name, place, least in (
@@ -201,19 +208,22 @@ def _note_region(
     limits: Limits,
     note: Callable[[str, Array, Array], None],
 ) -> None:
-    """Checks against the views that the calibration was fitted to."""
+    """Record the checks against the views that the calibration was fitted to."""
     region = calibration.region
     assert region is not None
     cameras = camera_from_world.inverse().translation()
     height = region.height(cameras)
     note("side", -height, (height > 0.0) | (region.side == 0.0))
     if calibration.mount == "eye_in_hand":
+        # Tool positions p in the world frame: world = R p + t.
         world_from_holder = calibration.holder_from_world.inverse()
         places = command.base_from_tool.translation()
         rotation = world_from_holder.rotation().as_matrix()
         tools = places @ rotation.T + jnp.broadcast_to(
             world_from_holder.translation(), places.shape
         )
+        # The tool must stay above the target's plane. If it was lower beside the target in the
+        # views of the fit, it may be as low again.
         height = region.height(tools)
         # Beside the target the tool may have been lower than it, and may be so again.
         note("tool_side", -height, height >= jnp.minimum(region.lowest_tool, 0.0))
@@ -224,9 +234,9 @@ def _note_region(
 def border_distance(
     calibration: Calibration, in_camera: Float[Array, "*points 3"]
 ) -> Float[Array, "*points"]:
-    """Of points in the camera's frame from the picture's border, px; negative outside.
+    """Return the distance, px, from the picture's border of points in the camera frame.
 
-    Minus infinity where a point cannot be projected at all.
+    It is negative outside the picture, and minus infinity where a point cannot be projected.
     """
     pixels, valid = calibration.camera.project(in_camera)
     width, height = calibration.camera.image_size
@@ -236,7 +246,7 @@ def border_distance(
 
 
 def _camera_in_base(calibration: Calibration, base_from_tool: SE3) -> Float[Array, "*views 3"]:
-    """Centre of the camera in the base's frame, m."""
+    """Return the camera's centre in the base frame, m."""
     centre = calibration.camera_from_mount.inverse().translation()
     if calibration.mount == "eye_to_hand":
         return jnp.broadcast_to(centre, base_from_tool.translation().shape)

@@ -1,4 +1,4 @@
-"""What to tell the robot so that the camera sees what is wanted (Eq. 19), and what it will see."""
+"""Compute robot commands for wanted camera poses (Eq. 19), and predict the view that results."""
 
 import equinox as eqx
 import jax
@@ -15,14 +15,14 @@ from .checks import Checks, Limits, check_views
 from .reach import reach
 
 TOGETHER = 500
-"""Views predicted at once: what they need in between then stays in the processor's cache."""
+"""Number of views predicted at once, so that intermediate results stay in the processor's cache."""
 
 
 class ViewCalibration(eqx.Module):
-    """The calibration of viewpoints: what a program needs that uses the pictures alone.
+    """The calibration of viewpoints in the form that a program needs which only uses pictures.
 
     Attributes:
-        camera: intrinsics and lens, the same for all.
+        camera: intrinsics and lens, common to all views.
         camera_from_world: extrinsics, `(*views)`.
     """
 
@@ -32,9 +32,10 @@ class ViewCalibration(eqx.Module):
 
 @eqx.filter_jit
 def predict(calibration: Calibration, command: CommandLike) -> ViewCalibration:
-    """The calibration of any viewpoints, from what the robot is told or reports, `(*views)`.
+    """Return the calibration of any viewpoints, from robot commands or reports, `(*views)`.
 
-    No picture is needed: the paper's reason for calibrating the chain and not each viewpoint.
+    It needs no picture, which is the paper's reason for calibrating the chain of transforms instead
+    of each viewpoint.
     """
     reported = as_command(command)
     views = reported.base_from_tool.get_batch_axes()
@@ -42,20 +43,22 @@ def predict(calibration: Calibration, command: CommandLike) -> ViewCalibration:
     def view(one: Command) -> Float[Array, "7"]:
         return calibration.camera_from_world(one).wxyz_xyz
 
+    # Batches of views instead of one large array: the arrays of all views at once would not fit the
+    # cache.
     flat = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), reported)
     poses = jax.lax.map(view, flat, batch_size=TOGETHER)
     return ViewCalibration(calibration.camera, SE3(poses.reshape(*views, 7)))
 
 
 class ViewpointCommands(eqx.Module):
-    """Commands for wanted viewpoints.
+    """The robot commands for wanted viewpoints, with the expected view and the checks.
 
     Attributes:
-        base_from_tool: what to tell the robot, its own error compensated, `(*views)`.
-        xyzoat: the same as VAL has it, m and rad.
-        joints: the same as joint readings, rad (m where a joint slides); None without an arm.
-        predicted: the calibration that is to be expected there.
-        checks: what is wrong with each.
+        base_from_tool: poses to command, with the robot error compensated, `(*views)`.
+        xyzoat: the same in VAL's form, m and rad.
+        joints: the same as joint readings, rad (m for a prismatic joint); None without an arm.
+        predicted: expected calibration of the viewpoints.
+        checks: results of the checks.
     """
 
     base_from_tool: SE3
@@ -66,7 +69,7 @@ class ViewpointCommands(eqx.Module):
 
     @property
     def command(self) -> Command:
-        """The commands, as `Calibration` takes them."""
+        """The commands, in the form that `Calibration` takes."""
         return Command(self.base_from_tool, self.joints)
 
 
@@ -78,20 +81,20 @@ def viewpoint_commands(
     near: JointsLike | None = None,
     limits: Limits | None = None,
 ) -> ViewpointCommands:
-    """Commands that put the camera where it is wanted, and what is wrong with them (Eq. 19).
+    """Return robot commands that put the camera at wanted poses, and their checks (Eq. 19).
 
-    Nothing is refused here: a view that fails a check has its commands too, and says why.
+    No view is refused: a view that fails a check has a command too, with the reason in its checks.
 
     Args:
-        calibration: with the robot's error, where one was fitted; it is compensated.
-        camera_from_world: wanted, `(*views)`; `look_at` and `five_viewpoints` make such.
-        points: of the target, m; they are to be in the picture and in focus.
-        arm: as its controller believes it to be; with `near`, joint readings are found too.
-        near: readings in whose neighbourhood to look, `(joints)` or `(*views, joints)`.
-        limits: what the viewpoints have to keep; by default the picture's border alone.
+        calibration: calibration, whose fitted robot error is compensated.
+        camera_from_world: wanted poses, `(*views)`, as from `look_at` and `five_viewpoints`.
+        points: target points, m, which have to be in the picture and in focus.
+        arm: the nominal arm; with `near`, joint readings are computed too.
+        near: joint readings near which to solve, `(joints)` or `(*views, joints)`.
+        limits: limits of the viewpoints; by default the picture's border only.
 
     Raises:
-        ValueError: an arm without `near`, or an arm's own errors were fitted and `near` is missing.
+        ValueError: an arm without `near`, or arm errors were fitted and `near` is missing.
     """
     if arm is not None and near is None:
         raise ValueError("an arm reaches a pose in several ways: give near=joints to begin from")
@@ -102,7 +105,7 @@ def viewpoint_commands(
     command = _reported(calibration, wanted, near)
     solution = None
     if arm is not None and near is not None:
-        # Outside jit, where an arm's numbers say whether it is solved in closed form.
+        # Outside jit, because only there the arm's parameters show whether it has a closed form.
         solution = reach(arm, command, near)
         command = Command(command.base_from_tool, solution.joints)
     target = None if points is None else jnp.asarray(points, dtype=float)
@@ -111,6 +114,7 @@ def viewpoint_commands(
 
 @eqx.filter_jit
 def _reported(calibration: Calibration, wanted: SE3, near: Array | None) -> Command:
+    """Return the robot reports at wanted camera poses."""
     return calibration.reported_for(wanted, near=near)
 
 
@@ -122,6 +126,7 @@ def _predicted(
     solution: JointSolution | None,
     limits: Limits,
 ) -> ViewpointCommands:
+    """Return commands with the predicted views and checks."""
     predicted = predict(calibration, command)
     checks = check_views(
         calibration, command, predicted.camera_from_world, points, solution, limits

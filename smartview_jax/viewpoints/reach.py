@@ -1,4 +1,4 @@
-"""Whether an arm gets somewhere, and with which joints."""
+"""Determine whether an arm reaches a command, and with which joint readings."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,16 +17,19 @@ from ..robots import (
 
 
 def reach(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
-    """Joint readings for commands, and what is to be said of them.
+    """Return joint readings for commands, with their status.
 
     Args:
-        arm: as its controller believes it to be.
-        command: poses `(*views)`; joints that it has already are kept, NaN where there are none.
-        near: readings in whose neighbourhood to look.
+        arm: the nominal arm.
+        command: poses `(*views)`; joints that a command has already are kept, NaN where there are
+            none.
+        near: joint readings near which to solve.
     """
     joints = command.joints
     if joints is None:
         return joints_for_pose(arm, command.base_from_tool, near)
+    # The command has joints already, for example because arm errors were compensated. They are only
+    # checked: another solution would undo the compensation.
     beyond = arm.out_of_limits(joints, SLACK)
     there = jnp.all(jnp.isfinite(joints), axis=-1)
     status = jnp.where(there, 0, int(Status.OUT_OF_REACH))
@@ -35,10 +38,13 @@ def reach(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
 
 
 def singular(solution: JointSolution) -> Bool[Array, "*views"]:
-    """Where an answer holds, but at a singularity: the robot cannot move on from it as it likes."""
+    """Return whether a solution is valid but at a singularity.
+
+    The motion of the tool is restricted there.
+    """
     return solution.reached & ((solution.status & ~int(NO_ANSWER)) != 0)
 
 
 def words(solution: JointSolution, view: int) -> str:
-    """What is to be said of one view, counted in flat order."""
+    """Return the status of one view in words; `view` counts in flat order."""
     return solution.reason(tuple(map(int, np.unravel_index(view, solution.status.shape))))

@@ -1,4 +1,4 @@
-"""Choosing among candidates: the best next one, again and again, then exchanging one for another.
+"""Select views from candidates: greedy selection, then exchange of single views.
 
 Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
 """
@@ -11,13 +11,16 @@ from ..compilation import optimised
 from .goals import Goal
 
 FLOOR = 1e-9
-"""Of the information of all candidates: makes even one view comparable with another."""
+"""Fraction of the information of all candidates that is added before selection (no unit).
+
+It makes the goal finite, and comparable, for a single view.
+"""
 
 GAIN = 1e-6
-"""Of the goal, relative, for which an exchange is worth it."""
+"""Relative decrease of the goal for which an exchange is worthwhile."""
 
 SWEEPS = 10
-"""Of exchanges over all chosen views, at most."""
+"""Largest number of exchange passes over all chosen views."""
 
 
 @optimised
@@ -28,9 +31,11 @@ def greedy(
     count: int,
     allowed: Bool[Array, "candidates"],
 ) -> Int[Array, "count"]:
-    """Indices of candidates, each the one that is best after those before it."""
+    """Return indices of candidates, each the best addition to those before it."""
     start = known + _floor(information, known)
 
+    # Information adds up, so F + F_c of every candidate c is one sum, and per step
+    #     c* = argmin over allowed c of goal(F + F_c),    F <- F + F_c*
     def add(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Int[Array, ""]]:
         told, open_still = state
         best = jnp.argmin(_values(goal, told[None] + information, open_still))
@@ -47,10 +52,12 @@ def exchanged(
     chosen: Int[Array, "count"],
     allowed: Bool[Array, "candidates"],
 ) -> Int[Array, "count"]:
-    """The chosen with each exchanged for what is better in its place, while that gains."""
+    """Return the selection with each view replaced by a better candidate, as long as that helps."""
     start = known + _floor(information, known)
 
     def place(k: Int[Array, ""], chosen: Int[Array, "count"]) -> Int[Array, "count"]:
+        # Information without the view that may be replaced:
+        #     F_others = F_0 + sum over chosen F_c - F_k
         others = start + jnp.sum(information[chosen], axis=0) - information[chosen[k]]
         free = allowed.at[chosen].set(False).at[chosen[k]].set(True)
         values = _values(goal, others[None] + information, free)
@@ -73,7 +80,7 @@ def exchanged(
 def curve(
     information: Float[Array, "views free free"], known: Float[Array, "free free"], goal: Goal
 ) -> Float[Array, "views"]:
-    """The goal after one view, after two, and so on; infinite where that leaves something open."""
+    """Return the goal after one view, two views, and so on; infinite where it is undetermined."""
     values = jax.lax.map(goal, known[None] + jnp.cumsum(information, axis=0))
     return jnp.where(jnp.isfinite(values), values, jnp.inf)
 
@@ -81,15 +88,15 @@ def curve(
 def views_needed(
     values: Float[Array, "views"], gain: float = 0.05, wanted: float | None = None
 ) -> int:
-    """After how many views to stop: at the wanted error, or where one more gains too little.
+    """Return after how many views to stop, at the wanted value or at a small gain per view.
 
     Args:
-        values: of a `curve`.
-        gain: relative, of one more view, that is worth taking it.
-        wanted: by which to stop even if more would gain.
+        values: values of a `curve`.
+        gain: relative decrease by one more view that is worth taking it.
+        wanted: value of the goal at which to stop even if more views would gain.
 
     Returns:
-        A number from 1; that of all views where none of them ends it.
+        A number from 1; the number of all views if no criterion stops earlier.
     """
     for k, value in enumerate(values, start=1):
         if wanted is not None and value <= wanted:
@@ -102,7 +109,7 @@ def views_needed(
 def _values(
     goal: Goal, information: Float[Array, "candidates free free"], free: Bool[Array, "candidates"]
 ) -> Float[Array, "candidates"]:
-    """The goal with each candidate; infinite for those that are not free."""
+    """Return the goal with each candidate added; infinite for candidates that are not available."""
     values = jax.vmap(goal)(information)
     return jnp.where(free & jnp.isfinite(values), values, jnp.inf)
 
@@ -110,4 +117,5 @@ def _values(
 def _floor(
     information: Float[Array, "candidates free free"], known: Float[Array, "free free"]
 ) -> Float[Array, "free free"]:
+    """Return a small diagonal matrix in proportion to the information of all candidates."""
     return FLOOR * jnp.diag(jnp.diagonal(known + jnp.sum(information, axis=0)))

@@ -1,10 +1,10 @@
-"""What views will tell of a calibration, before a picture is taken.
+"""Compute the information that views carry about a calibration, before any picture is taken.
 
-Pixels depend on a view's pose and on what all views share; errors of the reported pose belong to
-that view alone. With those integrated out, every view tells of the shared parameters by a matrix of
-its own (Fisher information), and the matrices of independent views add up. So candidates are
-linearised once, and what any set of them would tell is a sum. The inverse of that sum is the
-Cramer-Rao bound, as `cramer_rao` has it.
+The pixels of a view depend on its pose and on parameters common to all views; the error of its
+reported pose is its own. With the latter marginalised, every view carries an information matrix of
+its own for the shared parameters (Fisher information), and the matrices of independent views add
+up. So candidates are linearised once, and the information of any set of them is a sum. The inverse
+of the sum is the Cramer-Rao bound, as computed by `cramer_rao`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,15 +26,15 @@ from .checks import border_distance
 
 
 class Survey(eqx.Module):
-    """A calibration, a target and the sizes of all errors: what any view of it would tell.
+    """A model of a calibration, a target and error sizes, which gives the information of views.
 
     Attributes:
-        problem: its shared parameters, priors and sizes; its observations are not used.
-        points: of the target, m.
-        prior: information that is there without any view.
-        near: joint readings in whose neighbourhood an arm takes its views; None for robots that are
-            told poses. A view that the arm does not reach from there shows nothing.
-        names: of the free parameters, in the order of all matrices here.
+        problem: shared parameters, priors and error sizes; its observations are not used.
+        points: target points, m.
+        prior: information matrix that is available without any view.
+        near: joint readings near which an arm takes its views; None for robots that are commanded
+            by poses. A view that the arm cannot reach from there has no visible points.
+        names: names of the free parameters, in the order of all matrices here.
     """
 
     problem: JointProblem
@@ -56,22 +56,25 @@ class Survey(eqx.Module):
         past: Dataset | None = None,
         near: JointsLike | None = None,
     ) -> "Survey":
-        """Made from the same words as a fit, or a bound; errors as there.
+        """Return a survey from the same arguments as a fit or a Cramer-Rao bound.
+
+        Its errors have the same meaning as there.
 
         Args:
-            calibration: the truth, as far as it is known: nominal numbers will do for a start.
-            points: of the target, m.
-            noise: sizes of all errors; a number is that of pixels, with a robot that is exact.
-            field: of the robot's error, with one deviation for each of its groups in the noise.
-            fixed: paths that are known; and so are `free` and `priors`.
-            free: see there.
-            priors: see there; all that is known where no view has been taken.
-            past: views that have been taken.
-            near: joint readings, `(joints)`, from which an arm sets out for a view; where its own
-                errors were fitted or are the field.
+            calibration: the true calibration as far as it is known; nominal values suffice for a
+                start.
+            points: target points, m.
+            noise: sizes of all errors; a number is the pixel sigma, with an exact robot.
+            field: robot error field, with one standard deviation for each of its groups in `noise`.
+            fixed: paths of parameters that are known, as in a fit; `free` likewise.
+            free: see `fixed`.
+            priors: priors as in a fit; they are all that is known before any view is taken.
+            past: views that have already been taken.
+            near: joint readings, `(joints)`, from which an arm starts towards a view; required if
+                arm errors are fitted or are the field.
 
         Raises:
-            ValueError: an arm's own errors, and no `near`, or as `fit_joint` does.
+            ValueError: arm errors without `near`, or as in `fit_joint`.
         """
         target = jnp.asarray(points, dtype=float)
         arm = arm_of(field or calibration.field)
@@ -79,6 +82,8 @@ class Survey(eqx.Module):
             raise ValueError(
                 "an arm reaches a view in several ways: give near=joints to begin from"
             )
+        # Building the problem needs some data set. Three arbitrary views suffice, since only the
+        # priors and parameter layout are used.
         data = Dataset.from_arrays(
             target,
             np.zeros((3, len(target), 2)),
@@ -96,6 +101,7 @@ class Survey(eqx.Module):
         if not isinstance(noise, Noise):
             sigma = jnp.asarray(float(noise))
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
+        # Prior information is the square of the weight on each free parameter.
         weight = problem.prior_weight.shared[np.array(problem.free, dtype=int)]
         at = None if arm is None else jnp.asarray(near, dtype=float)
         survey = cls(problem, target, jnp.diag(weight**2), at, built.names)
@@ -106,34 +112,42 @@ class Survey(eqx.Module):
 
     @property
     def calibration(self) -> Calibration:
+        """The calibration at which views are linearised."""
         return self.problem.parameters.start
 
     @optimised
     def information(self, camera_from_world: SE3) -> Float[Array, "views free free"]:
-        """Of every view `(views)`, taken from where the robot is told to go for it."""
+        """Return the information matrix of every view `(views)`, at the robot's commanded pose."""
+        # Per view, the Schur complement of its own pose correction in the normal equations:
+        #     F = S^T S - S^T O (O^T O + P)^-1 O^T S
+        # for residual Jacobians S by shared parameters and O by the correction, with prior
+        # precision P.
         return self._with(self.observed(camera_from_world)).information_by_view(
             self._start(len(camera_from_world.wxyz_xyz))
         )
 
     @optimised
     def information_of(self, data: Dataset) -> Float[Array, "views free free"]:
-        """Of every view of a data set."""
+        """Return the information matrix of every view of a data set."""
         problem = self._with(data.observations)
         return problem.information_by_view(self._start(len(data.visible)))
 
     @optimised
     def moved_pixels(self, camera_from_world: SE3) -> Float[Array, "free free"]:
-        """Mean squared pixels, u and v together, that parameters move in views `(views)`.
+        """Return the mean squared displacement of pixels by the parameters, as a matrix.
 
-        `step @ moved_pixels @ step` is the mean over all points in the pictures, to first order.
+        For views `(views)`, `step @ moved_pixels @ step` is the mean over all visible points of the
+        squared displacement, u and v together, px^2, to first order.
         """
         seen = self.observed(camera_from_world)
+        # With a pixel sigma of 1 px the information J^T J of the pixels is, by itself, the sum of
+        # squared displacements; only the mean over the visible points remains.
         problem = eqx.tree_at(lambda p: p.pixel_sigma, self._with(seen), jnp.ones(()))
         _, told = problem.observed_by_view(self._start(len(seen.visible)))
         return jnp.sum(told, axis=0) / jnp.maximum(jnp.sum(seen.visible.astype(float)), 1.0)
 
     def observed(self, camera_from_world: SE3) -> Observations:
-        """What would be seen: the points in the picture; their pixels do not matter."""
+        """Return the observations that views would have; their pixel values are unused."""
         command, reached = self._command(camera_from_world)
         views, count = len(camera_from_world.wxyz_xyz), len(self.points)
         return Observations(
@@ -145,7 +159,10 @@ class Survey(eqx.Module):
         )
 
     def border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
-        """Of every point from the picture's border, px; minus infinity where no arm reaches."""
+        """Return the distance of every point from the picture's border, px.
+
+        It is minus infinity where the arm does not reach the view.
+        """
         distance = self._border_distance(camera_from_world)
         if self.near is None:
             return distance
@@ -153,11 +170,15 @@ class Survey(eqx.Module):
         return jnp.where(reached[:, None], distance, -jnp.inf)
 
     def _border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
+        """Return the distance of every point from the picture's border, px, for any robot."""
         points = self.calibration.target_scale * self.points
         return border_distance(self.calibration, transform_points(camera_from_world, points))
 
     def _command(self, camera_from_world: SE3) -> tuple[Command, Bool[Array, "views"]]:
-        """What the robot is told, and whether it gets there; if not, what keeps numbers finite."""
+        """Return the robot command, and whether the robot reaches it.
+
+        If not, the command is a placeholder that keeps all results finite.
+        """
         views = len(camera_from_world.wxyz_xyz)
         if self.near is None:
             command = self.calibration.reported_for(camera_from_world)
@@ -171,9 +192,10 @@ class Survey(eqx.Module):
         return arm.command(jnp.where(reached[:, None], joints, near)), reached
 
     def _with(self, observations: Observations) -> JointProblem:
-        """The problem with other views; each with a correction of its own, where any has one."""
+        """Return the problem with other views, which have corrections if the problem has any."""
         views = len(observations.visible)
 
+        # The priors of corrections are the same for all views; the first is repeated.
         def alike(of_views: Array) -> Array:
             return jnp.broadcast_to(of_views[:1], (views, 6)) if len(of_views) else of_views
 
@@ -197,12 +219,13 @@ class Survey(eqx.Module):
         )
 
     def _start(self, views: int) -> Step:
+        """Return a step of zero, for the given number of views."""
         corrected = views if len(self.problem.own_free) else 0
         return Step(jnp.zeros(len(self.names)), jnp.zeros((corrected, 6)))
 
 
 def _stand_ins(calibration: Calibration, target: Float[Array, "points 3"]) -> SE3:
-    """Three views that stand for any: what is taken of the problem does not depend on them."""
+    """Return three arbitrary views, on which the used parts of the problem do not depend."""
     size, middle = jnp.max(jnp.ptp(target, axis=0)), jnp.mean(target, axis=0)
     facing = look_at(middle, jnp.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)
     return calibration.command_for(facing)

@@ -1,4 +1,4 @@
-"""Which views of a target a robot may take: numbers with limits, and what is drawn from them."""
+"""Define the range of views that may be chosen, with random sampling and unbounded coordinates."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,22 +9,25 @@ from jaxtyping import Array, Float
 from ..geometry import look_at
 
 NEAREST = 0.995
-"""Of a limit: where numbers without limits begin, as there the limit itself is at infinity."""
+"""Fraction of a limit to which numbers are clipped before conversion to unbounded coordinates.
+
+The limit itself would be at infinity.
+"""
 
 
 class ViewRange(eqx.Module):
-    """Cameras that look at a point from within a cone.
+    """A range of camera poses that look at a point from within a cone.
 
-    A view is six numbers: how far the camera stands aside, as the horizontal part (x, y) of the
-    unit vector towards it; how far beside the point it looks (x, y); roll; and distance. Unlike
-    tilt and azimuth they are smooth straight above.
+    A view is six numbers: the horizontal part (x, y) of the unit vector from the point of aim to
+    the camera; the horizontal offset (x, y) of the point of aim, m; roll, rad; and distance, m.
+    Unlike tilt and azimuth they are smooth at the vertical.
 
     Attributes:
-        point: that all look at, m.
-        distance: least and greatest, m.
-        tilt: greatest, less than a right angle, rad.
-        roll: greatest, either way, rad; pi is any.
-        beside: greatest horizontal distance from the point to where they look, m.
+        point: the point that all views look at, m.
+        distance: smallest and largest distance, m.
+        tilt: largest tilt, less than a right angle, rad.
+        roll: largest roll in either direction, rad; pi allows any roll.
+        beside: largest horizontal distance from the point to the point of aim, m.
         above: as in `direction_of`.
     """
 
@@ -45,11 +48,12 @@ class ViewRange(eqx.Module):
             raise ValueError(f"roll: expected a positive angle, found {self.roll}")
 
     def drawn(self, rng: np.random.Generator, count: int) -> Float[Array, "count 6"]:
-        """Random views: tilt, roll and distance uniform within their limits, azimuth any."""
+        """Return random views, uniform in tilt, roll, distance and azimuth within the limits."""
         sine = np.sin(rng.uniform(0.0, self.tilt, count))
         azimuth = rng.uniform(0.0, 2.0 * np.pi, count)
         roll = rng.uniform(-self.roll, self.roll, count)
         away = rng.uniform(*self.distance, count)
+        # The square root makes the point of aim uniform over the disc's area.
         shift = self.beside * np.sqrt(rng.uniform(0.0, 1.0, count))
         where = rng.uniform(0.0, 2.0 * np.pi, count)
         aside = (sine * np.cos(azimuth), sine * np.sin(azimuth))
@@ -57,7 +61,7 @@ class ViewRange(eqx.Module):
         return jnp.asarray(np.stack([*aside, *looking, roll, away], axis=1))
 
     def poses(self, numbers: Float[Array, "*views 6"]) -> SE3:
-        """`camera_from_world` of views."""
+        """Return `camera_from_world` of views."""
         x, y, right, up, roll, away = jnp.moveaxis(numbers, -1, 0)
         height = jnp.sqrt(1.0 - x**2 - y**2)
         towards = jnp.stack([x, y, height if self.above else -height], axis=-1)
@@ -66,19 +70,19 @@ class ViewRange(eqx.Module):
         return look_at(point, -towards, away, roll)
 
     def without_limits(self, numbers: Float[Array, "*views 6"]) -> Float[Array, "*views 6"]:
-        """Numbers that may be anything, for solvers that know no limits."""
+        """Return unbounded coordinates of views, for solvers without limits."""
         roll, away = jnp.moveaxis(numbers[..., 4:], -1, 0)
         middle, half = self._distances
         return self._joined(
             _widened(numbers[..., :2], np.sin(self.tilt)),
             _widened(numbers[..., 2:4], self.beside),
-            # Any roll is a roll: there is no limit to keep.
+            # A roll of any size is allowed here, since it is periodic.
             roll[..., None] if self.roll >= np.pi else _widened(roll[..., None], self.roll),
             _widened((away - middle)[..., None], half),
         )
 
     def within_limits(self, numbers: Float[Array, "*views 6"]) -> Float[Array, "*views 6"]:
-        """The inverse of `without_limits`."""
+        """Return views from their unbounded coordinates, the inverse of `without_limits`."""
         roll, away = numbers[..., 4:5], numbers[..., 5:]
         middle, half = self._distances
         return self._joined(
@@ -90,18 +94,21 @@ class ViewRange(eqx.Module):
 
     @staticmethod
     def _joined(*parts: Float[Array, "*views _"]) -> Float[Array, "*views 6"]:
+        """Return the parts of views concatenated."""
         return jnp.concatenate(parts, axis=-1)
 
     @property
     def _distances(self) -> tuple[float, float]:
+        """The middle of the distances and half their range, m."""
         near, far = self.distance
         return 0.5 * (near + far), 0.5 * (far - near)
 
 
 def _widened(numbers: Float[Array, "*views n"], limit: float) -> Float[Array, "*views n"]:
-    """A vector no longer than a limit, as one of any length."""
+    """Return an unbounded vector for a vector no longer than a limit."""
     if not limit:
         return numbers
+    # x = limit * w / sqrt(1 + |w|^2), solved for w after clipping |x| to NEAREST * limit.
     share = numbers / limit
     square = jnp.sum(share**2, axis=-1, keepdims=True)
     share = share * jnp.sqrt(jnp.minimum(1.0, NEAREST**2 / jnp.maximum(square, NEAREST**2)))
@@ -109,5 +116,5 @@ def _widened(numbers: Float[Array, "*views n"], limit: float) -> Float[Array, "*
 
 
 def _narrowed(numbers: Float[Array, "*views n"], limit: float) -> Float[Array, "*views n"]:
-    """The inverse of `_widened`."""
+    """Return a vector no longer than a limit for an unbounded vector, the inverse of `_widened`."""
     return limit * numbers / jnp.sqrt(1.0 + jnp.sum(numbers**2, axis=-1, keepdims=True))
