@@ -19,8 +19,7 @@ from ..geometry import transform_points
 from .measures import Deviations, measured
 
 STEPS = 50
-"""The largest number of Levenberg-Marquardt steps; the chain's poses are close, so few are needed.
-"""
+"""The largest number of Levenberg-Marquardt steps; the chain's poses are close, so few suffice."""
 
 
 def free_pose_deviations(calibration: Calibration, data: Dataset) -> Deviations:
@@ -42,6 +41,7 @@ def free_pose_predictions(
     started = calibration.camera_from_world(data.command)
     points = calibration.target_scale * data.points
     enough = data.visible.sum(axis=1, keepdims=True) >= 4
+    # NaN of unseen pixels would spread through the derivatives of the masked residuals.
     pixels = jnp.where(data.visible[..., None], data.pixels, 0.0)
     poses = _fit_poses(calibration.camera, started, points, pixels, data.visible & enough)
     in_camera = transform_points(poses, points)

@@ -14,8 +14,7 @@ from ..robots import CommandLike
 
 @runtime_checkable
 class Predictor(Protocol):
-    """A model that predicts where target points appear from a robot pose; a `Calibration` is one.
-    """
+    """A model that predicts where target points appear, such as a `Calibration`."""
 
     @property
     def camera(self) -> Camera: ...
@@ -85,8 +84,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def deviations(predictor: Predictor, data: Dataset) -> Deviations:
-    """Return the reprojection errors of all visible points; infinite where there is no prediction.
-    """
+    """Return the reprojection errors of all visible points; infinite without a prediction."""
     predicted, valid, depth = predict(predictor, data.command, data.points)
     return measured(predictor.camera, data, predicted, valid, depth)
 
@@ -101,6 +99,7 @@ def measured(
     """Return the reprojection errors of predicted pixels whose points have the given depths (m)."""
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
     visible = np.asarray(data.visible)
+    # Unseen points are NaN and unpredicted ones infinite, so that neither passes for a small error.
     px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
     return at_target(camera, px, depth)
 

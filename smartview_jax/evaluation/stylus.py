@@ -22,6 +22,7 @@ def touching(
         world_from_tool: `(*touches)` orientations of the tool.
         place: point to touch, m; by default the origin.
     """
+    # place = R tip + t, so t = place - R tip.
     wanted = jnp.zeros(3) if place is None else jnp.asarray(place)
     reach = world_from_tool.apply(jnp.broadcast_to(tip, (*world_from_tool.get_batch_axes(), 3)))
     shift = jnp.broadcast_to(wanted, reach.shape) - reach

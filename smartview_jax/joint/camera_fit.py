@@ -144,6 +144,7 @@ def batch_filter(
     gate = -2.0 * np.log1p(-gate_probability)
     visible = np.asarray(observations.visible)
     inliers = visible if start_inliers is None else visible & np.asarray(start_inliers)
+    # A data set of the fit needs view names; the robot's poses in it are not used.
     ids = tuple(map(str, range(len(visible))))
     data = Dataset(
         observations.points,

@@ -211,7 +211,7 @@ def fit_joint(
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
         priors: a `Prior` by path.
-        solver: any optimistix least-squares solver.
+        solver: any optimistix least-squares solver; by default `StructuredLM`.
         devices: devices over which the views are distributed, such as `jax.devices()`, also those
             of other processes; by default the fit runs on one.
         bad_views: `"leave_out"` also leaves out gross outliers and views whose pose contradicts the
@@ -236,9 +236,14 @@ def fit_joint(
                 data, begin, field, fixed, free, priors, progress, robot_prior
             )
             model, smooth, begin = estimate.noise, estimate.field, estimate.start
+            # The target's size is free if the views favour another one than stated.
             opened += estimate.free
         if smooth is False:
             begin, smooth = begin.uncorrected, None
+        # Levenberg-Marquardt on whitened residuals: (H + lambda I) step = -g with the arrow-shaped
+        # normal equations H = [[A, B^T], [B, C]], C a 6 x 6 block C_v per view. Per step tried: one
+        # linearisation. Per damping lambda: one Cholesky factor of A + lambda I - sum_v B_v^T (C_v
+        # + lambda I)^-1 B_v.
         built = build_problem(data, begin, None, model, loss, fixed, opened, priors, smooth)
         count = len(built.names) + len(built.own_names)
         say(f"joint fit: {count} parameters, {data.observation_count} observations")
@@ -261,6 +266,8 @@ def fit_joint(
     used, apart = screened(data, start, fixed, priors, progress)
     found, matrix = fit(used, apart)
     while True:
+        # The data of the view are hidden, not weighted down: a pose from another picture holds no
+        # information.
         if (doubt := _doubtful_view(used, found, matrix)) is not None:
             used = without_views(used, dict([doubt]))
             found, matrix = fit(used, apart)
@@ -345,6 +352,7 @@ def _suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | Non
     estimate, noise = fit.estimate, fit.noise
     if estimate is None or noise is None or len(data.usable_views()) <= FEWEST:
         return None
+    # The log-normal prior's upper limit: median times exp(UNUSUAL * spread).
     usual = estimate.prior.medians(None) * np.exp(UNUSUAL * estimate.prior.spreads(None))
     if noise.translation <= usual[0] and noise.rotation <= usual[1]:
         return None

@@ -99,6 +99,7 @@ def _of_robot(fit: "JointFit") -> list[str]:
     if fit.estimate is None or fit.noise is None:
         return []
     noise, prior, field = fit.noise, fit.estimate.prior, fit.calibration.field
+    # The variance components, in the order of the prior's medians and spreads.
     sizes = np.array([noise.translation, noise.rotation, *noise.field])
     names = ["translation of reported poses", "rotation of reported poses"]
     names += [] if field is None else [name for name, _ in field.groups]

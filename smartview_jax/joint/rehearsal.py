@@ -31,6 +31,7 @@ def rehearse(data: Dataset, lens: str | AbstractLens, camera: Camera | None, opt
     if camera is None:
         model = start_lens(lens, Pinhole())
         camera = Camera(width, width, width / 2.0, height / 2.0, model, data.image_size)
+    # Target one metre in front of the camera, so that every point can be projected.
     ahead = SE3.from_translation(jnp.array([0.0, 0.0, 1.0]))
     calibration = Calibration(camera, SE3.identity(), ahead, data.mount)
     poses = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, data.base_from_tool.wxyz_xyz.shape))

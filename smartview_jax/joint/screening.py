@@ -100,6 +100,7 @@ def screened(
         int(k): f"no pose fits it: {out[k]} of its {count[k]} points lie apart"
         for k in np.flatnonzero(out > MOST * count)
     }
+    # Four points are the fewest that determine a pose.
     sound = (count >= 4) & ~np.isin(np.arange(len(count)), list(wrong))
     robot = mount_from_holder(data.mount, data.base_from_tool)
     wrong |= agreeing_views(
@@ -152,6 +153,7 @@ def _start_poses(
     chain = start.camera_from_world(data.command)
     deviations = np.asarray(_from_chain(start, data.observations))
     visible = np.asarray(data.visible)
+    # The median residual of a view, so that a few outlying points do not make its pose look wrong.
     typical = np.zeros(len(visible))
     for k in np.flatnonzero(visible.any(axis=1)):
         typical[k] = np.median(deviations[k, visible[k]])
@@ -181,6 +183,8 @@ def _robust_poses(
     Returns:
         The pixel sigma, px; every point's residual, px; every view's best pose.
     """
+    # Priors and held parameters that concern the robot have no meaning here; those of the camera
+    # stay.
     placed, still = without_robot(data, start.camera, poses)
     of_camera = {path: prior for path, prior in (priors or {}).items() if _concerns_camera(path)}
     problem = build_problem(

@@ -1,4 +1,4 @@
-"""Where an error comes from: its budget, its explanations, and what halves of the data say."""
+"""Diagnose where an error comes from: its budget, explanations, and agreement between halves."""
 
 from .budget import ErrorBudget as ErrorBudget
 from .budget import error_budget as error_budget

@@ -1,4 +1,4 @@
-"""The error budget: what the error of the bare chain is made of, and what to do about it."""
+"""Divide the error of the chain without correction among its causes, and recommend what to do."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,35 +16,41 @@ from .explanations import Explanation, explanations, fit_candidate, moved, regio
 from .lens_misfit import lens_misfit
 
 PIXELS = "pixel noise"
+"""The name of the cause: noise of pixels."""
 LENS = "lens"
+"""The name of the cause: a lens that its model does not describe."""
 NOISE = "robot noise"
+"""The name of the cause: independent errors of reported poses."""
 SYSTEMATIC = "robot's systematic error"
+"""The name of the cause: the smooth error of the robot."""
 SCALE = "target scale or robot stretch"
+"""The name of the cause: a wrong target size, or a stretch of the robot's motion."""
 VIEWS = "too few views"
+"""The name of the cause: uncertainty of the parameters."""
 
 MOST = 0.5
-"""Share of what a field of the robot's error gains that makes one number the name for it."""
+"""The fraction of a field's gain above which one number explains the robot's smooth error."""
 
 GAINED = 10.0
-"""Deviance that the number has to gain at the least."""
+"""The smallest gain in deviance for which that number is accepted."""
 
 ALSO = 0.5
-"""Share of the largest part that makes the second worth a sentence of its own."""
+"""The fraction of the largest part above which the second gets a sentence of its own."""
 
 ENOUGH = 15
-"""Views from which the sizes of errors are known to 15 %."""
+"""The number of views from which the variance components are known to 15 %."""
 
 LITTLE = 0.1
-"""Share of the largest part below which nothing is gained by doing something about one."""
+"""The fraction of the largest part below which no advice on a cause is given."""
 
 
 class Part(NamedTuple):
     """One cause of error.
 
     Attributes:
-        name: of the cause.
-        px: RMS that it has in the bare chain by itself; the parts add up in squares.
-        advice: what to do about it; empty where that would gain little.
+        name: name of the cause.
+        px: RMS that it alone has in the bare chain; the parts add up in squares.
+        advice: recommended action; empty where that would gain little.
     """
 
     name: str
@@ -53,17 +59,17 @@ class Part(NamedTuple):
 
 
 class ErrorBudget(NamedTuple):
-    """What the chain without its correction is off by, and why.
+    """The error of the chain without its correction, divided among its causes.
 
     Attributes:
-        total: RMS deviation of the bare chain, px.
+        total: RMS reprojection error of the bare chain, px.
         parts: causes, the largest first.
-        explanations: of the robot's smooth error by one number; empty where there is no such error
-            or too few views.
-        culprit: name of the cause to begin with.
-        words: what to do, in a sentence or two.
+        explanations: alternatives that explain the robot's smooth error by one number; empty where
+            there is no such error or too few views.
+        culprit: name of the cause to address first.
+        words: recommended action, in a sentence or two.
         own_chain: whether the bare chain is the fit's own; otherwise it is that of a field linear
-            in the pose, in the place of an arm that nobody described.
+            in the pose, used where the fit has the field of an arm that was not described.
     """
 
     total: float
@@ -82,20 +88,21 @@ def error_budget(
 ) -> ErrorBudget:
     """Divide the error of the bare chain among its causes.
 
-    Pixels, poses and parameters have the sizes that the fit states, pushed through the projection;
-    the systematic error is what the correction moves, the lens what smooth pattern is left in the
-    picture where every view has its own pose. Views that the fit left out do not count. Where an
-    arm that nobody described was found, the chain is that of a field linear in the pose.
+    Pixels, poses and parameters have the sizes that the fit states, propagated through the
+    projection; the systematic error is what the correction changes, and the lens part is the smooth
+    pattern left in the image when every view has its own pose. Views that the fit left out do not
+    count. With the field of an arm that was not described, the chain is that of a field linear in
+    the pose.
 
     Args:
-        data: what the fit was fitted to.
+        data: the data set that `fit` was fitted to.
         fit: with `noise="estimated"`; what `calibrate` returns has it as `.joint`.
-        progress: told what is being done.
+        progress: called with a line of text for each step.
         regions: also find how well each explanation predicts regions of the workspace that it never
-            saw: five further fits for each.
+            used: five further fits for each.
 
     Raises:
-        ValueError: the fit's noise was not estimated, or its data leave something open.
+        ValueError: the fit's noise was not estimated, or its data leave a parameter undetermined.
     """
     if fit.estimate is None:
         raise ValueError('an error budget needs a fit with noise="estimated"')
@@ -103,29 +110,34 @@ def error_budget(
     views, own_chain = len(data.usable_views()), True
     rivals = explanations(data, fit, progress) if views >= MINIMUM_RELIABLE_VIEWS else ()
     if regions:
+        # Held-out error by region tests whether an explanation extrapolates, which likelihood does
+        # not.
         rivals = tuple(
             rival._replace(region_px=region_error(data, fit, rival.name)) for rival in rivals
         )
     scale, chain = _one_number(rivals, scale_found(fit)), None
     if scale is not None and not has_correction(fit):
-        # A likely rival of a fit that found no field: the budget is of the likelier.
+        # A plausible alternative to a fit without a field: the budget is of the more probable one.
         fit = scale.fit
     elif scale is not None and scale_found(fit):
-        # Of the chain that knows neither of the target's size nor of the robot's errors.
+        # The chain has neither the target's size nor the robot's errors corrected.
         chain = scale.fit.calibration.uncorrected
     if _has_undescribed_arm(fit.calibration.field):
-        # Lengths of an arm take from the mount what they give: its bare chain is nobody's.
+        # Link lengths of an undescribed arm are correlated with the mount: its bare chain has no
+        # meaning.
         fit, own_chain = fit_candidate(data, fit, None, field_groups=4), False
     seen = np.asarray(data.visible)
     squares = expected_squares(fit, data)
     parameters, pixels, poses = (float(np.mean(square[seen])) for square in squares)
     lens = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
     systematic = moved(fit.calibration, data)
-    # As the only systematic error it may move points farther than the field that was chosen.
+    # As the only systematic error, it may displace points farther than the chosen field does.
     by_scale = 0.0 if scale is None else scale.px
     if chain is None:
         by_scale = min(by_scale, systematic)
+        # The parts are quadratic: systematic^2 = remaining^2 + by_scale^2.
         systematic, chain = np.sqrt(systematic**2 - by_scale**2), fit.calibration.uncorrected
+    # The lens pattern is part of the pixel noise that the fit states, hence the subtraction.
     sizes = {
         PIXELS: np.sqrt(max(pixels - lens**2, 0.0)),
         LENS: lens,
@@ -135,6 +147,7 @@ def error_budget(
         VIEWS: np.sqrt(parameters),
     }
     order = sorted(sizes, key=lambda name: -sizes[name])
+    # With few views no part is reliable, so more views come first.
     culprit = VIEWS if views < MINIMUM_RELIABLE_VIEWS else order[0]
     worth = [n for n in order if n == culprit or sizes[n] >= LITTLE * sizes[order[0]]]
     parts = tuple(
@@ -147,11 +160,11 @@ def error_budget(
 
 
 def _one_number(rivals: tuple[Explanation, ...], found: bool) -> Explanation | None:
-    """Return the likelier of the rivals, where it explains most of what a field would.
+    """Return the more probable alternative, if it explains most of what a field would.
 
     Args:
-        rivals: with what each gains.
-        found: whether the fit found the target to be of another size, which settles it.
+        rivals: alternatives with what each gains.
+        found: whether the fit found the target to be of another size, which decides.
     """
     if not rivals:
         return None
@@ -162,11 +175,13 @@ def _one_number(rivals: tuple[Explanation, ...], found: bool) -> Explanation | N
 
 
 def _has_undescribed_arm(field: AbstractField | None) -> bool:
+    """Return whether the field contains the errors of an arm that was not described."""
     parts = (field.first, field.second) if isinstance(field, CombinedField) else (field,)
     return any(isinstance(part, ImpliedArm) for part in parts)
 
 
 def _words(total: float, parts: tuple[Part, ...], culprit: str, own_chain: bool) -> str:
+    """Return the budget's summary and advice in one or two sentences."""
     named = {part.name: part for part in parts}
     first = named[culprit]
     text = f"Of {total:.3g} px RMS of the chain without correction"
@@ -179,6 +194,7 @@ def _words(total: float, parts: tuple[Part, ...], culprit: str, own_chain: bool)
 
 
 def _advice(name: str, fit: JointFit, views: int, rivals: tuple[Explanation, ...]) -> str:
+    """Return the recommended action for a cause."""
     if name == SCALE and rivals:
         return _measure_the_board(rivals)
     assert fit.noise is not None
@@ -198,6 +214,7 @@ def _advice(name: str, fit: JointFit, views: int, rivals: tuple[Explanation, ...
 
 
 def _measure_the_board(rivals: tuple[Explanation, ...]) -> str:
+    """Return the advice to measure the target, with both sizes that explain the error."""
     size = {rival.name: rival for rival in rivals}
     target, robot = size["target scale"], size["robot stretch"]
     return (

@@ -1,7 +1,7 @@
-"""Is the target not of its stated size, or are the robot's ways? What either would explain.
+"""Compare a wrong target size with a stretch of the robot's motion as causes of the smooth error.
 
-Both are one number each, and the same data hardly tell them apart. So both are fitted, in place of
-the field of the robot's error and beside it, and told with what they gain.
+Both are one number each, and the same data hardly distinguish them. So both are fitted, in place of
+the robot error field and in addition to it, and reported with their gain in likelihood.
 """
 
 import dataclasses
@@ -26,23 +26,24 @@ CANDIDATES: Mapping[str, str] = {
     "target scale": PoseOrStretch.SCALE,
     "robot stretch": PoseOrStretch.STRETCH,
 }
+"""The group of the robot error field that belongs to each candidate cause."""
 
 
 class Explanation(NamedTuple):
-    """One number that may be all there is to the robot's smooth error.
+    """One number that may explain all of the robot's smooth error.
 
     Attributes:
         name: "target scale" or "robot stretch".
-        size: true size of the target over its stated one, or ways that the robot goes over those
-            that it reports.
-        std: of `size`.
-        gain: deviance below a robot with white noise alone.
-        field_gain: of a field linear in the pose (in the position, where views are few) instead.
-        beside_field: deviance below that field, by what it adds to it.
-        px: RMS by which it moves the points that were seen.
-        fit: in which it is the only systematic error.
-        region_px: held-out RMS by region of the workspace where it is the only one; None where
-            nobody asked.
+        size: true size of the target over its stated one, or true motion of the robot over the
+            reported motion.
+        std: standard deviation of `size`.
+        gain: decrease of the deviance against a robot with white noise alone.
+        field_gain: the same for a field linear in the pose (in the position, with few views).
+        beside_field: further decrease of the deviance when added to that field.
+        px: RMS by which it displaces the points seen.
+        fit: the fit with it as the only systematic error.
+        region_px: held-out RMS by region of the workspace with it as the only systematic error;
+            None if not requested.
     """
 
     name: str
@@ -59,13 +60,13 @@ class Explanation(NamedTuple):
 def explanations(
     data: Dataset, fit: JointFit, progress: Callable[[str], None] | None = None
 ) -> tuple[Explanation, ...]:
-    """Both candidates, fitted to the same data.
+    """Return both candidates, fitted to the same data.
 
     Args:
-        data: what `fit` was fitted to.
-        fit: with `noise="estimated"`. What it held is held; priors are not known here. Nothing is
-            compared where it knew no field, or was asked to free the target's scale.
-        progress: told what is being fitted.
+        data: the data set that `fit` was fitted to.
+        fit: with `noise="estimated"`. Held parameters stay held; priors are not known here. Nothing
+            is compared where no field was considered, or the target's scale was to be free.
+        progress: called with a line of text for each fit.
     """
     say = progress or (lambda _: None)
     estimate = fit.estimate
@@ -75,8 +76,11 @@ def explanations(
     gains = {other.name: other.gain for other in estimate.alternatives}
     if all(name.startswith("white") for name in gains):
         return ()
+    # The candidates are compared beside the field that the views support: by position, or by pose.
     groups = 4 if "pose" in gains else 2
     say("error budget: field")
+    # Gains are against white noise on the same data and from the same start, so they are
+    # comparable.
     field_gain = _gain(fit_candidate(data, fit, None, groups))
     found = []
     for name, group in CANDIDATES.items():
@@ -95,7 +99,7 @@ def scale_found(fit: JointFit) -> bool:
 
 
 def region_error(data: Dataset, fit: JointFit, name: str, folds: int = 5) -> float:
-    """Held-out RMS by region, px, of one candidate as the only systematic error."""
+    """Return the held-out RMS by region, px, of one candidate as the only systematic error."""
     fit = _with_stated_target(fit)
     unseen = held_out(
         data, lambda part: fit_candidate(part, fit, CANDIDATES[name]), folds, by="region"
@@ -106,12 +110,12 @@ def region_error(data: Dataset, fit: JointFit, name: str, folds: int = 5) -> flo
 def fit_candidate(
     data: Dataset, fit: JointFit, group: str | None, field_groups: int = 0
 ) -> JointFit:
-    """The joint fit with one candidate, and so many groups of a field linear in the pose.
+    """Return the joint fit with one candidate and some groups of a field linear in the pose.
 
     Args:
-        data: to fit.
-        fit: where to start, and what to hold.
-        group: the candidate's, of `PoseOrStretch`; None for the field alone.
+        data: the data to fit.
+        fit: where to start, and which parameters to hold.
+        group: the candidate's group of `PoseOrStretch`; None for the field alone.
         field_groups: 0, 2 (by position) or 4 (by orientation too).
     """
     start = fit.calibration.uncorrected
@@ -122,7 +126,7 @@ def fit_candidate(
     field = dataclasses.replace(whole, counts=jnp.array(counts, dtype=float))
     known = {TARGET_SCALE, *fit.parameter_names}
     held = tuple(name for name in parameter_names(start) if name not in known)
-    # The candidates are told apart here: no other size of the target besides.
+    # The candidates are compared here: no other size of the target in addition.
     prior = RobotPrior(wrong_target=0.0)
     return fit_joint(
         data,
@@ -136,7 +140,7 @@ def fit_candidate(
 
 
 def _with_stated_target(fit: JointFit) -> JointFit:
-    """Return the fit from which both candidates start: the target is as it is stated to be."""
+    """Return the fit from which both candidates start, with the target at its stated size."""
     if not scale_found(fit):
         return fit
     stated = dataclasses.replace(fit.calibration, target_scale=jnp.ones(()))
@@ -144,20 +148,24 @@ def _with_stated_target(fit: JointFit) -> JointFit:
 
 
 def _seen_from(calibration: Calibration) -> Array:
-    """What keeps its proportion to the target, in the tool's frame."""
+    """Return the point, in the tool's frame, that a wrong target scale keeps in proportion."""
     if calibration.mount == "eye_in_hand":
         return calibration.camera_from_mount.inverse().translation()
     return calibration.holder_from_world.translation()
 
 
 def _gain(fit: JointFit) -> float:
-    """Of a fit's field over white noise alone: from one start, so that they are comparable."""
+    """Return the gain of a fit's field over white noise alone.
+
+    Both are from one start, so that fits are comparable.
+    """
     assert fit.estimate is not None
     gains = {other.name: other.gain for other in fit.estimate.alternatives}
     return gains[fit.estimate.name] - gains["white"]
 
 
 def _size(fit: JointFit, group: str) -> tuple[float, float]:
+    """Return the size that a candidate states, and its standard deviation."""
     error = fit.calibration.robot_error
     assert error is not None
     assert isinstance(error.field, PoseOrStretch)
@@ -165,14 +173,15 @@ def _size(fit: JointFit, group: str) -> tuple[float, float]:
     name = f"{group}.0"
     share = float(error.coefficients[error.field.names.index(name)]) / reach
     std = fit.std[f"robot_error.{name}"] / reach
-    # The robot goes 1 - share of what it reports; a target seen from too near looks too large.
+    # The robot travels 1 - s of what it reports; a target seen from too near looks too large by 1 /
+    # (1 - s), with the standard deviation divided by (1 - s)^2.
     if group == PoseOrStretch.SCALE:
         return 1.0 / (1.0 - share), std / (1.0 - share) ** 2
     return 1.0 - share, std
 
 
 def moved(calibration: Calibration, data: Dataset) -> float:
-    """RMS by which the correction moves points that were seen, px."""
+    """Return the RMS by which the correction displaces points that were seen, px."""
     pixels, valid, _ = predict(calibration, data.command, data.points)
     bare, also, _ = predict(calibration.uncorrected, data.command, data.points)
     seen = np.asarray(data.visible & valid & also)

@@ -1,7 +1,7 @@
-"""What a lens model leaves over: a pattern over the picture that is the same in all views.
+"""Measure what a lens model does not describe: a pattern over the image, the same in all views.
 
-With a pose of its own for every view, the chain's errors are gone. Noise of pixels then has no
-pattern; where neighbouring points err alike in all views, the lens is not what the model says.
+With a pose of its own for every view, the chain's errors are gone. Noise of pixels has no pattern;
+if neighbouring points have similar errors in all views, the lens is not as its model says.
 """
 
 import equinox as eqx
@@ -14,20 +14,21 @@ from ...dataset import Dataset
 from ..free_poses import free_pose_predictions
 
 DEGREE = 5
-"""Of the polynomials in u and v that describe the pattern: those of common lenses and one more."""
+"""The degree of the polynomials in u and v that describe the pattern: common lenses', plus one."""
 
 
 def lens_misfit(
     calibration: Calibration, data: Dataset, used: Bool[np.ndarray, "views points"]
 ) -> float:
-    """RMS over points of the smooth pattern that residuals have over the picture, px.
+    """Return the RMS over points of the smooth pattern of residuals over the image, px.
 
-    What noise alone would put into so many coefficients is taken off; zero where that is all.
+    The contribution that noise alone would make to this many coefficients is subtracted; zero if
+    nothing remains.
 
     Args:
-        calibration: its camera and target scale count, its chain does not.
+        calibration: its camera and target scale matter, its chain does not.
         data: points and pixels.
-        used: which of the points that were seen to count: not those that were rejected.
+        used: which of the visible points to use: not those that were rejected.
     """
     data = eqx.tree_at(lambda d: d.visible, data, data.visible & jnp.asarray(used))
     predicted, valid, _ = free_pose_predictions(calibration, data)
@@ -35,9 +36,12 @@ def lens_misfit(
     residual = np.asarray(data.pixels - predicted)[used]
     pattern = _smooth(np.asarray(predicted)[used], calibration.camera.image_size)
     count, size = pattern.shape
+    # Degrees of freedom: two residuals per point, less two per polynomial and six per view's pose.
     free = 2 * (count - size) - 6 * int(used.any(axis=1).sum())
     if free < count:
         return 0.0
+    # E|Q^T r|^2 = |pattern|^2 + 2 size sigma^2, with Q an orthonormal basis of the polynomials and
+    # sigma^2 = (|r|^2 - |Q^T r|^2) / free the noise.
     basis, _ = np.linalg.qr(pattern)
     explained = np.sum((basis.T @ residual) ** 2)
     noise = (np.sum(residual**2) - explained) / free
@@ -47,7 +51,10 @@ def lens_misfit(
 def _smooth(
     pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]
 ) -> Float[np.ndarray, "points terms"]:
-    """Products of powers of u and v up to `DEGREE` in all, from -1 to 1 over the picture."""
+    """Return products of Legendre polynomials of u and v up to total degree `DEGREE`.
+
+    Both are scaled to -1..1 on the image.
+    """
     place = 2.0 * pixels / np.array(image_size, dtype=float) - 1.0
     powers = np.polynomial.legendre.legvander2d(place[:, 0], place[:, 1], [DEGREE, DEGREE])
     u, v = np.meshgrid(range(DEGREE + 1), range(DEGREE + 1), indexing="ij")

@@ -1,7 +1,7 @@
-"""Do two halves of the data find the same hand-eye transform, within what they state?
+"""Test whether two halves of the data give the same hand-eye transform, within their uncertainty.
 
-An error on pixels can be small because a wrong mount, a wrong camera and a wrong world make up for
-each other. Nothing else that real data offer says more about the mount itself.
+A reprojection error can be small because a wrong mount, a wrong camera and a wrong target pose
+compensate for each other. No other check on real data says more about the mount itself.
 """
 
 from collections.abc import Callable
@@ -16,18 +16,18 @@ from ...joint import COARSE_ROTATION, COARSE_TRANSLATION
 from ..held_out import predictor_of
 
 DISAGREEING = 3.0
-"""Stated standard deviations, the largest of six, that halves are apart by in one set of fifty."""
+"""The largest of six standardised differences that halves exceed in one data set out of fifty."""
 
 
 class Repeatability(NamedTuple):
-    """How far apart the hand-eye transforms of even and of odd views are.
+    """The difference between the hand-eye transforms of the even and the odd views.
 
     Attributes:
         rotation: angle between them, rad.
         translation: distance between them, m.
         in_std: difference of each of translation x, y, z and rotation x, y, z, over its stated
             standard deviation; None where the fits state none.
-        fits: of the even and of the odd views.
+        fits: fits of the even and of the odd views.
     """
 
     rotation: float
@@ -37,7 +37,7 @@ class Repeatability(NamedTuple):
 
     @property
     def words(self) -> str:
-        """In degrees and millimetres."""
+        """The difference in degrees and millimetres."""
         text = f"{np.rad2deg(self.rotation):.3f} deg and {1e3 * self.translation:.2f} mm apart"
         if self.in_std is None:
             return text
@@ -45,7 +45,7 @@ class Repeatability(NamedTuple):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the halves say against the fit to all views, a sentence each."""
+        """The doubts that the halves raise about the fit to all views, a sentence each."""
         if self.translation > COARSE_TRANSLATION or self.rotation > COARSE_ROTATION:
             return (
                 f"even and odd views put the camera {self.words}: more than most uses bear; take "
@@ -60,29 +60,33 @@ class Repeatability(NamedTuple):
 
 
 def repeatability(data: Dataset, fitter: Callable[[Dataset], Any]) -> Repeatability:
-    """Fit the even and the odd of the usable views alone, and compare where they put the camera.
+    """Fit even and odd usable views separately, and compare where they put the camera.
 
     Args:
-        data: all views, as they were taken: neighbours go to different halves.
-        fitter: from a data set to a fit with a `.calibration`, or to a calibration. The other
-            half's views come to it with nothing visible.
+        data: all views, in the order in which they were taken: neighbours are put in different
+            halves.
+        fitter: function from a data set to a fit with a `.calibration`, or to a calibration. The
+            other half's views come to it with nothing visible.
 
     Raises:
-        ValueError: fewer than six usable views, fits without a hand-eye transform, or as the
-            fitter does.
+        ValueError: fewer than six usable views, fits without a hand-eye transform, or as the fitter
+            does.
     """
     views = data.usable_views()
     if len(views) < 6:
         raise ValueError(f"two halves need at least 6 usable views, found {len(views)}")
+    # Neighbouring views go to different halves, so that both cover the same workspace.
     even, odd = (fitter(data.without(views[1 - k :: 2])) for k in (0, 1))
     one, other = (_calibration(fit).camera_from_mount for fit in (even, odd))
     apart = np.asarray(one.translation() - other.translation())
-    # As the fits' standard deviations are: about the axes of the target frame.
+    # The fits' standard deviations are about the axes of the target frame, hence R_1 R_2^-1.
     turn = np.asarray((one.rotation() @ other.rotation().inverse()).log())
     difference = np.concatenate([apart, turn])
     stds = [_stated(fit) for fit in (even, odd)]
     in_std = None
     if stds[0] is not None and stds[1] is not None:
+        # Independent halves: the variance of the difference is the sum of the variances. Held
+        # parameters have none and are the same in both.
         both = np.hypot(stds[0], stds[1])
         # What the fits held is the same in both, and known.
         in_std = np.abs(difference) / np.where(both > 0.0, both, np.inf)
@@ -92,6 +96,7 @@ def repeatability(data: Dataset, fitter: Callable[[Dataset], Any]) -> Repeatabil
 
 
 def _calibration(fit: Any) -> Calibration:
+    """Return a fit's calibration, or raise a `ValueError` if it has none."""
     found = predictor_of(fit)
     if not isinstance(found, Calibration):
         raise ValueError(f"expected fits with a Calibration, found {type(found).__name__}")
@@ -99,7 +104,7 @@ def _calibration(fit: Any) -> Calibration:
 
 
 def _stated(fit: Any) -> Float[np.ndarray, "6"] | None:
-    """Standard deviations of a fit's hand-eye transform: m, then rad."""
+    """Return the stated standard deviations of a fit's hand-eye transform: m, then rad; or None."""
     std = getattr(fit, "std", None)
     if std is None:
         return None

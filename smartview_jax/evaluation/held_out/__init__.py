@@ -1,4 +1,4 @@
-"""Errors on views that no fit saw, of one method or of several side by side."""
+"""Estimate errors on views that no fit used, for one method or several side by side."""
 
 from .bootstrap import Interval as Interval
 from .bootstrap import rms_interval as rms_interval

@@ -1,7 +1,7 @@
-"""How far a pooled error may be trusted: the bootstrap over views.
+"""Estimate confidence intervals of a pooled error by the bootstrap over views.
 
-Points of one view err together, so views are drawn anew, not points. The fits stay as they are: the
-interval says how much depends on which views the error was measured on, not on which it was fitted
+Errors of points in one view are correlated, so whole views are resampled, not points. The fits stay
+as they are: the interval reflects which views the error was measured on, not which it was fitted
 to.
 
 Reference: Efron and Tibshirani, An introduction to the bootstrap, 1993, chapter 13 (percentiles).
@@ -14,22 +14,25 @@ import numpy as np
 from ..measures import Deviations
 
 RESAMPLES = 5000
-"""Sets of views that are drawn; the ends of a 95 % interval are then good to some 2 % of it."""
+"""The number of resampled sets of views.
+
+The ends of a 95 % interval are then good to about 2 % of it.
+"""
 
 
 class Interval(NamedTuple):
-    """Ends of an interval, px."""
+    """The two ends of an interval, px."""
 
     low: float
     high: float
 
 
 def rms_interval(deviations: Deviations, level: float = 0.95) -> Interval:
-    """Bootstrap interval of the RMS deviation, px; NaN with fewer than two views.
+    """Return the bootstrap interval of the RMS reprojection error, px; NaN below two views.
 
     Args:
         deviations: of any fit; views without a predicted point do not count.
-        level: share of the resampled figures that lies inside.
+        level: fraction of the resampled figures that lies inside.
 
     Raises:
         ValueError: a level that is not between 0 and 1.
@@ -39,9 +42,11 @@ def rms_interval(deviations: Deviations, level: float = 0.95) -> Interval:
     finite = np.isfinite(deviations.px)
     counts = finite.sum(axis=1)
     squares = np.sum(np.where(finite, deviations.px, 0.0) ** 2, axis=1)
+    # A view without predicted points has no error to resample.
     counts, squares = counts[counts > 0], squares[counts > 0]
     if len(counts) < 2:
         return Interval(float("nan"), float("nan"))
+    # Views resampled with replacement, with a fixed seed; RMS = sqrt(sum of squares / points).
     drawn = np.random.default_rng(0).integers(len(counts), size=(RESAMPLES, len(counts)))
     drawn_rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
     low, high = np.quantile(drawn_rms, [0.5 - 0.5 * level, 0.5 + 0.5 * level])

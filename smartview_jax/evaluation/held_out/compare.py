@@ -1,4 +1,4 @@
-"""The methods side by side: what the paper compares, and the joint fit."""
+"""Compare calibration methods: those of the paper, and the joint fit."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -23,16 +23,16 @@ from .held_out import (
 )
 
 UNCORRECTED = "correction left out"
-"""What a row adds to its method's name where the robot's error is not corrected."""
+"""The suffix of a method's name for its row without the correction of the robot's error."""
 
 
 class Method(NamedTuple):
-    """One line of the comparison.
+    """One method of the comparison.
 
     Attributes:
-        fitter: from a data set to a fit. Methods that share a fitter share its fits.
-        choose: from a fit and the data to the part that is this method.
-        measure: from a predictor and the data to deviations.
+        fitter: function from a data set to a fit. Methods with the same fitter use the same fits.
+        choose: function from a fit and the data to the part of it that is this method.
+        measure: function from a predictor and the data to reprojection errors.
     """
 
     fitter: Callable[[Dataset], Any]
@@ -41,14 +41,15 @@ class Method(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One method on one data set.
+    """The results of one method on one data set.
 
     Attributes:
-        name: of the method.
-        fitted: deviations on the views it was fitted to; None where it failed.
-        held_out: deviations on views it never saw; None where it failed.
-        rejected: what the method left out; None where it failed or cannot tell.
-        failure: why, where it failed.
+        name: the method's name.
+        fitted: reprojection errors on the views that were fitted; None where the fit failed.
+        held_out: held-out errors; None where the fit failed.
+        rejected: observations that the method left out; None where it failed or does not report
+            them.
+        failure: the reason of a failure.
     """
 
     name: str
@@ -59,7 +60,7 @@ class Row(NamedTuple):
 
 
 def standard_methods(lens: str | AbstractLens = LENS) -> dict[str, Method]:
-    """The paper's methods, the joint fit, and the bound that no chain can pass."""
+    """Return the paper's methods, the joint fit, and the lower bound of a free pose per view."""
 
     def both(data: Dataset) -> Any:
         return calibrate(data, lens, noise="trusted")
@@ -82,26 +83,27 @@ def compare(
     progress: Callable[[str], None] | None = None,
     by: str = "view",
 ) -> list[Row]:
-    """Fit every method to all views, and again in every fold; the folds are the same for all.
+    """Fit every method to all views and in every fold; the folds are the same for all methods.
 
-    A fit that corrects the robot's error has a second row without the correction: what a program
-    sees that takes the transforms alone. Those are the best answer for the mount, not the chain
-    that predicts best without a correction; that one is a fit that trusts the robot, whose
-    transforms bend to absorb the robot's error.
+    A fit that corrects the robot's error has a second row without the correction: the error of a
+    program that uses its transforms alone. These transforms are the best estimate of the mount, but
+    not of the chain without a correction; for that, a fit that trusts the robot has transforms that
+    absorb the robot's error.
 
     Args:
         data: all views.
         methods: by the name to report them under: a `Method`, or a fitter as `held_out` takes it;
             by default `standard_methods()`.
         folds: number of folds; below eight views, as many as there are views.
-        progress: told what is being fitted.
-        by: `"view"` or `"region"`: what is hidden together, as for `held_out`.
+        progress: called with a line of text for each fit.
+        by: `"view"` or `"region"`: which views are hidden together, as for `held_out`.
     """
     say = progress or (lambda _: None)
     fits: dict[Callable, _Fits | ValueError] = {}
     rows = []
     for name, given in (standard_methods() if methods is None else methods).items():
         method = given if isinstance(given, Method) else Method(given)
+        # Methods with the same fitter are parts of one fit: it runs once per fold for all of them.
         if method.fitter not in fits:
             say(name)
             fits[method.fitter] = _fit(
@@ -110,6 +112,8 @@ def compare(
         found = fits[method.fitter]
         rows.append(_row(name, method, found, data))
         if isinstance(found, _Fits) and method.measure is deviations:
+            # Only reprojection errors depend on the correction: a free pose per view ignores the
+            # robot.
             bare = method._replace(choose=without_correction(method.choose))
             if any(has_correction(method.choose(fit, data)) for fit in found.every):
                 rows.append(_row(f"{name}, {UNCORRECTED}", bare, found, data))
@@ -117,6 +121,8 @@ def compare(
 
 
 class _Fits(NamedTuple):
+    """A fitter's fit to all views, and its refits in every fold."""
+
     fit: Any
     refits: tuple[Refit, ...]
 
@@ -133,6 +139,7 @@ def _fit(
     progress: Callable[[str], None],
     by: str,
 ) -> _Fits | ValueError:
+    """Fit all views and every fold; return the error if the fit of all views fails."""
     try:
         return _Fits(fitter(data), refit(data, fitter, folds, progress, by))
     except ValueError as error:
@@ -140,6 +147,7 @@ def _fit(
 
 
 def _row(name: str, method: Method, fits: _Fits | ValueError, data: Dataset) -> Row:
+    """Return one method's row from the fits of its fitter."""
     if isinstance(fits, ValueError):
         return Row(name, None, None, failure=str(fits))
     part = method.choose(fits.fit, data)

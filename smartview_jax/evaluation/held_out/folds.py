@@ -1,7 +1,7 @@
-"""Which views are hidden together: dealt out at random, or a region of the workspace at a time.
+"""Split views into folds: at random, or by region of the workspace.
 
-A view dealt out at random has neighbours among those that stay, so its error says how well a fit
-interpolates. A hidden region makes the fit predict where the robot has not been.
+A view held out at random has neighbours among the fitted ones, so its error measures interpolation.
+A hidden region makes the fit extrapolate to where the robot has not been.
 """
 
 import numpy as np
@@ -10,24 +10,27 @@ from jaxtyping import Float, Int
 from ...dataset import Dataset
 
 LEAVE_ONE_OUT_BELOW = 8
-"""Views below which every view is its own fold."""
+"""The number of views below which every view is its own fold."""
 
 LEAST_BY_REGION = 6
-"""Views below which hiding a region leaves too few to fit."""
+"""The number of views below which hiding a region leaves too few to fit."""
 
 BY = ("view", "region")
+"""The accepted ways to split views."""
 
 
 def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int, ...], ...]:
-    """The usable views that each fold hides; the data alone decide, so they suit every method.
+    """Return the usable views that each fold hides.
+
+    They depend on the data only, so that all methods have the same folds.
 
     Args:
         data: all views.
         folds: number of folds; fewer where there are few views.
-        by: `"view"` deals them out at random; `"region"` keeps together what lies together.
+        by: `"view"` assigns views at random; `"region"` keeps neighbouring views together.
 
     Raises:
-        ValueError: fewer than two folds, too few usable views, or another way to split.
+        ValueError: fewer than two folds, too few usable views, or an unknown `by`.
     """
     if by not in BY:
         raise ValueError(f"by is one of {', '.join(BY)}; found {by!r}")
@@ -46,7 +49,8 @@ def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int,
 
 
 def view_folds(views: Int[np.ndarray, "views"], folds: int) -> tuple[tuple[int, ...], ...]:
-    """Every fold's views: a fixed permutation dealt out, or one view each below eight views."""
+    """Return the views of each fold by a fixed random permutation; below eight, one view each."""
+    # A fixed seed: every method, and every run, has the same folds.
     count = len(views)
     number = count if count < LEAVE_ONE_OUT_BELOW else min(folds, count)
     order = np.random.default_rng(0).permutation(count)
@@ -56,13 +60,12 @@ def view_folds(views: Int[np.ndarray, "views"], folds: int) -> tuple[tuple[int, 
 def region_folds(
     views: Int[np.ndarray, "views"], positions: Float[np.ndarray, "views 3"], folds: int
 ) -> tuple[tuple[int, ...], ...]:
-    """Views that lie together: halved across the longest direction, and so on.
+    """Return the views of each region, found by repeatedly halving along the longest direction.
 
     Args:
-        views: what to call them.
-        positions: of the tool in the base frame, m.
-        folds: number of regions, with at least two views each and as many as each other, or one
-            more.
+        views: indices of the views.
+        positions: positions of the tool in the base frame, m.
+        folds: number of regions, with at least two views each; sizes differ by at most one.
     """
     regions = _halved(positions, np.arange(len(views)), min(folds, len(views) // 2))
     return tuple(tuple(int(views[k]) for k in sorted(region)) for region in regions)
@@ -71,14 +74,18 @@ def region_folds(
 def _halved(
     positions: Float[np.ndarray, "all 3"], chosen: Int[np.ndarray, "chosen"], parts: int
 ) -> list[Int[np.ndarray, "region"]]:
+    """Return the regions of some views, halved across their longest direction."""
     if parts == 1:
         return [chosen]
     offset = positions[chosen] - positions[chosen].mean(axis=0)
+    # The first principal direction of the positions: the right singular vector of the largest
+    # value.
     axis = np.linalg.svd(offset, full_matrices=False)[2][0]
-    # Either sign is as good: the one whose largest component is positive, on every machine.
+    # The sign is arbitrary; with the largest component positive it is the same on every machine.
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     ordered = chosen[np.argsort(offset @ axis, kind="stable")]
     first = parts // 2
+    # In proportion to the number of regions on either side, so that regions are of equal size.
     cut = len(chosen) * first // parts
     return [
         *_halved(positions, ordered[:cut], first),

@@ -1,4 +1,4 @@
-"""Error on views that a fit never saw, everything refitted in each fold."""
+"""Estimate the error on views that a fit never used, with everything refitted in each fold."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -14,12 +14,12 @@ from .folds import split_views
 
 
 class Refit(NamedTuple):
-    """One fold: the views it hides, and the fit to all others.
+    """One fold: the views that it hides, and the fit to all others.
 
     Attributes:
         views: indices of the hidden views.
-        fit: whatever the fitter returned; None where it failed.
-        failure: why it failed.
+        fit: the fitter's result; None where it failed.
+        failure: the reason of the failure.
     """
 
     views: tuple[int, ...]
@@ -28,15 +28,15 @@ class Refit(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """What a fit predicts of views it never saw.
+    """The errors of fits on views that they never used.
 
     Attributes:
         deviations: pooled over all folds; NaN where not seen or the fold failed.
         folds: indices of the views held out in each fold.
         failures: fold and reason, for folds whose fit failed.
         unconverged: fold and message, for folds whose fit stopped early; their predictions count.
-        extrapolated: indices of the views that lie outside of what their fold's predictor calls
-            `inside`; empty where it does not tell. Their predictions count.
+        extrapolated: indices of the views outside the region that their fold's predictor calls
+            `inside`; empty where it has no such region. Their predictions count.
     """
 
     deviations: Deviations
@@ -46,7 +46,7 @@ class HeldOut(NamedTuple):
     extrapolated: tuple[int, ...] = ()
 
     def interval(self, level: float = 0.95) -> Interval:
-        """Bootstrap interval of the RMS over views, px; see `rms_interval`."""
+        """Return the bootstrap interval of the RMS over views, px; see `rms_interval`."""
         return rms_interval(self.deviations, level)
 
 
@@ -61,12 +61,13 @@ def held_out(
 
     Args:
         data: all views.
-        fitter: from a data set to a fit with a `.calibration`, or to anything with `project`,
-            `points_in_camera` and `camera`. Held-out views come to it with nothing visible.
+        fitter: function from a data set to a fit with a `.calibration`, or to anything with
+            `project`, `points_in_camera` and `camera`. Held-out views come to it with nothing
+            visible.
         folds: number of folds; by view and below eight views, as many as there are views.
-        progress: told which fold is fitted.
-        by: `"view"`, where hidden views have neighbours that are seen, or `"region"`, where the
-            views whose tools stood together are hidden together and the fit has to extrapolate.
+        progress: called with a line of text for each fold.
+        by: `"view"`, where hidden views have neighbours that are seen, or `"region"`, where views
+            with nearby tool positions are hidden together and the fit has to extrapolate.
 
     Raises:
         ValueError: fewer than two folds, or too few usable views: four, six by region.
@@ -81,7 +82,10 @@ def refit(
     progress: Callable[[str], None] | None = None,
     by: str = "view",
 ) -> tuple[Refit, ...]:
-    """The fits behind `held_out`, so that several parts of one fit can be scored; see there."""
+    """Return the fits behind `held_out`, so that several parts of one fit can be scored.
+
+    The arguments are those of `held_out`.
+    """
     split = split_views(data, folds, by)
     fits = []
     for number, held in enumerate(split):
@@ -95,24 +99,24 @@ def refit(
 
 
 def predictor_of(fit: Any) -> Predictor:
-    """A fit's calibration, or the thing itself where it predicts."""
+    """Return a fit's calibration, or the object itself where it predicts."""
     return getattr(fit, "calibration", fit)
 
 
 def whole(fit: Any, data: Dataset) -> Any:
-    """The choice of `score` that takes a fit as it is."""
+    """Return the fit unchanged: the default choice of `score`."""
     return fit
 
 
 def has_correction(fit: Any) -> bool:
-    """Whether a fit corrects the robot's error when it predicts."""
+    """Return whether a fit corrects the robot's error when it predicts."""
     return getattr(predictor_of(fit), "robot_error", None) is not None
 
 
 def without_correction(
     choose: Callable[[Any, Dataset], Any] = whole,
 ) -> Callable[[Any, Dataset], Any]:
-    """The choice of `score` that takes the same part with the robot's poses as reported."""
+    """Return a choice for `score` that takes the same part with the robot's poses as reported."""
 
     def bare(fit: Any, data: Dataset) -> Any:
         part = choose(fit, data)
@@ -128,13 +132,14 @@ def score(
     choose: Callable[[Any, Dataset], Any] = whole,
     measure: Callable[[Any, Dataset], Deviations] = deviations,
 ) -> HeldOut:
-    """The error of every fold on the views it never saw, pooled.
+    """Return the pooled error of every fold on the views that it never used.
 
     Args:
         refits: from `refit`, with the same data.
         data: all views.
-        choose: from a fit and the data to the part of it to score: one of its fits, a predictor.
-        measure: from a predictor and the data to deviations.
+        choose: function from a fit and the data to the part of it to score: one of its fits, a
+            predictor.
+        measure: function from a predictor and the data to reprojection errors.
     """
     parts = [
         fold if fold.failure is not None else fold._replace(fit=choose(fold.fit, data))
@@ -143,6 +148,7 @@ def score(
     found = pooled(parts, data, lambda part: measure(predictor_of(part), data))
     unconverged = []
     for number, part in enumerate(parts):
+        # Predictors other than fits have no `result`: nothing is known of their convergence.
         result = getattr(part.fit, "result", None)
         if result is not None and not result.converged:
             unconverged.append((number, result.message))
@@ -151,7 +157,7 @@ def score(
 
 
 def _extrapolated(fold: Refit, data: Dataset) -> tuple[int, ...]:
-    """Return the hidden views that a fold's predictor says lie outside of what it knows."""
+    """Return the hidden views that a fold's predictor says lie outside its data."""
     inside = None if fold.failure else getattr(predictor_of(fold.fit), "inside", None)
     if inside is None:
         return ()
@@ -160,13 +166,15 @@ def _extrapolated(fold: Refit, data: Dataset) -> tuple[int, ...]:
 
 
 def pooled(refits: Sequence[Refit], data: Dataset, measure: Callable[[Any], Deviations]) -> HeldOut:
-    """What a measure makes of every fold's fit, each on its hidden views.
+    """Return the values of a measure of every fold's fit, each on its hidden views.
 
     Args:
         refits: from `refit`, with the same data.
         data: all views.
-        measure: from a fit to numbers for every point; a `ValueError` is that fold's failure.
+        measure: function from a fit to numbers for every point; a `ValueError` is that fold's
+            failure.
     """
+    # Each view is hidden in one fold only, so the folds fill separate rows.
     px = np.full(data.visible.shape, np.nan)
     metres = px.copy()
     failures = []

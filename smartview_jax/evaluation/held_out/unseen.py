@@ -1,4 +1,4 @@
-"""Everything that held-out views say of a calibration, both of its fits from the same refits."""
+"""Collect the held-out errors of a calibration's staged and joint fits, from the same refits."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,14 +13,14 @@ from .predicted import Foretold, foretold
 
 
 class Unseen(NamedTuple):
-    """What one fit does on views it never saw; None where that was not asked.
+    """The held-out errors of one fit; None where they were not requested.
 
     Attributes:
         held_out: by view.
         by_region: by region of the workspace.
-        floor: by view, with a free pose for every hidden view: what the camera alone allows.
-        foretold: by view, beside what the fits expected.
-        models: name of what each fold by view took the robot's error for; empty where it was not
+        floor: by view, with a free pose for every hidden view: the error of the camera alone.
+        foretold: by view, with the errors that the fits predicted.
+        models: name of the robot error model of each fold by view; empty where it was not
             estimated.
     """
 
@@ -37,14 +37,14 @@ def unseen_errors(
     thorough: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Unseen]:
-    """Held-out errors of a calibration, by what the report calls its parts.
+    """Return the held-out errors of a calibration, by the report's name of each part.
 
     Args:
         data: all views.
         fitter: such as `calibrate`.
-        thorough: also by region, where there are views enough, with the floor and the errors that
-            the joint fits expected; twice the fits.
-        progress: told what is being fitted.
+        thorough: also by region, where there are enough views, with the floor and the errors that
+            the joint fits predicted; twice the number of fits.
+        progress: called with a line of text for each fit.
 
     Raises:
         ValueError: fewer than four usable views.
@@ -52,6 +52,7 @@ def unseen_errors(
     say = progress or (lambda _: None)
     by_view = refit(data, fitter, progress=lambda text: say(f"held-out: {text}"))
     by_region = None
+    # Hiding a region of few views leaves too few to fit.
     if thorough and len(data.usable_views()) >= LEAST_BY_REGION:
         by_region = refit(
             data, fitter, progress=lambda text: say(f"held-out by region: {text}"), by="region"
@@ -66,10 +67,12 @@ def unseen_errors(
 
 
 def _staged(fit: CalibrationFit, _: Dataset):
+    """Return the staged fit of a calibration."""
     return fit.staged
 
 
 def _joint(fit: CalibrationFit, _: Dataset):
+    """Return the joint fit of a calibration."""
     return fit.joint
 
 
@@ -80,6 +83,7 @@ def _part(
     choose: Callable,
     thorough: bool,
 ) -> Unseen:
+    """Return the held-out errors of one part of a calibration."""
     held_out, models = score(by_view, data, choose), ()
     if choose is _joint:
         fits = [fold.fit.joint for fold in by_view if fold.failure is None]
@@ -96,6 +100,7 @@ def _part(
 
 
 def _bare(by_view: tuple[Refit, ...], by_region: tuple[Refit, ...] | None, data: Dataset) -> Unseen:
+    """Return the held-out errors of the joint fit without its correction of the robot's error."""
     bare = without_correction(_joint)
     regions = None if by_region is None else score(by_region, data, bare)
     return Unseen(score(by_view, data, bare), regions)

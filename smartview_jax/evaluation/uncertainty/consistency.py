@@ -85,6 +85,7 @@ def covered(
     """
     degrees, p = np.asarray(degrees_of_freedom, dtype=float), 0.5 + 0.5 * LEVEL
     finite = np.isfinite(degrees)
+    # Student's t quantile with finite degrees of freedom, otherwise the normal one.
     times = np.where(finite, stdtrit(np.where(finite, degrees, 1.0), p), ndtri(p))
     return np.abs(errors) <= times * std
 
@@ -94,5 +95,6 @@ def coverage(held: Bool[np.ndarray, "runs"]) -> Measured:
 
     Its band is that of the normal approximation.
     """
+    # The binomial standard deviation sqrt(p (1 - p) / n) at the stated probability p.
     half = float(ndtri(0.5 + 0.5 * LEVEL) * np.sqrt(LEVEL * (1.0 - LEVEL) / len(held)))
     return Measured(float(np.mean(held)), LEVEL - half, LEVEL + half)

@@ -79,6 +79,7 @@ def cramer_rao(
     built = build_problem(
         data, calibration, noise=robot, field=field, fixed=fixed, free=free, priors=priors
     )
+    # An exact robot has no noise model to hold the pixel sigma, so it is set in the problem.
     if not isinstance(noise, Noise):
         sigma = np.asarray(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)

@@ -50,8 +50,8 @@ def std_of(
 def covariance_of(
     estimate: Estimate, function: Callable[[Calibration], Float[Array, "numbers"]]
 ) -> Float[Array, "numbers numbers"]:
-    """Return the covariance of the numbers in the vector that a function gives; else as `std_of`.
-    """
+    """Return the covariance of the numbers in a vector that a function gives; see `std_of`."""
+    # J P J^T = sum_k (J d_k) (J d_k)^T, with P = sum_k d_k d_k^T.
     spread = _moves(estimate.calibration, function, _independent_steps(estimate))
     return spread.T @ spread
 
