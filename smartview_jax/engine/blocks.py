@@ -133,6 +133,7 @@ def _chunked(observations: Observations) -> tuple[Array, Array, Array]:
     padding = chunks * -(-count // chunks) - count
 
     def split(x: Array) -> Array:
+        """Split one array into chunks."""
         wide = jnp.pad(x, ((0, 0), (0, padding), *((0, 0),) * (x.ndim - 2))) if padding else x
         return wide.reshape(views * chunks, -1, *x.shape[2:])
 

@@ -183,6 +183,7 @@ def _priors(
         for (group, _), deviation in zip(groups, noise.field, strict=True):
             chosen = select(names, (f"{ROBOT_ERROR}.{group}",))
             mean[chosen], weight[chosen] = 0.0, 1.0 / deviation
+        # One over infinity is a weight of zero, which is no prior: the poses are then free.
         deviations = np.repeat([noise.translation, noise.rotation], 3)
         weight[shared:] = np.tile(1.0 / deviations, (len(names) - shared) // 6)
     for path, prior in priors.items():

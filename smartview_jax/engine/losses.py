@@ -38,6 +38,7 @@ class Huber(AbstractLoss):
     scale: float = 2.0
 
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
+        """Return the loss of a squared whitened residual."""
         return jnp.where(s <= self.scale**2, s, 2.0 * self.scale * jnp.sqrt(s) - self.scale**2)
 
 
@@ -47,6 +48,7 @@ class Cauchy(AbstractLoss):
     scale: float = 2.5
 
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
+        """Return the loss of a squared whitened residual."""
         return self.scale**2 * jnp.log1p(s / self.scale**2)
 
 
@@ -59,6 +61,7 @@ class GemanMcClure(AbstractLoss):
     scale: float = 3.0
 
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
+        """Return the loss of a squared whitened residual."""
         return s / (1.0 + s / self.scale**2)
 
 
@@ -71,6 +74,7 @@ class StudentT(AbstractLoss):
     dof: float = 5.0
 
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
+        """Return the loss of a squared whitened residual."""
         return (self.dof + 2.0) * jnp.log1p(s / self.dof)
 
 

@@ -34,6 +34,8 @@ class Noise:
     white_pixel: float | None = None
 
     def __post_init__(self):
+        # Only the sizes of pose errors may be infinite (nothing known of the poses): an infinite
+        # pixel sigma would give all observations zero weight.
         named = [("translation", self.translation), ("rotation", self.rotation)]
         finite = [("pixel", self.pixel), *(("field", value) for value in self.field)]
         finite += [] if self.white_pixel is None else [("white_pixel", self.white_pixel)]

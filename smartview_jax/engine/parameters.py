@@ -90,7 +90,7 @@ class Step(NamedTuple):
     """A change of the parameters, or any vector with the same layout.
 
     Attributes:
-        shared: components of the parameters that all views share.
+        shared: components of the parameters common to all views.
         corrections: six components for each view's own correction; no views where there are none.
     """
 
@@ -114,7 +114,7 @@ class Parameters(eqx.Module):
 
     @property
     def shared_size(self) -> int:
-        """The number of parameters that all views share.
+        """The number of parameters common to all views.
 
         They are, in order: camera, two transforms (12), target scale (1), robot error field.
         """
@@ -140,6 +140,8 @@ class Parameters(eqx.Module):
     def moved(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
         """Return the calibration and the pose corrections after a step from the start."""
         n, shared = self.camera_size, step.shared
+        # Layout: camera (n), camera_from_mount (6), holder_from_world (6), target_scale, robot
+        # error field.
         numbers, rebuild = ravel_pytree(self.start.camera)
         error = self.start.robot_error
         if error is not None:
@@ -157,6 +159,8 @@ class Parameters(eqx.Module):
     def step_to(self, other: Calibration) -> Float[Array, "shared"]:
         """Return the step from the start to another calibration with the same parameters."""
         start, n = self.start, self.camera_size
+        # Differences of values are right for all parameters except rotations, whose values are
+        # zero.
         step = Parameters(other).values() - self.values()
         step = step.at[n + 3 : n + 6].set(_turn(start.camera_from_mount, other.camera_from_mount))
         turn = _turn(start.holder_from_world, other.holder_from_world)

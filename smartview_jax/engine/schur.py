@@ -3,9 +3,9 @@
     [ shared   border^T ]
     [ border   own      ]
 
-The parameters of one view are coupled to those that all views share, but not to those of another
-view. They are therefore eliminated view by view (Schur complement), which leaves one small system
-in the shared parameters. With A, B and D the blocks above and the right-hand side (a, b), the
+The parameters of one view are coupled to the parameters that are common to all views, but not to
+those of another view. They are therefore eliminated view by view (Schur complement), which leaves
+one small system in the shared parameters. With A, B and D the blocks above and the right-hand side (a, b), the
 reduced system is
 
     (A - sum_v B_v^T D_v^-1 B_v) x = a - sum_v B_v^T D_v^-1 b_v,    y_v = D_v^-1 b_v - D_v^-1 B_v x
@@ -36,7 +36,7 @@ class BlockArrow(lx.AbstractLinearOperator):
     """A symmetric positive semidefinite linear operator on `Step`s, with the shape of an arrow.
 
     Attributes:
-        shared: block of the parameters that all views share.
+        shared: block of the parameters common to all views.
         border: blocks of each view's own parameters (rows) by the shared ones (columns).
         own: diagonal block of each view's own parameters; no views where there are none.
     """
@@ -65,12 +65,15 @@ class BlockArrow(lx.AbstractLinearOperator):
         return dense
 
     def transpose(self) -> "BlockArrow":
+        """Return the operator itself, which is symmetric."""
         return self
 
     def in_structure(self) -> Any:
+        """Return the shapes of the vectors that the operator takes."""
         return jax.eval_shape(self.diagonal)
 
     def out_structure(self) -> Any:
+        """Return the shapes of the vectors that the operator returns."""
         return self.in_structure()
 
     def diagonal(self) -> Step:
@@ -186,12 +189,15 @@ class SchurCholesky(lx.AbstractLinearSolver):
         return Step(shared, own), lx.RESULTS.successful, {}
 
     def transpose(self, state: _State, options: dict[str, Any]) -> tuple[_State, dict[str, Any]]:
+        """Return the same factors, since the operator is symmetric."""
         return state, options
 
     def conj(self, state: _State, options: dict[str, Any]) -> tuple[_State, dict[str, Any]]:
+        """Return the same factors, since the operator is real."""
         return state, options
 
     def assume_full_rank(self) -> bool:
+        """Return True: a singular matrix has to be damped first."""
         return True
 
 

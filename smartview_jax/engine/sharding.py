@@ -61,6 +61,7 @@ def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
 
     The number of views is made divisible by that of the devices with views that show no points.
     """
+    # JAX splits an axis only into equal parts, hence the padding.
     mesh = Mesh(np.array(devices), (VIEWS,))
     extra = -len(problem.observations.visible) % len(devices)
     arrays, rest = eqx.partition(problem, eqx.is_array)
@@ -73,6 +74,7 @@ def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     def place(x: Array, spec: P) -> Array:
         """Put an array on the devices."""
         whole = np.asarray(x)
+        # Every process holds the whole array, and hands over only the parts of its own devices.
         return jax.make_array_from_callback(
             whole.shape, NamedSharding(mesh, spec), lambda index: whole[index]
         )

@@ -105,8 +105,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
     def step(self, fn, y, args, options, state, tags) -> tuple[Step, _State, None]:
         """Evaluate the step proposed last, accept or reject it, and propose the next one."""
         del fn, options, tags
-        # Runs once per step tried, accepted or not: cost, gradient g and matrix H at the new
-        # parameters.
+        # Once per step tried, accepted or not: cost, gradient g and matrix H at the new parameters.
         found = _info(args, state.y_eval)
         scale = _where(state.first_step, unit_scale(_matrix(found)), state.scale)
         found = _in_units(found, scale)
@@ -123,8 +122,8 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         # After a rejection the last accepted linearisation is used again, with more damping.
         y, f_info = _where(accept, (state.y_eval, found), (y, state.f_info))
         descent_state = self.descent.query(y, f_info, state.descent_state)
-        # (H + lambda I) d = -g with lambda = 1 / step_size: one elimination and one solve per
-        # damping.
+        # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur elimination,
+        # one solve.
         move, result = self.descent.step(step_size, descent_state)
         # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d. It is computed
         # only if the damped step predicts so little too, since it costs another elimination.
@@ -255,6 +254,7 @@ def solve(
         solver = StructuredLM()
     elif not isinstance(solver, StructuredLM):
         problem = _scaled(problem)
+    # z is in units of `problem.scale`, a start that is passed in is in the parameters' own units.
     first = problem.start() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
     z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps, first)
     cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
@@ -290,8 +290,7 @@ def run(
         info, scale = found.state.f_info, found.state.scale
     else:
         info, scale = _info(problem, found.value), jax.tree.map(jnp.ones_like, z)
-    # The normal equations are in scaled units until here; `back` converts them to the parameters'
-    # own.
+    # `back` converts the normal equations from scaled units to the parameters' own.
     gain = _promise(info, _newton(info))
     back = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
     natural = _in_units(info, back)

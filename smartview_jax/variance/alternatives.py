@@ -118,7 +118,7 @@ def largest_field(data: Dataset, views: int) -> AbstractField:
 
 
 def read_poses(data: Dataset) -> SE3:
-    """Return the reported poses without the placeholders of those that could not be read."""
+    """Return the reported poses without placeholders for unreadable ones."""
     masked = {view for view, _ in data.masked_views}
     read = np.array([view not in masked for view in data.view_ids])
     return SE3(data.base_from_tool.wxyz_xyz[read])
