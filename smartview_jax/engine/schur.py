@@ -5,8 +5,8 @@
 
 The parameters of one view are coupled to the parameters that are common to all views, but not to
 those of another view. They are therefore eliminated view by view (Schur complement), which leaves
-one small system in the shared parameters. With A, B and D the blocks above and the right-hand side (a, b), the
-reduced system is
+one small system in the shared parameters. With A, B and D the blocks above and the right-hand side
+(a, b), the reduced system is
 
     (A - sum_v B_v^T D_v^-1 B_v) x = a - sum_v B_v^T D_v^-1 b_v,    y_v = D_v^-1 b_v - D_v^-1 B_v x
 

@@ -122,8 +122,8 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         # After a rejection the last accepted linearisation is used again, with more damping.
         y, f_info = _where(accept, (state.y_eval, found), (y, state.f_info))
         descent_state = self.descent.query(y, f_info, state.descent_state)
-        # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur elimination,
-        # one solve.
+        # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur
+        # elimination, one solve.
         move, result = self.descent.step(step_size, descent_state)
         # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d. It is computed
         # only if the damped step predicts so little too, since it costs another elimination.
