@@ -1,4 +1,4 @@
-"""From pictures to pixels: the room where OpenCV lives."""
+"""Detect calibration targets in pictures with OpenCV, and order and correct the detected points."""
 
 from .circle_centres import circle_radii as circle_radii
 from .circle_centres import correct_circle_centres as correct_circle_centres

@@ -1,4 +1,4 @@
-"""Chessboard corners, by OpenCV's sector-based detector."""
+"""Detect chessboard corners with OpenCV's sector-based detector."""
 
 import cv2
 import numpy as np
@@ -9,11 +9,15 @@ from .detection import Detection, found, nothing_found
 
 
 def detect_chessboard(image: np.ndarray, target: Chessboard) -> Detection:
-    """Inner corners of a whole board, in the target's order.
+    """Detect the inner corners of a completely visible board, in the target's order.
 
-    The detector's own sub-pixel answer is kept: a second refinement by `cornerSubPix` moves it by
-    up to half a pixel, and normalising the picture first by 0.1 to 0.2 px.
+    Args:
+        image: grey, uint8.
+        target: the board.
     """
+    # The detector's own sub-pixel corners are kept. A second refinement by `cornerSubPix` was tried
+    # and shifts them by up to half a pixel; normalising the picture first shifts them by 0.1 to
+    # 0.2 px.
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     size = (target.columns, target.rows)
     ok, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
@@ -28,7 +32,10 @@ def detect_chessboard(image: np.ndarray, target: Chessboard) -> Detection:
 def _light_first(
     image: np.ndarray, corners: Float[np.ndarray, "corners 2"], target: Chessboard
 ) -> Float[np.ndarray, "corners 2"]:
-    """The corners in the order whose first square is a light one, where some order has that."""
+    """Return the corners in the order whose first square is light, if there is such an order."""
+    # With the brightness b of each square's middle and s = +1, -1, +1, ... over the squares, the
+    # first square is light where sum s (b - mean b) > 0. All squares are compared, so that a single
+    # one in shadow does not decide.
     rows, columns = target.rows, target.columns
     sign = (-1.0) ** np.add.outer(np.arange(rows - 1), np.arange(columns - 1))
     for order in grid_rotations(rows, columns):
@@ -36,7 +43,6 @@ def _light_first(
         centres = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4.0
         x, y = np.moveaxis(centres.astype(np.float32), -1, 0)
         brightness = cv2.remap(image, x, y, cv2.INTER_LINEAR)
-        # Light against dark in the mean, so that one square in shadow does not decide.
         if np.mean(sign * brightness) > np.mean(sign) * np.mean(brightness):
             return corners[order]
     return corners

@@ -1,14 +1,14 @@
-"""Measured centres of circles, freed from what perspective and lens shift them by.
+"""Correct measured circle centres for the bias caused by perspective and the lens.
 
-A detector finds the centre of a circle's image; a fit projects the circle's centre. The difference
-is known once a calibration is, and hardly depends on it, so a fit is made, the pixels are corrected
-by it, and the fit is made again:
+A detector finds the centre of a circle's image, but a fit projects the circle's centre. The
+difference can be computed from a calibration and hardly depends on its errors. So the data are
+fitted, the pixels corrected by the result, and the corrected data fitted again:
 
     fit = sv.calibrate(data)
     fit = sv.calibrate(sv.correct_circle_centres(data, fit.calibration))
 
-It is always the data as measured that are corrected. One round settles: the shift is at most some
-tenths of a pixel, and what a fit is wrong by changes a small share of it.
+The correction is always applied to the data as measured. One round is enough: the bias is at most
+some tenths of a pixel, and errors of the first fit change only a small fraction of it.
 """
 
 import dataclasses
@@ -31,17 +31,18 @@ def correct_circle_centres(
     calibration: Calibration,
     radius: float | Float[np.ndarray, "points"] | None = None,
 ) -> Dataset:
-    """The data with pixels where the circles' own centres are seen.
+    """Return the data with each pixel corrected to the image of its circle's centre.
 
     Args:
-        data: centres of circles that lie parallel to the target's xy-plane.
-        calibration: of any fit to them.
-        radius: of the circles, all alike or each its own, in the unit of the target's points, m;
-            by default the target's.
+        data: detected centres of circles that are parallel to the target's xy-plane.
+        calibration: the result of any fit to these data.
+        radius: radius of the circles, one for all or one for each, in the unit of the target's
+            points, m; by default the target's own.
 
     Raises:
-        ValueError: a radius that is neither given nor known, or not positive; another target than
-            circles; a circle that was seen but that the calibration cannot project, by view.
+        ValueError: a radius that is neither given nor known, or is not positive; a target that is
+            not made of circles; a circle that was seen but cannot be projected by the calibration
+            (the message names the view).
     """
     radii = np.asarray(circle_radii(data.target) if radius is None else radius, dtype=float)
     if not (np.isfinite(radii).all() and (radii > 0.0).all()):
@@ -66,25 +67,37 @@ def correct_circle_centres(
 def predicted_bias(
     calibration: Calibration, observations: Observations, radii: Float[Array, "points"]
 ) -> tuple[Float[Array, "views points 2"], Bool[Array, "views points"]]:
-    """Centre of the image minus image of the centre, px, and where that can be said."""
+    """Return the centre of each circle's image minus the image of its centre, px.
+
+    Args:
+        calibration: gives the poses, the camera and the scale of the target.
+        observations: all views.
+        radii: radius of each circle, in the unit of the target's points, m.
+
+    Returns:
+        The bias, NaN where not valid; and whether the whole circle can be projected.
+    """
     size = calibration.target_scale * radii
 
     def view(seen: Observations) -> tuple[Array, Array]:
-        # The circle's frame is the world's, moved to its centre.
+        """Return the bias of all circles in one view, and whether each is valid."""
+        # camera_from_circle = camera_from_world @ (translation to the circle's centre): the axes of
+        # a circle's frame are parallel to those of the world.
         pose = calibration.camera_from_world(seen.command)
         centres = SE3.from_translation(calibration.target_scale * seen.points)
         wide = SE3(jnp.broadcast_to(pose.wxyz_xyz, centres.wxyz_xyz.shape))
         return circle_centre_bias(calibration.camera, wide @ centres, size)
 
-    # View by view: a few dozen points a circle would take as many times the data's memory.
+    # Views are processed one after another: each circle is sampled at a dozen or more points, and
+    # all views at once would need that many times the memory of the data.
     return jax.lax.map(view, observations)
 
 
 def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
-    """The radius of every circle of a target, m.
+    """Return the radius of every circle of a target, m.
 
     Raises:
-        ValueError: the target is not made of circles, or does not say how large they are.
+        ValueError: the target is not made of circles, or does not state their radius.
     """
     if isinstance(target, StackedTarget):
         return np.tile(circle_radii(target.board), len(target.heights))

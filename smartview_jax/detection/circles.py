@@ -1,4 +1,4 @@
-"""Circle grids, by OpenCV's blob detector and grid finder."""
+"""Detect circle grids with OpenCV's blob detector and grid finder."""
 
 import itertools
 from collections.abc import Sequence
@@ -11,29 +11,43 @@ from .detection import Detection, found, nothing_found, some_found
 from .lattice import partial_grid
 
 _SMALLEST_BLOBS = (25.0, 10.0, 60.0, 150.0, 400.0)
-"""Least areas to try, px^2: specks must go, and how large a speck is depends on the picture."""
+"""Lower limits on a blob's area to try, px^2.
+
+Specks of noise have to be excluded, and their size depends on the picture.
+"""
 
 _ROUNDNESS = (0.8, 0.4)
-"""Least circularities to try. Thresholds amid the paper's noise let specks grow onto a circle and
-shift its centre by half a pixel, but then it is not round; circles seen from the side are not
-either."""
+"""Lower limits on a blob's circularity to try, without unit.
+
+At brightness thresholds within the noise of the paper, specks merge with a circle and shift its
+centre by half a pixel. The high limit excludes them, since the blob is then not round. The low
+limit is tried because circles that are seen from the side are not round either.
+"""
 
 
 MOST_BLOBS = 4
-"""Blobs that are looked through, over the circles that are expected. The search for a grid takes
-the third power of their number as long, and among so many more they are noise or texture."""
+"""Largest number of blobs to search, as a multiple of the number of circles.
+
+The search for a grid takes time proportional to the third power of the number of blobs, and a
+larger number indicates noise or texture.
+"""
 
 _SIZES = 3.0
-"""Largest over smallest diameter of circles in one picture: perspective, and a mark."""
+"""Largest expected ratio of circle diameters in one picture, due to perspective and a mark."""
 
 
 def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
-    """Circle centres of a grid, in the target's order; of a symmetric grid also a part.
+    """Detect the circle centres of a grid, in the target's order.
+
+    A symmetric grid may be visible only in part.
 
     Args:
         image: grey, uint8.
-        target: which grid; with `origin_mark` the larger corner circle comes first.
+        target: the grid; with `origin_mark` the larger corner circle comes first.
     """
+    # No single pair of limits suits all pictures, so that pairs are tried until a whole grid is
+    # found. Only if none gives one, a part of a grid is searched for, with the pair that left the
+    # most blobs.
     count = target.rows * target.columns
     most, tried = 0, []
     for area, roundness in itertools.product(_SMALLEST_BLOBS, _ROUNDNESS):
@@ -60,20 +74,28 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
 def candidates(
     blobs: Sequence[cv2.KeyPoint], count: int, shape: tuple[int, ...]
 ) -> list[cv2.KeyPoint]:
-    """Return the blobs among which a grid of `count` circles is looked for.
+    """Return the blobs among which a grid of circles is searched for.
 
-    A blob that reaches the border of a picture of this shape is a part of a circle, its centre
-    another. Among too many blobs those are taken whose sizes are alike; none where they are still
-    more than `MOST_BLOBS` times the circles.
+    Blobs that reach the border of the picture are excluded: they are parts of circles, and their
+    centres are wrong. If too many remain, the largest group of similar size is taken; if that is
+    still more than `MOST_BLOBS` times the number of circles, none is.
+
+    Args:
+        blobs: all blobs.
+        count: number of circles in the grid.
+        shape: of the picture, height and width first, px.
     """
     height, width = shape[:2]
 
     def is_whole(blob: cv2.KeyPoint) -> bool:
+        """Return whether a blob's centre is more than 0.45 of its diameter from every border."""
         x, y = blob.pt
         return min(x, y, width - 1.0 - x, height - 1.0 - y) > 0.45 * blob.size
 
     whole = sorted(filter(is_whole, blobs), key=lambda blob: blob.size)
     if len(whole) > MOST_BLOBS * count:
+        # Sorted by size, the blobs first ... end - 1 have sizes within the allowed ratio of the
+        # first one's; the longest such group is taken.
         sizes = np.array([blob.size for blob in whole])
         ends = np.searchsorted(sizes, _SIZES * sizes, side="right")
         first = int(np.argmax(ends - np.arange(len(sizes))))
@@ -82,7 +104,13 @@ def candidates(
 
 
 def _part_of_a_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, missing: str) -> Detection:
-    """Return the circles of a grid that is seen in part, or why it is not used."""
+    """Return the detected circles of a partly visible grid, or the reason why it is not used.
+
+    Args:
+        blobs: the candidates for circles.
+        target: the grid.
+        missing: the reason why no whole grid was found, with which a message begins.
+    """
     count = target.rows * target.columns
     if target.asymmetric:
         return nothing_found(count, f"{missing}; an asymmetric grid has to be seen as a whole")
@@ -97,6 +125,14 @@ def _part_of_a_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, missing: str)
 def _blob_parameters(
     area: float, roundness: float, target: CircleGrid, shape: tuple[int, ...]
 ) -> cv2.SimpleBlobDetector.Params:
+    """Return the settings of OpenCV's blob detector.
+
+    Args:
+        area: lower limit on a blob's area, px^2.
+        roundness: lower limit on a blob's circularity.
+        target: the grid.
+        shape: of the picture, height and width first, px.
+    """
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minThreshold, parameters.maxThreshold = 20, 220
     parameters.thresholdStep = 10
@@ -106,7 +142,8 @@ def _blob_parameters(
     parameters.blobColor = 255 if target.light_on_dark else 0
     parameters.filterByArea = True
     parameters.minArea = area
-    # A circle is at most half the pitch wide, and the grid fits the picture.
+    # The whole grid fits into the picture, and a circle is smaller than its cell of the grid, whose
+    # area is at most height width / (rows columns).
     parameters.maxArea = 0.8 * shape[0] * shape[1] / (target.rows * target.columns)
     parameters.filterByCircularity = True
     parameters.minCircularity = roundness
@@ -117,11 +154,13 @@ def _blob_parameters(
 
 
 def _grid(centres: np.ndarray, target: CircleGrid) -> np.ndarray | None:
+    """Return the centres that form a whole grid, in OpenCV's order; None if there is no grid."""
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if target.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     size = (target.columns, target.rows)
     points = centres.astype(np.float32)[:, None]
+    # Clustering tolerates perspective better, the plain search tolerates other blobs better.
     for flags in (kind | cv2.CALIB_CB_CLUSTERING, kind):
-        # Without a detector the finder takes points in the place of a picture.
+        # With None as the blob detector, the finder accepts points instead of a picture.
         finder = cv2.CirclesGridFinderParameters()
         ok, centres = cv2.findCirclesGrid(points, size, flags, None, finder)  # pyright: ignore[reportCallIssue, reportArgumentType]
         if ok and _is_a_grid(centres.reshape(-1, 2), target):
@@ -130,14 +169,18 @@ def _grid(centres: np.ndarray, target: CircleGrid) -> np.ndarray | None:
 
 
 def _is_a_grid(centres: np.ndarray, target: CircleGrid) -> bool:
-    """The finder may take a stray blob for a circle: a homography must explain the whole grid."""
+    """Return whether one homography maps the target's grid to the centres.
+
+    OpenCV's finder may mistake another blob for a circle.
+    """
     flat = target.points[:, :2] / target.spacing
     H, _ = cv2.findHomography(flat, centres)
     if H is None:
         return False
     mapped = cv2.perspectiveTransform(flat[None], H)[0]
     neighbours = np.linalg.norm(np.diff(mapped, axis=0), axis=1)
-    # Lens distortion bends a grid by a few hundredths of a step, a wrong circle by a whole one.
+    # Largest residual < 0.3 median distance between neighbours. Lens distortion causes residuals of
+    # a few hundredths of that distance, a wrong circle one of a whole distance.
     return float(np.linalg.norm(centres - mapped, axis=1).max()) < 0.3 * float(
         np.median(neighbours)
     )
@@ -146,7 +189,9 @@ def _is_a_grid(centres: np.ndarray, target: CircleGrid) -> bool:
 def _origin_first(
     centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid
 ) -> np.ndarray:
-    """Turned so that the larger corner circle comes first, and never mirrored."""
+    """Return the centres rotated so that the larger corner circle is first, never mirrored."""
+    # The diameter of each centre's blob is compared with those of the corner's three neighbours,
+    # for every rotation that maps the grid to itself.
     positions = np.array([blob.pt for blob in blobs])
     sizes = np.array([blob.size for blob in blobs])
     nearest = np.argmin(np.linalg.norm(centres[:, None] - positions[None], axis=-1), axis=1)
@@ -158,5 +203,8 @@ def _origin_first(
 
 
 def _around_corner(grid: np.ndarray) -> float:
-    """Size of the circles beside the corner: perspective makes a whole side larger."""
+    """Return the mean diameter of the three circles around the first corner, px.
+
+    The corner is compared with its neighbours because perspective makes a whole side larger.
+    """
     return float(np.mean([grid[0, 1, 2], grid[1, 0, 2], grid[1, 1, 2]]))

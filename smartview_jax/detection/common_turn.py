@@ -1,8 +1,9 @@
-"""Which of the turns of a symmetric target all views share: the target's own frame hangs on it.
+"""Choose the symmetry of a target that applies to all views, which defines the target's frame.
 
-Robot motion orders the views relative to each other; turned all at once they fit as well as before,
-and only the frame of the target is another. So that frame is chosen by where it stands: as a rough
-pose says, or else the way round in which it is turned least.
+The robot's motion determines the order of the points in each view only relative to the other views.
+One symmetry applied to all views at once fits equally well and only changes the frame of the
+target. That frame is chosen by its orientation: the one nearest to a rough pose or, without a rough
+pose, the one with the smallest rotation about z relative to its holder.
 """
 
 from typing import NamedTuple
@@ -12,21 +13,25 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 LEAST_TURN = np.deg2rad(3.0)
-"""Turns between views that are smaller have no axis worth the name, rad."""
+"""Smallest rotation between two views whose axis is used, rad; noise dominates smaller ones."""
 
 ONE_AXIS = 0.1
-"""Spread of the turns' axes across the main one, as a share, under which they are one axis."""
+"""Limit on the second over the first singular value of the rotation vectors, without unit.
+
+Below it, all rotations between views are about one axis, which does not determine the hand-eye
+rotation.
+"""
 
 SAME_SIDE = np.deg2rad(60.0)
-"""Angle between the target's z axis and that of a rough pose from which the rough one is wrong."""
+"""Largest accepted angle between the target's z axis and that of the rough pose, rad."""
 
 
 class CommonTurn(NamedTuple):
-    """The turn that was chosen for all views.
+    """The symmetry that was chosen for all views.
 
     Attributes:
         symmetry: index of the symmetry to apply to every view.
-        words: a sentence that says how many there are, which was taken and why.
+        words: a sentence that states how many there are, which one was chosen and why.
     """
 
     symmetry: int
@@ -41,16 +46,17 @@ def common_turn(
     holder: str,
     rough: Float[np.ndarray, "3 3"] | None = None,
 ) -> CommonTurn:
-    """Choose the turn under which the target stands as it is roughly said to.
+    """Choose the symmetry under which the target's orientation is nearest to the expected one.
 
     Args:
-        camera_rotations: of `camera_from_world`, in one order over all views.
-        mount_rotations: of `mount_from_holder`, from the robot.
-        points: of the target, m.
-        symmetries: orders that look alike, identity first.
-        holder: the frame in which the target stands, `"base"` or `"tool"`, for the words.
-        rough: rotation of `holder_from_world`, roughly; None takes the way round in which the
-            target's x axis is nearest to the holder's, its z axis being as it is.
+        camera_rotations: rotations of `camera_from_world`, with one order of the points in all
+            views.
+        mount_rotations: rotations of `mount_from_holder`, from the robot.
+        points: points of the target, m.
+        symmetries: orders of the points that look the same, identity first.
+        holder: the frame in which the target is fixed, `"base"` or `"tool"`, for the message.
+        rough: approximate rotation of `holder_from_world`. If None, the symmetry is chosen for
+            which the target's x axis is nearest to the holder's; its z axis is the same for all.
 
     Raises:
         ValueError: the z axis of the rough pose is not that of the target.
@@ -84,10 +90,20 @@ def common_turn(
 
 
 def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) -> Rotation | None:
-    """Rotation of `holder_from_world` by the first symmetry; None where one axis has all turns."""
+    """Estimate the rotation of `holder_from_world` for the first symmetry.
+
+    Returns:
+        None if all rotations between views are about one axis, or if fewer than two of them have a
+        usable angle.
+    """
+    # A_ij = R_j R_i^T of the camera and B_ij of the mount satisfy A_ij = X B_ij X^T with the
+    # hand-eye rotation X (camera_from_mount). So their rotation vectors satisfy
+    #   a_ij = X b_ij,
+    # which is solved for X by least squares. Then, in every view,
+    #   holder_from_world = (mount_from_holder)^T X^T camera_from_world.
     a, b = _turns(camera_rotations), _turns(mount_rotations)
     angle = np.linalg.norm(b, axis=1)
-    # Near half a turn an axis may point either way.
+    # Near 180 degrees noise can reverse the sign of a rotation vector.
     telling = (angle > LEAST_TURN) & (angle < 0.95 * np.pi)
     a, b = a[telling], b[telling]
     if len(b) < 2:
@@ -96,43 +112,53 @@ def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) 
     if spread[1] < ONE_AXIS * spread[0]:
         return None
     hand_eye = Rotation.align_vectors(a, b)[0]
-    for _ in range(3):  # a view in a wrong order must not turn the others
+    # Refitting without the large residuals keeps a view in a wrong order from biasing the result.
+    for _ in range(3):
         gap = np.linalg.norm(a - hand_eye.apply(b), axis=1)
         near = gap <= 3.0 * np.median(gap) + 1e-9
         hand_eye = Rotation.align_vectors(a[near], b[near])[0]
     of_views = mount_rotations.swapaxes(1, 2) @ hand_eye.as_matrix().T @ camera_rotations
     cosines = np.einsum("iab,jab->ij", of_views, of_views)
-    # The half of the views nearest to all others: those in a wrong order are not among them.
+    # trace(R_i^T R_j) = 1 + 2 cos(angle). The mean is over the half of the views that are nearest
+    # to the others, which excludes those in a wrong order.
     apart = -np.median(cosines, axis=1)
     return Rotation.from_matrix(of_views[apart <= np.median(apart)]).mean()
 
 
 def _turns(rotations: np.ndarray) -> np.ndarray:
-    """Rotation vectors between all pairs of views, rad."""
+    """Return the rotation vectors between all pairs of views, rad."""
     i, j = np.triu_indices(len(rotations), 1)
     return Rotation.from_matrix(rotations[j] @ rotations[i].swapaxes(1, 2)).as_rotvec()
 
 
 def _turn(points: np.ndarray, order: np.ndarray) -> Rotation:
-    """The turn in the target's plane that puts every point where another is in this order."""
+    """Return the rotation in the target's plane that maps each point to the one in this order."""
     centred = points - points.mean(axis=0)
     return Rotation.align_vectors(centred[order], centred)[0]
 
 
 def _turn_about_z(rotations: Rotation) -> np.ndarray:
-    """Angle about the target's z axis, after the shortest turn that puts z up or down."""
+    """Return the angle about z of each rotation, in [-pi, pi) rad.
+
+    Each rotation is decomposed into a rotation about z, whose angle is returned, and the smallest
+    rotation that tilts z up or down to its direction.
+    """
     matrices = rotations.as_matrix()
-    # A z axis that points down is that of a board with z into it, seen from above: half a turn
-    # about x takes it up, and x stays where it is.
+    # A z axis that points down is that of a board with z into it, seen from above. Rotating by 180
+    # degrees about x makes it point up and keeps x.
     down = matrices[:, 2, 2] < 0.0
     matrices[down] = matrices[down] @ np.diag([1.0, -1.0, -1.0])
+    # Decomposition of the quaternion (w, x, y, z): angle about z = 2 atan2(z, w).
     quaternions = Rotation.from_matrix(matrices).as_quat()
     angle = 2.0 * np.arctan2(quaternions[:, 2], quaternions[:, 3])
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _refuse_other_side(turned: Rotation, given: Rotation, holder: str) -> None:
-    """Raise a ValueError where no turn of the pattern has the z axis of the rough pose."""
+    """Raise a ValueError if the z axis of the rough pose is far from the target's.
+
+    The symmetries are rotations about z, so that all of them have the same z axis.
+    """
     z, rough_z = turned.as_matrix()[0, :, 2], given.as_matrix()[:, 2]
     angle = float(np.arccos(np.clip(z @ rough_z, -1.0, 1.0)))
     if angle > SAME_SIDE:

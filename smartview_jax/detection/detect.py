@@ -1,4 +1,4 @@
-"""Pictures to pixels, for any target."""
+"""Read pictures and detect the points of any target in them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,17 +18,20 @@ _DETECTORS: tuple[tuple[type[AbstractTarget], Callable[..., Detection]], ...] = 
     (Charuco, detect_charuco),
     (TagGrid, detect_tags),
 )
+"""Detector of each kind of target."""
 
 
 def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
-    """Where a target's points are in a picture; nothing found is an answer with a reason.
+    """Detect a target's points in a picture.
+
+    If nothing is found, the result is an empty detection with a reason, not an error.
 
     Args:
         image: uint8, grey `(h, w)` or BGR `(h, w, 3)`.
-        target: a flat target; of a `StackedTarget`, its board.
+        target: a flat target; for a `StackedTarget`, its board.
 
     Raises:
-        ValueError: not a picture, or a target without a detector.
+        ValueError: an array that is not a picture, or a target without a detector.
     """
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise ValueError(
@@ -42,18 +45,23 @@ def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
 
 
 def read_picture(path: Path, image_size: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a picture as grey uint8, as the sensor saw it.
+    """Read a picture as grey uint8, in the orientation of the sensor.
 
-    An orientation that the file notes (EXIF) is left aside: a camera's pixels are its sensor's, and
-    a note in some of the files would turn those alone.
+    An orientation stored in the file (EXIF) is ignored: a camera's pixels are those of its sensor,
+    and if only some of the files store an orientation, only those would be rotated.
+
+    Args:
+        path: the file.
+        image_size: expected width and height, px; None accepts any size.
 
     Raises:
-        FileNotFoundError: it is missing.
-        ValueError: it cannot be read, or has another size than stated.
+        FileNotFoundError: the file is missing.
+        ValueError: the file cannot be read as a picture, or the picture has another size.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such picture")
-    # Not imread: it prints to stderr and cannot read names outside ASCII everywhere.
+    # `cv2.imread` is not used: it prints to stderr, and on some systems cannot open file names
+    # outside ASCII.
     data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     try:

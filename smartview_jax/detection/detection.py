@@ -1,4 +1,4 @@
-"""What a detector answers."""
+"""Define the result of a detector."""
 
 from typing import NamedTuple
 
@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float
 
 
 class Detection(NamedTuple):
-    """Where a target's points were seen in a picture.
+    """The result of detecting a target's points in a picture.
 
     Attributes:
-        pixels: one row a target point, px; NaN where not seen.
-        visible: which were seen.
-        reason: why nothing was found; None where something was.
+        pixels: one row for each point of the target, px; NaN where the point was not detected.
+        visible: whether each point was detected.
+        reason: the reason why nothing was found; None if something was.
     """
 
     pixels: Float[np.ndarray, "points 2"]
@@ -21,18 +21,33 @@ class Detection(NamedTuple):
 
 
 def found(pixels: np.ndarray) -> Detection:
-    """Every point of the target was seen."""
+    """Return a detection of all points of the target.
+
+    Args:
+        pixels: one row for each point, px.
+    """
     pixels = np.asarray(pixels, dtype=float).reshape(-1, 2)
     return Detection(pixels, np.ones(len(pixels), dtype=bool), None)
 
 
 def some_found(count: int, index: np.ndarray, pixels: np.ndarray) -> Detection:
-    """Points of the target by index; the others were not seen."""
+    """Return a detection of some of the target's points.
+
+    Args:
+        count: number of points of the target.
+        index: indices of the detected points.
+        pixels: one row for each detected point, px.
+    """
     everywhere = np.full((count, 2), np.nan)
     everywhere[index] = np.asarray(pixels, dtype=float).reshape(-1, 2)
     return Detection(everywhere, np.asarray(np.isfinite(everywhere).all(axis=1)), None)
 
 
 def nothing_found(count: int, reason: str) -> Detection:
-    """An empty view, with its reason."""
+    """Return an empty detection.
+
+    Args:
+        count: number of points of the target.
+        reason: the reason why nothing was found.
+    """
     return Detection(np.full((count, 2), np.nan), np.zeros(count, dtype=bool), reason)

@@ -1,9 +1,9 @@
-"""Circles of a grid that is seen in part: which row and column each of them is in.
+"""Find the row and column of each circle of a partly visible grid.
 
-From a circle and two of its neighbours a lattice is grown, neighbour by neighbour, with steps that
-follow perspective. It numbers rows and columns from anywhere. What they are on the target is told
-by the lattice itself where it spans all rows and columns, a few circles being hidden; and by the
-larger corner circle where that is seen. Where neither tells, the answer says what is missing.
+A lattice is grown from a circle and two of its neighbours, neighbour by neighbour, with steps that
+adapt to perspective. It numbers rows and columns from an arbitrary origin. Their numbers on the
+target follow if the lattice spans all rows and columns, with only a few circles hidden, or from the
+larger corner circle if it is visible. Otherwise the result is a text that states what is missing.
 """
 
 from collections import deque
@@ -16,39 +16,41 @@ from scipy.spatial import KDTree
 from ..targets import CircleGrid
 
 LEAST_SHARE = 0.5
-"""Share of a grid's circles that have to be seen."""
+"""Smallest fraction of a grid's circles that must be visible."""
 
 _SEEDS = 8
-"""Circles from which a lattice is tried, those in the middle first."""
+"""Number of circles from which a lattice is grown, starting with those nearest to the middle."""
 
 _MISS = 0.25
-"""Share of a step by which a circle may miss the place where its neighbours expect it."""
+"""Largest distance of a circle from its predicted position, as a fraction of a lattice step."""
 
 _MARK = 1.2
-"""Size of a corner circle over its neighbours', from which it is the mark."""
+"""Smallest ratio of the mark's diameter to the mean diameter of its neighbours."""
 
 Cells = dict[tuple[int, int], int]
-"""By row and column, counted from anywhere, the index of a blob."""
+"""Type of a lattice: the index of a blob by row and column, counted from an arbitrary origin."""
 
 
 def partial_grid(
     centres: Float[np.ndarray, "blobs 2"], sizes: Float[np.ndarray, "blobs"], target: CircleGrid
 ) -> tuple[Int[np.ndarray, "found"], Int[np.ndarray, "found"]] | str:
-    """Return which blobs are which circles of a symmetric grid, or why that cannot be told.
+    """Return which blob is which circle of a symmetric grid, or the reason why this is unknown.
 
     Args:
-        centres: of all blobs, px.
-        sizes: their diameters, px.
+        centres: centres of all blobs, px.
+        sizes: diameters of all blobs, px.
         target: the grid.
 
     Returns:
-        Indices of the target's circles and, for each, of its blob; or a reason in words.
+        Indices of the target's circles and, for each, the index of its blob; or a reason in words.
     """
     total = target.rows * target.columns
     lattices: list[Cells] = _lattices(centres)
     cells = _without_strays(max(lattices, key=len, default={}), centres)
     if len(cells) < LEAST_SHARE * total:
         return f"{len(cells)} of them lie on a grid, at least half of {total} are needed"
+    # Counting can start at any of the four corners. Each of the four rotations of the cells that
+    # fits into the target is a candidate, and the mark or the extent selects among them.
     placed = np.array(list(cells))
     placed -= placed.min(axis=0)
     blobs = np.array(list(cells.values()))
@@ -70,7 +72,7 @@ def partial_grid(
 
 
 def _lattices(centres: Float[np.ndarray, "blobs 2"]) -> list[Cells]:
-    """Return the lattices grown from circles in the middle."""
+    """Return the lattices grown from the circles nearest to the middle, one for each."""
     if len(centres) < 4:
         return []
     tree = KDTree(centres)
@@ -79,7 +81,15 @@ def _lattices(centres: Float[np.ndarray, "blobs 2"]) -> list[Cells]:
 
 
 def _grown(centres: Float[np.ndarray, "blobs 2"], tree: KDTree, seed: int) -> Cells:
-    """Return the lattice that a circle belongs to; rows and columns turn as in the picture."""
+    """Return the lattice that contains a circle, with rows and columns oriented as in the picture.
+
+    Args:
+        centres: centres of all blobs, px.
+        tree: the same centres, for queries of the nearest one.
+        seed: index of the circle to start from.
+    """
+    # Breadth first from the seed: the neighbour of a circle at c is expected at c +- step, and the
+    # step to a found neighbour is its measured distance, so that steps follow the perspective.
     across, down = _first_steps(centres, tree, seed)
     cells, used = {(0, 0): seed}, {seed}
     queue = deque([((0, 0), np.stack([down, across]))])
@@ -103,7 +113,12 @@ def _grown(centres: Float[np.ndarray, "blobs 2"], tree: KDTree, seed: int) -> Ce
 def _first_steps(
     centres: Float[np.ndarray, "blobs 2"], tree: KDTree, seed: int
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return the ways to the nearest circle and to the nearest one aside from it."""
+    """Return the lattice's first two steps at a circle, px.
+
+    They are the vectors to the nearest circle and to the nearest one in a direction at least 30
+    degrees from the first; without such a circle, the second step is perpendicular to the first.
+    """
+    # |first x other| > sin(30 degrees) |first| |other|
     _, near = tree.query(centres[seed], k=min(9, len(centres)))
     ways = centres[np.asarray(near)[1:]] - centres[seed]
     lengths = np.linalg.norm(ways, axis=1)
@@ -112,12 +127,16 @@ def _first_steps(
     aside = np.flatnonzero(np.abs(turn) > 0.5 * lengths[0] * lengths)
     if not len(aside):
         return first, np.array([-first[1], first[0]])
-    # Rows follow columns as y follows x in the picture: a target is seen from its front.
+    # The sign makes (columns, rows) right-handed as (x, y) in the picture, because a target is seen
+    # from its front and never mirrored.
     return first, np.sign(turn[aside[0]]) * ways[aside[0]]
 
 
 def _without_strays(cells: Cells, centres: Float[np.ndarray, "blobs 2"]) -> Cells:
-    """Return the cells that one homography explains."""
+    """Return the cells that agree with one homography from cells to pixels.
+
+    Fewer than nine cells are too few for this test, and none of them is returned.
+    """
     if len(cells) < 9:
         return {}
     places, found = np.array(list(cells), dtype=float), centres[list(cells.values())]
@@ -132,13 +151,20 @@ def _without_strays(cells: Cells, centres: Float[np.ndarray, "blobs 2"]) -> Cell
 
 
 def _turned(cells: Int[np.ndarray, "found 2"], quarter: int) -> Int[np.ndarray, "found 2"]:
-    """Return rows and columns, from zero, as counted after quarter turns."""
+    """Return rows and columns after rotations of the grid.
+
+    Args:
+        cells: rows and columns, counted from zero.
+        quarter: number of rotations by 90 degrees.
+    """
+    # (row, column) -> (column, last row - row)
     for _ in range(quarter):
         cells = np.stack([cells[:, 1], cells[:, 0].max() - cells[:, 0]], axis=1)
     return cells
 
 
 def _spans(cells: Int[np.ndarray, "found 2"], target: CircleGrid) -> bool:
+    """Return whether the cells reach from the first to the last row and column of the target."""
     return bool((cells.max(axis=0) + 1 == (target.rows, target.columns)).all())
 
 
@@ -147,7 +173,18 @@ def _by_mark(
     sizes: Float[np.ndarray, "found"],
     target: CircleGrid,
 ) -> list[Int[np.ndarray, "found 2"]]:
-    """Return the ways of counting that begin at the mark, or where alone it can be hidden."""
+    """Return the rotation of the cells whose first corner is the mark.
+
+    If the mark is not seen, it is the rotation that spans the target with its first corner hidden.
+
+    Args:
+        turned: the possible rotations of the cells.
+        sizes: diameter of each cell's circle, px.
+        target: the grid.
+
+    Returns:
+        A list of one rotation, or an empty list if there is none or more than one.
+    """
     marked, hidden = [], []
     for cells in turned:
         size = {(int(i), int(j)): float(s) for (i, j), s in zip(cells, sizes, strict=True)}

@@ -1,4 +1,7 @@
-"""Boards that carry numbers: ChArUco, AprilTag and ArUco grids. A view may show a part."""
+"""Detect boards with numbered markers: ChArUco boards and grids of AprilTag or ArUco tags.
+
+A view may show only a part of the board.
+"""
 
 import cv2
 import numpy as np
@@ -8,12 +11,16 @@ from .detection import Detection, nothing_found, some_found
 
 
 def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
-    """One of OpenCV's marker dictionaries; targets know which there are."""
+    """Return one of OpenCV's marker dictionaries.
+
+    Args:
+        name: OpenCV's name for it, which targets have already checked.
+    """
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
 def charuco_board(target: Charuco) -> cv2.aruco.CharucoBoard:
-    """OpenCV's description of the board."""
+    """Return OpenCV's description of a ChArUco board."""
     board = cv2.aruco.CharucoBoard(
         (target.squares_x, target.squares_y),
         target.square,
@@ -25,7 +32,12 @@ def charuco_board(target: Charuco) -> cv2.aruco.CharucoBoard:
 
 
 def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
-    """The inner corners that lie between recognised markers."""
+    """Detect the inner corners of a ChArUco board that are between recognised markers.
+
+    Args:
+        image: grey, uint8.
+        target: the board.
+    """
     count = (target.squares_x - 1) * (target.squares_y - 1)
     detector = cv2.aruco.CharucoDetector(charuco_board(target))
     corners, ids, _, marker_ids = detector.detectBoard(image)
@@ -39,7 +51,12 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
 
 
 def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
-    """The corners of every tag of the grid that is seen, refined to sub-pixel."""
+    """Detect the four corners of every visible tag of a grid, with sub-pixel refinement.
+
+    Args:
+        image: grey, uint8.
+        target: the grid.
+    """
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
@@ -53,5 +70,6 @@ def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
             count,
             f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found{others}",
         )
+    # Corner k of the tag with number n is point 4 (n - first_id) + k of the target.
     index = np.concatenate([4 * (seen[k] - target.first_id) + np.arange(4) for k in mine])
     return some_found(count, index, np.concatenate([corners[k].reshape(4, 2) for k in mine]))
