@@ -111,8 +111,6 @@ class ImpliedArm(AbstractField):
     def by_coefficients(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        # The factor reported arm(joints)^-1 stands on the left and does not depend on the
-        # coefficients: it does not change a twist at the tool.
         """Return the Jacobian of the true pose, that of the arm errors at the inferred joints."""
         # The factor reported arm(joints)^-1 stands on the left and does not depend on the
         # coefficients: it does not change a twist at the tool.

@@ -24,7 +24,6 @@ def robot_error_to_dict(error: RobotError) -> dict[str, Any]:
 
 
 def _field_to_dict(field: AbstractField) -> dict[str, Any]:
-    # All attributes are written, so that a field of the caller's own needs no code for files.
     """Return the attributes of a field by name, with the name of its model."""
     # All attributes are written, so that a field of the caller's own needs no code for files.
     parts = {name: _part_to_plain(value) for name, value in vars(field).items()}

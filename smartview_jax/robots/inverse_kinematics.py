@@ -59,7 +59,7 @@ def joints_near(
 
         first = _free(start, arm.limits)
         # The iteration runs over unbounded coordinates, so that no step can leave the joint limits.
-        # Failure is not an error here: it is part of the answer.
+        # A pose out of reach is not an error here: the second result reports it.
         found = optx.least_squares(left_free, solver, first, max_steps=STEPS, throw=False).value
         found = _within(found, arm.limits)
         return found, jnp.max(jnp.abs(left(found))) < ARRIVED

@@ -222,10 +222,9 @@ def _note_region(
         tools = places @ rotation.T + jnp.broadcast_to(
             world_from_holder.translation(), places.shape
         )
+        height = region.height(tools)
         # The tool must stay above the target's plane. If it was lower beside the target in the
         # views of the fit, it may be as low again.
-        height = region.height(tools)
-        # Beside the target the tool may have been lower than it, and may be so again.
         note("tool_side", -height, height >= jnp.minimum(region.lowest_tool, 0.0))
     extent = region.extent(cameras)
     note("viewed_region", extent, extent <= limits.viewed)
