@@ -59,6 +59,7 @@ class CalibrationFit(eqx.Module):
         return (*self.joint.warnings, *_beside_staged(self))
 
     def __getattr__(self, name: str):
+        """Return the joint fit's attribute of this name."""
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.joint, name)

@@ -1,7 +1,7 @@
 """Simulate the paper's stylus test (Fig. 2): how far a stylus misses the point it should touch.
 
-Errors in pixels can be small for the wrong reason; a tool that reaches where the calibration
-locates the target cannot be right by such a chance.
+Errors in pixels can be small for the wrong reason. A stylus that reaches the point where the
+calibration locates the target confirms the whole chain.
 """
 
 import jax.numpy as jnp

@@ -1,6 +1,6 @@
 """Fit the camera alone, with a free pose per view: Step 2 as one batch least squares problem.
 
-It is the joint problem with both transforms held, each view's initial pose in place of the robot's
+It is the joint problem with both transforms held, each view's initial pose instead of the robot's
 report, and pose corrections without a prior. The robot's poses are not used.
 """
 

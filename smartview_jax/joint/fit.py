@@ -240,14 +240,14 @@ def fit_joint(
             opened += estimate.free
         if smooth is False:
             begin, smooth = begin.uncorrected, None
-        # Levenberg-Marquardt on whitened residuals: (H + lambda I) step = -g with the arrow-shaped
-        # normal equations H = [[A, B^T], [B, C]], C a 6 x 6 block C_v per view. Per step tried: one
-        # linearisation. Per damping lambda: one Cholesky factor of A + lambda I - sum_v B_v^T (C_v
-        # + lambda I)^-1 B_v.
         built = build_problem(data, begin, None, model, loss, fixed, opened, priors, smooth)
         count = len(built.names) + len(built.own_names)
         say(f"joint fit: {count} parameters, {data.observation_count} observations")
 
+        # Levenberg-Marquardt on whitened residuals, with C a 6 x 6 block C_v per view:
+        #     (H + lambda I) step = -g,  H = [[A, B^T], [B, C]]
+        # Per step tried: one linearisation. Per damping lambda: one Cholesky factor of
+        #     A + lambda I - sum_v B_v^T (C_v + lambda I)^-1 B_v
         def run(problem: JointProblem) -> tuple[Solution, NormalEquations]:
             if devices is None:
                 return solve(problem, solver)

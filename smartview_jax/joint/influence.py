@@ -122,9 +122,9 @@ def pose_scores(
     covariance = parts.own_covariance(shared)
 
     weight = problem.prior_weight.corrections
-    # Whitened by W = S^-1/2: pull = W (c - mean), explained = I - W V W, d^2 = pull^T explained^-1
-    # pull. Directions about which the view says nothing have an eigenvalue of zero and are left
-    # out.
+    # Whitened by W = S^-1/2:
+    #     pull = W (c - mean),  explained = I - W V W,  d^2 = pull^T explained^-1 pull
+    # Directions about which the view says nothing have an eigenvalue of zero and are left out.
     pull = weight * problem.off_mean(problem.step(z)).corrections
     explained = jnp.eye(6)[None] - weight[..., None] * covariance * weight[:, None]
     share, axes = jnp.linalg.eigh(explained)

@@ -79,9 +79,11 @@ class ManyFits(eqx.Module):
     parameter_names: tuple[str, ...] = eqx.field(static=True)
 
     def __len__(self) -> int:
+        """Return the number of fits."""
         return len(self.cost)
 
     def __getitem__(self, index: int) -> Calibration:
+        """Return one fit's calibration; raise an `IndexError` out of range."""
         # JAX arrays clamp an index out of range instead of raising; `range` raises.
         place = range(len(self))[index]
         return jax.tree.map(lambda x: x[place], self.calibrations)

@@ -49,7 +49,7 @@ class Part(NamedTuple):
 
     Attributes:
         name: name of the cause.
-        px: RMS that it alone has in the bare chain; the parts add up in squares.
+        px: RMS that it alone has in the uncorrected chain; the parts add up in squares.
         advice: recommended action; empty where that would gain little.
     """
 
@@ -62,14 +62,14 @@ class ErrorBudget(NamedTuple):
     """The error of the chain without its correction, divided among its causes.
 
     Attributes:
-        total: RMS reprojection error of the bare chain, px.
+        total: RMS reprojection error of the uncorrected chain, px.
         parts: causes, the largest first.
         explanations: alternatives that explain the robot's smooth error by one number; empty where
             there is no such error or too few views.
         culprit: name of the cause to address first.
         words: recommended action, in a sentence or two.
-        own_chain: whether the bare chain is the fit's own; otherwise it is that of a field linear
-            in the pose, used where the fit has the field of an arm that was not described.
+        own_chain: whether the uncorrected chain is the fit's own; otherwise it is that of a field
+            linear in the pose, used where the fit has the field of an arm that was not described.
     """
 
     total: float
@@ -86,7 +86,7 @@ def error_budget(
     progress: Callable[[str], None] | None = None,
     regions: bool = False,
 ) -> ErrorBudget:
-    """Divide the error of the bare chain among its causes.
+    """Divide the error of the uncorrected chain among its causes.
 
     Pixels, poses and parameters have the sizes that the fit states, propagated through the
     projection; the systematic error is what the correction changes, and the lens part is the smooth
@@ -123,8 +123,8 @@ def error_budget(
         # The chain has neither the target's size nor the robot's errors corrected.
         chain = scale.fit.calibration.uncorrected
     if _has_undescribed_arm(fit.calibration.field):
-        # Link lengths of an undescribed arm are correlated with the mount: its bare chain has no
-        # meaning.
+        # Link lengths of an undescribed arm are correlated with the mount: without the correction
+        # its chain has no meaning.
         fit, own_chain = fit_candidate(data, fit, None, field_groups=4), False
     seen = np.asarray(data.visible)
     squares = expected_squares(fit, data)

@@ -1,6 +1,6 @@
 """Compare a wrong target size with a stretch of the robot's motion as causes of the smooth error.
 
-Both are one number each, and the same data hardly distinguish them. So both are fitted, in place of
+Both are one number each, and the same data hardly distinguish them. So both are fitted, instead of
 the robot error field and in addition to it, and reported with their gain in likelihood.
 """
 

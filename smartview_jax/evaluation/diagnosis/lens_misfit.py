@@ -28,7 +28,7 @@ def lens_misfit(
     Args:
         calibration: its camera and target scale matter, its chain does not.
         data: points and pixels.
-        used: which of the visible points to use: not those that were rejected.
+        used: which of the visible points to use; rejected points are excluded.
     """
     data = eqx.tree_at(lambda d: d.visible, data, data.visible & jnp.asarray(used))
     predicted, valid, _ = free_pose_predictions(calibration, data)

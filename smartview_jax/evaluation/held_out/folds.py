@@ -16,7 +16,7 @@ LEAST_BY_REGION = 6
 """The number of views below which hiding a region leaves too few to fit."""
 
 BY = ("view", "region")
-"""The accepted ways to split views."""
+"""The accepted values of `by`."""
 
 
 def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int, ...], ...]:

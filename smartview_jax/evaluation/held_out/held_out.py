@@ -157,7 +157,7 @@ def score(
 
 
 def _extrapolated(fold: Refit, data: Dataset) -> tuple[int, ...]:
-    """Return the hidden views that a fold's predictor says lie outside its data."""
+    """Return the hidden views that are outside the region of a fold's predictor."""
     inside = None if fold.failure else getattr(predictor_of(fold.fit), "inside", None)
     if inside is None:
         return ()

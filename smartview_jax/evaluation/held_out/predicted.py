@@ -150,6 +150,7 @@ class _Pixels(eqx.Module):
     points: Float[Array, "views points 3"]
 
     def __call__(self, calibration: Calibration) -> Float[Array, "views points 2"]:
+        """Return the pixels under a calibration."""
         pixels, valid = calibration.project(self.command, self.points)
         return jnp.where(valid[..., None], pixels, 0.0)
 
