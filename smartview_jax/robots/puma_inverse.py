@@ -209,7 +209,7 @@ def _branch(
     flip = jnp.stack([jnp.ones(()), -same, -same])
     W = (fore_arm.inverse() @ hand.rotation()).as_matrix() * flip[None]
     # The third column of W is (cos t4 sin b, sin t4 sin b, cos b), with b = -s4 t5. It gives t4 and
-    # t5; for b = 0 only t4 + t6 is determined, and t4 keeps its value at a zero reading.
+    # t5; for b = 0 only t4 + u is determined, and t4 keeps its value at a zero reading.
     tilt = jnp.sqrt(_positive(W[0, 2] ** 2 + W[1, 2] ** 2))
     straight = tilt < SINGULAR
     t4 = jnp.where(
