@@ -85,6 +85,7 @@ class Fisheye(AbstractLens):
         low, high = jnp.asarray(_ANGLES)[jnp.maximum(first - 1, 0)], jnp.asarray(_ANGLES)[first]
 
         def halve(_, bracket):
+            """Return the half of the bracket that contains the solution."""
             low, high = bracket
             middle = 0.5 * (low + high)
             rises = self._slope(middle) > 0.0
@@ -103,7 +104,10 @@ class Fisheye(AbstractLens):
         """
 
         def solve(residual, guess):
+            """Return the angle at which the residual is zero, rad."""
+
             def halve(_, bracket):
+                """Return the half of each bracket that contains the solution."""
                 low, high = bracket
                 middle = 0.5 * (low + high)
                 below = residual(middle) < 0.0

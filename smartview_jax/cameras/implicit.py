@@ -38,6 +38,7 @@ def implicit_inverse(
         """Return the solution of `residual(x) = 0` after the fixed number of Newton steps."""
 
         def step(_, x):
+            """Return the points after one Newton step."""
             value = residual(x)
             return x - _solve_pointwise(lambda v: jax.jvp(residual, (x,), (v,))[1], value)
 

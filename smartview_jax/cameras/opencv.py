@@ -79,6 +79,7 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         low, high = jnp.asarray(_RADII)[jnp.maximum(first - 1, 0)], jnp.asarray(_RADII)[first]
 
         def halve(_, bracket):
+            """Return the half of each bracket that contains the solution."""
             low, high = bracket
             middle = 0.5 * (low + high)
             rises = self._radial_slope(middle) > 0.0
@@ -121,6 +122,7 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         wanted = jnp.linalg.norm(jax.lax.stop_gradient(distorted), axis=-1)
 
         def halve(_, bracket):
+            """Return the half of each bracket that contains the solution."""
             low, high = bracket
             middle = 0.5 * (low + high)
             s = middle * middle

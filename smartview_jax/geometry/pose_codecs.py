@@ -161,6 +161,7 @@ def _matrix() -> PoseCodec:
     """Return the codec of 4x4 matrices, written row by row."""
 
     def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
+        """Return an error text for each row that is not a rigid transform."""
         problems = check_rigid(rows.reshape(-1, 4, 4), names)
         return [f"row {name}: {text}" for name, text in problems.items()]
 
@@ -190,6 +191,7 @@ def _quaternion(
     written = tuple(int(k) for k in np.argsort(wxyz))
 
     def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
+        """Return an error text for each row whose quaternion does not have length 1."""
         lengths = np.linalg.norm(rows[:, 3:], axis=1)
         return [
             f"row {label} has a quaternion of length {length:.6g}, not 1"

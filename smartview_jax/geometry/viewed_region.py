@@ -1,6 +1,6 @@
 """Describe the region of camera positions from which a calibration's views were taken.
 
-Commands outside this region are extrapolations. The side of the target on which the cameras stood
+Commands outside this region are extrapolations. The side of the target on which the cameras were
 is computed from the views, because the frame of a flat board does not show it: with z into the
 board, as in OpenCV, the cameras are where z is negative.
 """

@@ -58,8 +58,8 @@ def look_at(
     x, y, z = jnp.moveaxis(direction / jnp.linalg.norm(direction, axis=-1, keepdims=True), -1, 0)
     zero = jnp.zeros_like(z)
     # The smallest rotation from +-z to (x, y, z) has the quaternion (1 + |z|, -+y, +-x, 0) before
-    # normalisation. With the nearer axis the angle is at most 90 degrees and the real part at
-    # least 1, so that the norm cannot vanish.
+    # normalisation. With the nearer axis the angle is at most 90 degrees and the real part not
+    # below 1, so that the norm cannot vanish.
     upward = jnp.stack([1.0 + jnp.abs(z), -y, x, zero], axis=-1)
     downward = jnp.stack([1.0 + jnp.abs(z), y, -x, zero], axis=-1)
     up = z > 0.0
