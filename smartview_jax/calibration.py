@@ -1,12 +1,12 @@
-"""The calibration of a camera on a robot arm: the differentiable forward model of the library.
+"""Predict pixels from robot poses, and robot poses from camera poses: the calibrated forward model.
 
     pixel = camera.project(camera_from_tool @ tool_from_base(command) @ base_from_world @ p_world)
 
-is the chain for a camera on the hand (the paper's Eq. 10). A camera that stands beside the arm and
-watches a target on the tool has `camera_from_base @ base_from_tool(command) @ tool_from_world`.
-Both are one class here: the camera sits on its *mount* (the tool, or the base) and the target in
-its *holder* (the base, or the tool). A fitted error of the robot is part of the chain: predictions
-and commands go by where the tool is, not by where the robot says it is.
+is the chain for a camera on the hand (Eq. 10). For a camera that stands beside the arm and sees a
+target on the tool it is `camera_from_base @ base_from_tool(command) @ tool_from_world`. One class
+serves both: the camera is on its *mount* (the tool, or the base) and the target in its *holder*
+(the base, or the tool). A fitted robot error is part of the chain: predictions and commands use the
+true tool pose, not the reported one.
 """
 
 import dataclasses
@@ -36,37 +36,44 @@ from .robot_errors import AbstractField, RobotError, robot_error_from_dict, robo
 from .robots import Command, CommandLike, JointsLike, as_command
 
 FORMAT_VERSION = 2
-"""Files of version 1 have no end mark; see `schemas.calibration` for which of them load."""
+"""Version of the file format.
+
+Files of version 1 have no end mark; `schemas.calibration` says which of them load."""
 
 _END_MARK = "smartview_calibration"
-"""Value of the last entry of a file: what was cut does not have it."""
+"""Value of the last entry of a file, by which a truncated file is recognised."""
 
 _FRAMES: dict[str, tuple[str, str]] = {
     "eye_in_hand": ("tool", "base"),
     "eye_to_hand": ("base", "tool"),
 }
+"""Frames of the camera's mount and of the target's holder, by mount."""
 
 
 def mount_frames(mount: str) -> tuple[str, str]:
-    """The frame the camera is bolted to and the frame the target stands in."""
+    """Return the frame of the camera's mount and the frame of the target's holder.
+
+    Raises:
+        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+    """
     if mount not in _FRAMES:
         raise ValueError(f"mount is one of {', '.join(_FRAMES)}; found {mount!r}")
     return _FRAMES[mount]
 
 
 def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
-    """The robot's part of the chain, between the camera's mount and the target's holder.
+    """Return the robot's part of the chain, from the target's holder to the camera's mount.
 
-    Its own inverse: from this transform it gives `base_from_tool` back.
+    The function is its own inverse: applied to its result it returns `base_from_tool`.
     """
     return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
 
 
 class Calibration(eqx.Module):
-    """Camera, hand-eye and world transforms, and where they put a point in the picture.
+    """A calibrated camera on or beside a robot arm, which predicts pixels from robot poses.
 
-    Made by `eye_in_hand` or `eye_to_hand`, or by a fit. Every method works under `jit`, `grad` and
-    `vmap`.
+    Instances are made by `eye_in_hand` or `eye_to_hand`, or by a fit. Every numerical method works
+    under `jit`, `grad` and `vmap`.
 
     Attributes:
         camera: intrinsics and lens.
@@ -74,8 +81,8 @@ class Calibration(eqx.Module):
         holder_from_world: `base_from_world`, or `tool_from_world` for eye-to-hand.
         target_scale: true size of the target over its stated size.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        robot_error: what the reported poses are wrong by; None where they are taken as they are.
-        region: from where the target was seen when this was fitted; None where it was not fitted.
+        robot_error: model of the error of reported poses; None if they are taken as exact.
+        region: region from which the target was seen in the fitted data; None if not fitted.
     """
 
     camera: Camera
@@ -96,10 +103,17 @@ class Calibration(eqx.Module):
         robot_error: RobotError | None = None,
         region: ViewedRegion | None = None,
     ):
+        """Store the parts of the chain; arguments as in the class's attributes.
+
+        Raises:
+            ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+        """
+        # Raises for an unknown mount, before any fit starts.
         mount_frames(mount)
         self.camera = camera
         self.camera_from_mount = camera_from_mount
         self.holder_from_world = holder_from_world
+        # An array, not a float: a fit may estimate it, and a new value must not compile again.
         self.target_scale = jnp.asarray(target_scale, dtype=float)
         self.mount = mount
         self.robot_error = robot_error
@@ -113,7 +127,7 @@ class Calibration(eqx.Module):
         base_from_world: PoseLike,
         target_scale: ScalarLike = 1.0,
     ) -> "Calibration":
-        """A camera on the hand, a target that stands in the base frame."""
+        """Return the calibration of a camera on the hand, with a target fixed in the base frame."""
         return cls(
             camera,
             as_se3(camera_from_tool),
@@ -130,7 +144,7 @@ class Calibration(eqx.Module):
         tool_from_world: PoseLike,
         target_scale: ScalarLike = 1.0,
     ) -> "Calibration":
-        """A camera that stands in the base frame, a target on the tool."""
+        """Return the calibration of a camera fixed in the base frame, with a target on the tool."""
         return cls(
             camera,
             as_se3(camera_from_base),
@@ -146,20 +160,25 @@ class Calibration(eqx.Module):
 
     @property
     def camera_from_base(self) -> SE3:
-        """Where the camera stands (eye-to-hand)."""
+        """The pose of the base in the camera frame (eye-to-hand)."""
         return self._transform("camera_from_mount", "camera_from_base")
 
     @property
     def base_from_world(self) -> SE3:
-        """Where the target stands (eye-in-hand)."""
+        """The pose of the target in the base frame (eye-in-hand)."""
         return self._transform("holder_from_world", "base_from_world")
 
     @property
     def tool_from_world(self) -> SE3:
-        """How the target sits on the tool (eye-to-hand)."""
+        """The pose of the target in the tool frame (eye-to-hand)."""
         return self._transform("holder_from_world", "tool_from_world")
 
     def _transform(self, field: str, name: str) -> SE3:
+        """Return a transform by its public name, if this mount has it.
+
+        Raises:
+            AttributeError: the name belongs to the other mount.
+        """
         if name not in self.transform_names:
             raise AttributeError(
                 f"an {self.mount} calibration has {' and '.join(self.transform_names)}, not {name}"
@@ -168,30 +187,33 @@ class Calibration(eqx.Module):
 
     @property
     def transform_names(self) -> tuple[str, str]:
-        """What `camera_from_mount` and `holder_from_world` are called for this mount."""
+        """The public names of `camera_from_mount` and `holder_from_world` for this mount."""
         mount_frame, holder_frame = mount_frames(self.mount)
         return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
 
     @property
     def field(self) -> AbstractField | None:
-        """Of the robot's error; None where it is not corrected."""
+        """The robot error field; None if robot error is not modelled."""
         return None if self.robot_error is None else self.robot_error.field
 
     @property
     def uncorrected(self) -> "Calibration":
-        """The same without the robot's error: what programs have that take the transforms alone."""
+        """The calibration without robot error, for programs that use the transforms only."""
         return dataclasses.replace(self, robot_error=None)
 
     def camera_from_world(self, base_from_tool: CommandLike, corrected: bool = True) -> SE3:
-        """Extrinsics at the given robot poses, `(*views)` (Eq. 10).
+        """Return the extrinsics at the given robot poses, `(*views)`, by the chain of Eq. 10.
 
         Args:
             base_from_tool: what the robot reports: poses, or `arm.command(joints)`.
-            corrected: for the robot's error, where one was fitted; if not, the bare chain.
+            corrected: apply the robot error, if one was fitted; False takes poses as reported.
         """
         reported, error = as_command(base_from_tool), self.robot_error if corrected else None
+        # The command may carry joint angles, on which an arm's own errors depend; a pose alone does
+        # not determine them.
         pose = reported.base_from_tool if error is None else error.true_pose(reported)
         robot = mount_from_holder(self.mount, pose)
+        # Eq. 10: camera_from_world = camera_from_tool @ tool_from_base @ base_from_world.
         return self.camera_from_mount @ robot @ self.holder_from_world
 
     def command_for(
@@ -200,13 +222,13 @@ class Calibration(eqx.Module):
         corrected: bool = True,
         near: JointsLike | None = None,
     ) -> SE3:
-        """The robot pose `base_from_tool` that puts the camera at a wanted pose (Eq. 19).
+        """Return the robot pose `base_from_tool` that puts the camera at a wanted pose (Eq. 19).
 
         Args:
-            camera_from_world: wanted, `(*views)`.
-            corrected: for the robot's error: what to tell the robot so that it gets there.
-            near: joint angles in whose neighbourhood to look, where an arm's own errors were
-                fitted; NaN comes back where they find no way to reach the pose.
+            camera_from_world: the wanted camera poses, `(*views)`.
+            corrected: compensate the robot error, so that the true pose is the wanted one.
+            near: joint angles near which inverse kinematics search, if the errors of an arm were
+                fitted. The result is NaN if no solution is found there.
 
         Raises:
             ValueError: the errors of an arm were fitted, and `near` is not given.
@@ -219,8 +241,10 @@ class Calibration(eqx.Module):
         corrected: bool = True,
         near: JointsLike | None = None,
     ) -> Command:
-        """As `command_for`, with the joints where an arm's own errors were fitted."""
+        """Return the command of `command_for`, with joint angles if an arm's errors were fitted."""
         true_pose = self._pose_for(camera_from_world)
+        # Without robot error the reported pose is the true one. With it, the error depends on the
+        # pose that is asked for, so the robot error model has to be inverted.
         if self.robot_error is None or not corrected:
             return Command(true_pose)
         return self.robot_error.command(true_pose, near)
@@ -230,14 +254,25 @@ class Calibration(eqx.Module):
         camera_from_world: PoseLike,
         near: JointsLike,
     ) -> Float[Array, "*views joints"]:
-        """As `command_for`, in joint angles, where an arm's own errors were fitted."""
+        """Return the command of `command_for` in joint angles, for a calibration with a fitted arm.
+
+        Raises:
+            ValueError: no errors of an arm were fitted.
+        """
+        # With the robot error applied; without it a command has no joint angles.
         joints = self.reported_for(camera_from_world, near=near).joints
         if joints is None:
             raise ValueError("this calibration knows no arm; robots.joints_near finds joint angles")
         return joints
 
     def _pose_for(self, camera_from_world: PoseLike) -> SE3:
-        """Where the tool has to be."""
+        """Return the true `base_from_tool` for a wanted camera pose, without robot error.
+
+        Eq. 19, `base_from_tool = base_from_world @ world_from_camera @ camera_from_tool`, is Eq. 10
+        solved for the robot's part.
+        """
+        # The inverse of Eq. 19: tool_from_base = tool_from_camera @ camera_from_world
+        # @ world_from_base; with mount and holder it holds for both mounts.
         robot = (
             self.camera_from_mount.inverse()
             @ as_se3(camera_from_world)
@@ -251,7 +286,8 @@ class Calibration(eqx.Module):
         points: Float[Array, "*points 3"] | np.ndarray,
         corrected: bool = True,
     ) -> Float[Array, "*moved 3"]:
-        """Target points in the camera frame, m; arguments as in `project`."""
+        """Return target points in the camera frame, m; arguments as in `project`."""
+        # The scale is that of the target about its own origin, so it acts before any transform.
         points = self.target_scale * jnp.asarray(points, dtype=float)
         return transform_points(self.camera_from_world(base_from_tool, corrected), points)
 
@@ -261,12 +297,12 @@ class Calibration(eqx.Module):
         points: Float[Array, "*points 3"] | np.ndarray,
         corrected: bool = True,
     ) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
-        """Pixels of target points seen from the given robot poses, and where they are valid.
+        """Return the pixels of target points seen from the given robot poses, and their validity.
 
         Args:
             base_from_tool: what the robot reports, `(*views)` poses, or `arm.command(joints)`.
             points: `(N, 3)` for all views or `(*views, N, 3)`, in the target frame, m.
-            corrected: for the robot's error, where one was fitted; if not, the bare chain.
+            corrected: apply the robot error, if one was fitted; False takes poses as reported.
 
         Returns:
             pixels `(*views, N, 2)`, NaN where `valid` `(*views, N)` is False.
@@ -274,7 +310,7 @@ class Calibration(eqx.Module):
         return self.camera.project(self.points_in_camera(base_from_tool, points, corrected))
 
     def to_dict(self, run: str | None = None, warnings: Sequence[str] = ()) -> dict[str, Any]:
-        """Return plain numbers with their names and units, as written by `save`."""
+        """Return a dictionary of plain numbers with names and units, as written by `save`."""
         content: dict[str, Any] = {
             "smartview_calibration": FORMAT_VERSION,
             **({} if run is None else {"run": run}),
@@ -291,6 +327,7 @@ class Calibration(eqx.Module):
         content["robot_error"] = None if error is None else robot_error_to_dict(error)
         if self.region is not None:
             content["region"] = region_to_dict(self.region)
+        # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.
         content["end"] = _END_MARK
         return content
 
@@ -301,17 +338,23 @@ class Calibration(eqx.Module):
         lens: AbstractLens | None = None,
         field: AbstractField | None = None,
     ) -> "Calibration":
-        """The inverse of `to_dict`; `lens` and `field` stand for models this library doesn't know.
+        """Build a calibration from the dictionary that `to_dict` returns.
+
+        Args:
+            content: the dictionary.
+            lens: a lens of a class of your own; its numbers are read from `content`.
+            field: a robot error field of a class of your own, likewise.
 
         Raises:
             ValueError: naming the entry that is missing or wrong.
         """
-        # The validation library is imported where files are read, not where arrays are fitted.
+        # The validation library is imported only where files are read; fits do not need it.
         from .schemas.calibration import CALIBRATION
         from .schemas.reading import checked
 
         checked(content, CALIBRATION)
         mount = content["mount"]
+        # The file uses the public names, which depend on the mount.
         names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
         mounted, held = (transform_from_dict(name, content[name]) for name in names)
         error, region = content.get("robot_error"), content.get("region")
@@ -331,12 +374,12 @@ class Calibration(eqx.Module):
         run: str | None = None,
         warnings: Sequence[str] = (),
     ) -> None:
-        """Write a YAML file a person can read, whole or not at all.
+        """Write a human-readable YAML file atomically.
 
         Args:
             path: of the file.
-            run: name of the run that this is a result of, which all its files carry.
-            warnings: what speaks against it, such as a fit's `warnings`; read by people alone.
+            run: name of the run that produced this, written to all its files.
+            warnings: sentences such as a fit's `warnings`; for human readers, not read back.
         """
         write_atomically(path, dump_yaml(self.to_dict(run, warnings)))
 
@@ -347,7 +390,12 @@ class Calibration(eqx.Module):
         lens: AbstractLens | None = None,
         field: AbstractField | None = None,
     ) -> "Calibration":
-        """Read what `save` wrote; a lens or field of your own is passed, its numbers are read.
+        """Read a calibration file that `save` wrote.
+
+        Args:
+            path: of the file.
+            lens: a lens of a class of your own; its numbers are read from the file.
+            field: a robot error field of a class of your own, likewise.
 
         Raises:
             FileNotFoundError: the file is missing.
@@ -360,3 +408,4 @@ class Calibration(eqx.Module):
 
 
 _TRANSFORM_PATTERNS = ("camera_from_{0}", "{1}_from_world")
+"""Names of the two transforms in a file, to be formatted with mount and holder frame."""

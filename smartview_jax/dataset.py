@@ -1,4 +1,4 @@
-"""Observations of a target from several robot poses, checked once, at the door."""
+"""Hold the observations of a target from several robot poses, validated when they are read."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,17 +18,17 @@ from .geometry import PoseLike, as_se3, check_rigid
 from .robots import Command, SerialArm
 
 AGREEING = (1e-3, np.deg2rad(0.1))
-"""How far, m and rad, reported poses may be from an arm's own forward kinematics."""
+"""Largest difference (m, rad) of reported poses from the arm's forward kinematics."""
 
 
 class Observations(eqx.Module):
-    """The numbers of a data set, or of one view, alone: what compiled functions take.
+    """The arrays of a data set or of one view, without names, for compiled functions.
 
     Attributes:
         points: target points in the target frame, m.
-        pixels: where they were seen, px; NaN where not visible.
-        visible: which of them were seen.
-        base_from_tool: what the robot reported, one transform a view.
+        pixels: measured positions, px; NaN where not visible.
+        visible: mask of the points that were seen.
+        base_from_tool: reported by the robot, one transform per view.
         joints: readings of the robot's joints, rad or m; None where not known.
     """
 
@@ -40,13 +40,15 @@ class Observations(eqx.Module):
 
     @property
     def command(self) -> Command:
-        """What the robot reported, with its joints where they are known."""
+        """The commands reported by the robot, with joint readings if they are known."""
         return Command(self.base_from_tool, self.joints)
 
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]
     ) -> Float[Array, "*views points 2"]:
-        """Measured minus predicted, px; zero where a point was not seen or not predicted."""
+        """Return measured minus predicted pixels, zero where a point has no pixel or prediction."""
+        # Both terms are masked before subtracting; masking the difference would leave NaN in the
+        # gradient.
         used = (self.visible & valid)[..., None]
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
 
@@ -55,34 +57,39 @@ class Observations(eqx.Module):
 def chain_residuals(
     calibration: Calibration, observations: Observations
 ) -> Float[Array, "views points 2"]:
-    """Measured minus predicted by the reported poses, px.
+    """Return measured minus predicted pixels through the chain (Eq. 10) at the reported poses.
 
-    Zero where a point was not seen, infinite where one was seen that cannot be predicted.
+    They are zero where a point was not seen, and infinite where a point was seen but cannot be
+    predicted.
     """
 
     def view(seen: Observations) -> Float[Array, "points 2"]:
+        """Return the residuals of one view."""
         predicted, valid = calibration.project(seen.command, seen.points)
+        # Infinite, not zero: a calibration that cannot predict a seen point must not look good.
         nowhere = (seen.visible & ~valid)[..., None]
         return jnp.where(nowhere, jnp.inf, seen.residuals(predicted, valid))
 
-    # View by view: a projection of everything at once takes several times the data's memory.
+    # View by view: projecting all views at once takes several times the memory of the data.
     return jax.lax.map(view, observations)
 
 
 class Dataset(eqx.Module):
-    """What was seen from where: padded arrays, masks and names; never changed in place.
+    """A data set: points, pixels and robot poses of all views, with names and masks.
+
+    An instance is immutable.
 
     Attributes:
-        points, pixels, visible, base_from_tool: as in `Observations`.
-        view_ids: one name a view.
+        points, pixels, visible, base_from_tool: as in `Observations`, padded to one shape.
+        view_ids: one name per view.
         image_size: width and height, px.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         masked_views: view id and reason of every view that is kept but not used.
-        pictures: one file a view, where known.
-        target: the description of the target, where known (a member of `targets`).
+        pictures: one file per view, if known.
+        target: the description of the target, if known (a class of `targets`).
         joints: as in `Observations`.
-        arm: whose joints these are, where known.
-        notes: sentences on what was taken for granted when the data were read.
+        arm: the arm whose joints these are, if known.
+        notes: sentences on assumptions made when the data were read.
     """
 
     points: Float[Array, "views points 3"]
@@ -117,26 +124,26 @@ class Dataset(eqx.Module):
         arm: SerialArm | None = None,
         notes: Sequence[str] = (),
     ) -> "Dataset":
-        """A data set from one's own arrays.
+        """Build a data set from arrays.
 
         Args:
             points: `(N, 3)` or `(M, N, 3)` target points in the target (= world) frame, m.
             pixels: `(M, N, 2)` px; NaN where not seen.
-            base_from_tool: `(M,)` robot poses: an `SE3` or `(M, 4, 4)`, m; None where joints and an
-                arm say where the tool is.
+            base_from_tool: `(M,)` robot poses: an `SE3` or `(M, 4, 4)`, m; None if joints and an
+                arm are given instead.
             image_size: width and height, px.
-            visible: `(M, N)`; by default wherever `pixels` has numbers.
-            view_ids: one name a view; by default 0, 1, ...
-            mount: where the camera is: on the tool or beside the arm.
-            bad_views: what to do about a view whose values are wrong (a pose that is not rigid,
-                a pixel far outside the picture): raise, or mask it and keep the reason.
+            visible: `(M, N)`; by default wherever `pixels` is finite.
+            view_ids: one name per view; by default 0, 1, ...
+            mount: `"eye_in_hand"` (camera on the tool) or `"eye_to_hand"` (beside the arm).
+            bad_views: for a view with wrong values (a pose that is not rigid, a pixel far outside
+                the picture), `"raise"` an error or `"mask"` the view and keep the reason.
             masked_views: views already known to be unusable, with the reason.
-            pictures: one picture file a view.
+            pictures: one picture file per view.
             target: the description of the target.
-            joints: `(M, joints)` readings, rad, m for a joint that slides.
-            arm: whose joints these are, as its controller believes it to be. Poses that are given
-                as well must agree with it.
-            notes: sentences on what was taken for granted when the data were read.
+            joints: `(M, joints)` readings, rad, or m for a prismatic joint.
+            arm: the arm whose joints these are, with its controller's nominal parameters. Poses
+                that are given as well must agree with it.
+            notes: sentences on assumptions made when the data were read.
 
         Raises:
             ValueError: a wrong shape, a duplicate id, or, unless masked, a wrong value; the
@@ -145,6 +152,7 @@ class Dataset(eqx.Module):
         mount_frames(mount)
         if bad_views not in ("raise", "mask"):
             raise ValueError(f"bad_views is 'raise' or 'mask'; found {bad_views!r}")
+        # A copy, because masked pixels are overwritten below.
         pixels = np.array(pixels, dtype=float)
         if pixels.ndim != 3 or pixels.shape[-1] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
@@ -156,10 +164,12 @@ class Dataset(eqx.Module):
         matrices = _pose_matrices(base_from_tool, view_count)
         seen = _visible(visible, pixels, ids)
 
+        # A reason given by the caller takes precedence over one found here.
         problems = dict(masked_views)
         unknown = set(problems) - set(ids)
         if unknown:
             raise ValueError(f"masked_views: no view is called {sorted(unknown)}")
+        # Wrong values are collected over all views, so that one error names all of them.
         wrong = check_rigid(matrices, ids)
         for view, problem in _pixel_problems(pixels, seen, image_size, ids).items():
             wrong.setdefault(view, problem)
@@ -168,12 +178,14 @@ class Dataset(eqx.Module):
             raise ValueError("; ".join(f"view {view}: {text}" for view, text in wrong.items()))
         problems = {**wrong, **problems}
 
+        # Masked views stay in the arrays, with finite poses: one NaN would spread through sums.
         usable = np.array([view not in problems for view in ids], dtype=bool)
         matrices = np.where(usable[:, None, None] | _finite_views(matrices), matrices, np.eye(4))
         seen = seen & usable[:, None]
         known = np.broadcast_to(np.isfinite(points).all(axis=-1), seen.shape)
         if not known[seen].all():
             raise ValueError("points: a target point that was seen has NaN coordinates")
+        # NaN makes any code fail visibly that reads a pixel without looking at the mask.
         pixels[~seen] = np.nan
         data = cls(
             points=jnp.broadcast_to(jnp.nan_to_num(jnp.asarray(points)), (*seen.shape, 3)),
@@ -191,51 +203,54 @@ class Dataset(eqx.Module):
         return data if joints is None and arm is None else data.with_joints(joints, arm)
 
     def with_joints(self, joints: np.ndarray | Array | None, arm: SerialArm | None) -> "Dataset":
-        """The same, commanded by joints: the poses become those that the arm's numbers give.
+        """Return the data set with joint readings, and poses by the arm's forward kinematics.
 
         Args:
-            joints: `(views, joints)` readings, rad, m for a joint that slides.
-            arm: whose joints these are, as its controller believes it to be.
+            joints: `(views, joints)` readings, rad, or m for a prismatic joint.
+            arm: the arm whose joints these are, with its controller's nominal parameters.
 
         Raises:
-            ValueError: a wrong shape, or a view whose reported pose is not where the joints put the
-                tool; the message names it.
+            ValueError: a wrong shape, or a view whose reported pose differs from the forward
+                kinematics; the message names it.
         """
         own = _by_joints(joints, arm, self.view_ids)
         masked = {view for view, _ in self.masked_views}
         used = np.array([view not in masked for view in self.view_ids], dtype=bool)
+        # Masked views are not compared: a wrong pose may be the reason why they are masked.
         _refuse_other_poses(own, self.base_from_tool, used, self.view_ids)
         poses = jnp.where(used[:, None], own.wxyz_xyz, self.base_from_tool.wxyz_xyz)
+        # Joint readings of masked views may be NaN, which would spread through sums over views.
         readings = jnp.nan_to_num(jnp.asarray(joints, dtype=float))
         return dataclasses.replace(self, base_from_tool=SE3(poses), joints=readings, arm=arm)
 
     @property
     def observations(self) -> Observations:
-        """The arrays alone."""
+        """The arrays of the data set, without names."""
         return Observations(
             self.points, self.pixels, self.visible, self.base_from_tool, self.joints
         )
 
     @property
     def command(self) -> Command:
-        """What the robot reported, with its joints where they are known."""
+        """The commands reported by the robot, with joint readings if they are known."""
         return self.observations.command
 
     @property
     def view_count(self) -> int:
+        """The number of views, masked ones included."""
         return len(self.view_ids)
 
     @property
     def observation_count(self) -> int:
-        """How many points were seen, over all views."""
+        """The number of visible points over all views."""
         return int(np.count_nonzero(np.asarray(self.visible)))
 
     def usable_views(self, minimum_points: int = 4) -> np.ndarray:
-        """Indices of the views that show at least so many points."""
+        """Return the indices of the views with no fewer than `minimum_points` visible points."""
         return np.flatnonzero(np.asarray(self.visible).sum(axis=1) >= minimum_points)
 
     def without(self, views: Sequence[int] | np.ndarray) -> "Dataset":
-        """With some views hidden, not cut out: the shape stays, and so what is compiled."""
+        """Return the data set with some views masked; shapes stay, so nothing is compiled again."""
         shown = np.ones(self.view_count, dtype=bool)
         shown[list(views)] = False
         visible = self.visible & jnp.asarray(shown)[:, None]
@@ -243,14 +258,15 @@ class Dataset(eqx.Module):
         return dataclasses.replace(self, visible=visible, pixels=pixels)
 
     def select(self, views: Sequence[int] | np.ndarray) -> "Dataset":
-        """The data set of these views alone, in the given order.
+        """Return a data set of the given views only, in the given order.
 
         Args:
-            views: indices, each once; or, for every view, whether it is one of them.
+            views: indices, each once; or a mask over all views.
 
         Raises:
-            ValueError: an index comes twice.
+            ValueError: an index occurs twice.
         """
+        # NumPy indexing accepts both indices and masks; an empty list would become floats.
         index = np.arange(self.view_count)[np.asarray(views)] if len(views) else np.zeros(0, int)
         if len(np.unique(index)) < len(index):
             raise ValueError(f"views: expected each index once, found {list(views)}")
@@ -273,7 +289,11 @@ class Dataset(eqx.Module):
 
 
 def _points_per_view(points: np.ndarray, views: int, count: int) -> np.ndarray:
-    """As given for every view, or `(1, points, 3)` where all views share them."""
+    """Return points as `(views, points, 3)`, or as `(1, points, 3)` if common to all views.
+
+    Raises:
+        ValueError: the shape does not match the pixels.
+    """
     if points.shape == (count, 3):
         return points[None]
     if points.shape != (views, count, 3):
@@ -287,7 +307,11 @@ def _points_per_view(points: np.ndarray, views: int, count: int) -> np.ndarray:
 def _by_joints(
     joints: np.ndarray | Array | None, arm: SerialArm | None, ids: tuple[str, ...]
 ) -> SE3:
-    """Where an arm's own numbers put the tool in every view."""
+    """Compute `base_from_tool` of every view by the arm's forward kinematics.
+
+    Raises:
+        ValueError: joints or arm are missing, or the shape is wrong.
+    """
     if joints is None or arm is None:
         raise ValueError(
             "expected poses, or joints and the arm they are of; found "
@@ -305,7 +329,11 @@ def _by_joints(
 def _refuse_other_poses(
     own: SE3, reported: SE3, used: Bool[np.ndarray, "views"], ids: tuple[str, ...]
 ) -> None:
-    """Reported poses that are not an arm's own say that tool frame, convention or arm is wrong."""
+    """Raise a ValueError if a reported pose differs from the arm's forward kinematics.
+
+    The tool frame, the pose convention or the arm is then wrong.
+    """
+    # Largest component of translation and of rotation; NaN fails the comparison below.
     twist = np.abs(np.asarray((own.inverse() @ reported).log())).reshape(-1, 2, 3).max(axis=2)
     for view in np.flatnonzero(used):
         shift, turn = twist[view]
@@ -318,6 +346,7 @@ def _refuse_other_poses(
 
 
 def _pose_matrices(base_from_tool: PoseLike, views: int) -> np.ndarray:
+    """Return poses as `(views, 4, 4)` matrices, or raise a ValueError for another shape."""
     if not isinstance(base_from_tool, SE3):
         matrices = np.asarray(base_from_tool, dtype=float)
     else:
@@ -331,9 +360,11 @@ def _pose_matrices(base_from_tool: PoseLike, views: int) -> np.ndarray:
 
 
 def _view_ids(view_ids: Sequence[str | int] | None, views: int) -> tuple[str, ...]:
+    """Return view ids as text, or raise a ValueError for a wrong number or duplicates."""
     ids = tuple(str(view) for view in (range(views) if view_ids is None else view_ids))
     if len(ids) != views:
         raise ValueError(f"view_ids: expected {views}, found {len(ids)}")
+    # Poses and pictures are paired by id, so a duplicate would pair them wrongly.
     duplicates = sorted({view for view in ids if ids.count(view) > 1})
     if duplicates:
         raise ValueError(f"view_ids: {', '.join(duplicates)} given more than once")
@@ -343,12 +374,14 @@ def _view_ids(view_ids: Sequence[str | int] | None, views: int) -> tuple[str, ..
 def _visible(
     visible: np.ndarray | Array | None, pixels: np.ndarray, ids: tuple[str, ...]
 ) -> np.ndarray:
+    """Return the mask of visible points, or raise a ValueError if a visible one has no pixel."""
     has_numbers = np.asarray(np.isfinite(pixels).all(axis=-1))
     if visible is None:
         return has_numbers
     seen = np.array(visible, dtype=bool)
     if seen.shape != has_numbers.shape:
         raise ValueError(f"visible: expected shape {has_numbers.shape}, found {seen.shape}")
+    # Mask and pixels contradict each other: neither is silently preferred.
     missing = seen & ~has_numbers
     if missing.any():
         view, point = np.argwhere(missing)[0]
@@ -359,12 +392,16 @@ def _visible(
 def _pixel_problems(
     pixels: np.ndarray, seen: np.ndarray, image_size: tuple[int, int], ids: tuple[str, ...]
 ) -> dict[str, str]:
-    """Views with a pixel outside the picture; a corner may lie up to a pixel beyond its edge."""
+    """Return the views with a pixel outside the picture, with the reason.
+
+    Detected corners may lie up to one pixel beyond the edge.
+    """
     width, height = image_size
     if width <= 0 or height <= 0:
         raise ValueError(f"image_size: expected a positive width and height, found {image_size}")
     limits = np.array([width, height], dtype=float)
     with np.errstate(invalid="ignore"):
+        # Pixel centres are at integers, so the picture ends half a pixel beyond the outermost ones.
         outside = seen & ((pixels < -1.0) | (pixels > limits)).any(axis=-1)
     problems = {}
     for view in np.flatnonzero(outside.any(axis=1)):
@@ -377,4 +414,5 @@ def _pixel_problems(
 
 
 def _finite_views(matrices: np.ndarray) -> np.ndarray:
+    """Return which matrices are finite, with shape `(views, 1, 1)`."""
     return np.asarray(np.isfinite(matrices).all(axis=(1, 2), keepdims=True))

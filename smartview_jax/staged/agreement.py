@@ -92,6 +92,7 @@ def agreeing_views(
         """Compute the transforms from some views, and the misfits of all views."""
         eye, world, misfit = _fit(mount_from_holder, camera_from_world, jnp.asarray(used))
         misfit = np.asarray(misfit)
+        # Misfits are judged relative to the median view, because robots differ in accuracy.
         unit = np.maximum(np.median(misfit[used], axis=0), least)
         return _Fitted(eye, world, misfit, (misfit / unit).max(axis=1), unit)
 
@@ -192,7 +193,7 @@ def _whose(
 
 @compiled
 def _fit(T: SE3, C: SE3, used: Bool[Array, "views"]) -> tuple[SE3, SE3, Float[Array, "views 2"]]:
-    """Compute both transforms, and each view's misfit at the mount: translation (m), rotation (rad).
+    """Compute both transforms and each view's misfit at the mount: translation (m), rotation (rad).
 
     The misfit of view i is the twist `log(H^-1 C_i X^-1 T_i^-1)`, zero if Eq. 10 holds exactly.
     """

@@ -42,6 +42,7 @@ def motion_pairs(
     first, second = jnp.nonzero(~jnp.eye(views, dtype=bool), size=views * (views - 1))
 
     def between(poses: SE3) -> SE3:
+        """Return the motions `P_j P_i^-1` of all pairs."""
         return SE3(poses.wxyz_xyz[second]) @ SE3(poses.wxyz_xyz[first]).inverse()
 
     return between(camera_from_world), between(mount_from_holder), weights[first] * weights[second]
@@ -56,6 +57,7 @@ def park_martin(
     nearest to `sum w a b^T`.
     """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
+    # sum w a b^T, with one rotation vector per pair and row.
     rotation = nearest_rotation((w[:, None] * A.rotation().log()).T @ B.rotation().log())
     return _with_translation(rotation, A, B, w, mount_from_holder, camera_from_world, weights)
 
@@ -101,12 +103,16 @@ def daniilidis(
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     (a, a_dual), (b, b_dual) = _dual_quaternion(A), _dual_quaternion(B)
     zero = jnp.zeros((len(a), 3, 1))
+    # a q - q b = 0 in real and dual parts (scalar rows dropped, they are equal for exact data):
+    #     [a - b    skew(a + b)     0       0        ]   [q ]
+    #     [a' - b'  skew(a' + b')   a - b   skew(a + b)] [q'] = 0
     top = jnp.concatenate([(a - b)[:, 1:, None], _skew((a + b)[:, 1:])], axis=2)
     dual = jnp.concatenate([(a_dual - b_dual)[:, 1:, None], _skew((a_dual + b_dual)[:, 1:])], 2)
     none = jnp.concatenate([zero, jnp.zeros((len(a), 3, 3))], axis=2)
     rows = jnp.concatenate(
         [jnp.concatenate([top, none], axis=2), jnp.concatenate([dual, top], axis=2)], axis=1
     )
+    # The eigenvectors of the two smallest eigenvalues span the null space.
     rows = (w[:, None, None] * rows).reshape(-1, 8)
     _, vectors = jnp.linalg.eigh(rows.T @ rows)
     v, u = vectors[:, 0], vectors[:, 1]
@@ -146,6 +152,7 @@ def shah(
     R_camera = nearest_rotation(sign * camera)
     R_world = nearest_rotation(sign * world * jnp.sign(jnp.linalg.det(sign * world))).T
     views = len(M)
+    # With both rotations known, [R_camera M_i, I] [t_world; t_camera] = t_C_i - R_camera t_M_i.
     left_side = jnp.concatenate(
         [R_camera[None] @ M, jnp.broadcast_to(jnp.eye(3), (views, 3, 3))], axis=2
     )
@@ -178,6 +185,7 @@ def _with_translation(
     weights: Float[Array, "views"],
 ) -> tuple[SE3, SE3]:
     """Solve `(R_A - I) t = R t_B - t_A` by least squares, and return both transforms."""
+    # From A X = X B: R_A t + t_A = R t_B + t.
     left = (w[:, None, None] * (A.rotation().as_matrix() - jnp.eye(3)[None])).reshape(-1, 3)
     right = (w[:, None] * (B.translation() @ rotation.T - A.translation())).reshape(-1)
     translation = jnp.linalg.lstsq(left, right)[0]

@@ -70,6 +70,7 @@ def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
     A, B = C[j] @ np.linalg.inv(C[i]), M[j] @ np.linalg.inv(M[i])
     a, b = (Rotation.from_matrix(motions[:, :3, :3]).as_rotvec() for motions in (A, B))
     X = _aligned(a, b)
+    # Repeated without outlying pairs: one wrong view spoils all pairs that contain it.
     for _ in range(TRIMMED):
         used = _near(np.linalg.norm(a - b @ X.T, axis=1))
         X = _aligned(a[used], b[used])
@@ -79,6 +80,7 @@ def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
     cosine = 0.5 * (np.einsum("pab,pab->p", A[:, :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     away = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
+    # Singular values of all rotation vectors: how much rotation there is about each axis.
     turns = np.linalg.svd(a, compute_uv=False)
     second = float(turns[1] / max(turns[0], 1e-12))
     return Motion(A[:, :3, :3] - np.eye(3), B[:, :3, 3] @ X.T, A[:, :3, 3], angle, away, second)

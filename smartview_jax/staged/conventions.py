@@ -1,13 +1,14 @@
-"""Do the robot's poses and the camera's poses belong together? The usual mistakes, by name.
+"""Check whether the robot's poses match the camera's poses, and name the usual mistakes if not.
 
-Robot and camera are bolted together, so whatever the unknown transforms are, both turn by the same
-angle between two views, and some hand-eye transform explains both motions. Where that fails, every
-mistake that people make is undone in turn (`mistakes.py`), and the likeliest is named with what it
-leaves over, beside the next; or that several explain the data, or none that is known.
+Robot and camera are rigidly connected. Whatever the unknown transforms are, both rotate by the same
+angle between two views, and one hand-eye transform explains both motions (`A X = X B`). If that
+fails, each known mistake (`mistakes.py`) is reversed in the data, and the closure error that then
+remains is computed (`closure.py`). The mistake with the smallest closure error is reported together
+with the second best; or the report says that several mistakes explain the data, or none.
 
-Rotations alone seldom tell: inverted and transposed poses, quaternions in another order and KUKA's
-angles read as Fanuc's turn by the same angles, and about axes that some hand-eye rotation explains.
-Positions tell them apart.
+Rotations alone seldom distinguish the mistakes: inverted poses, transposed rotations, reordered
+quaternions and KUKA angles read as Fanuc angles have the same rotation angles, about axes that some
+hand-eye rotation explains. Positions distinguish them.
 """
 
 import math
@@ -24,12 +25,12 @@ from .mistakes import mistakes
 
 
 class Explanation(NamedTuple):
-    """A mistake, and what is left over of the motions when it is undone.
+    """A mistake, and the closure error that remains when it is corrected.
 
     Attributes:
         name: of the mistake.
         words: what was done wrong, as a clause.
-        closure: what is left over then.
+        closure: the closure error with the mistake corrected.
     """
 
     name: str
@@ -38,16 +39,16 @@ class Explanation(NamedTuple):
 
 
 class ConventionReport(NamedTuple):
-    """What the comparison of robot and camera motion says.
+    """The result of comparing robot and camera motion.
 
     Attributes:
-        problems: sentences; each makes the data unusable as given.
+        problems: sentences; each problem makes the data unusable as given.
         suspicious_views: view index and sentence, for views that fit the others badly.
         angle_mismatch: median difference of the rotation angles, rad.
-        length_ratio: camera motion over robot motion; 1 where the data do not contradict it.
-        misfit: median rotation and translation left over by the best hand-eye transform, rad, m.
-        explanations: every mistake that was tried, the likeliest first; empty where the data are
-            plausible as given.
+        length_ratio: camera motion over robot motion; 1 if it is not determined.
+        misfit: median rotation and translation error with the best hand-eye transform, rad, m.
+        explanations: every mistake that was tried, smallest closure error first; empty if the
+            data are plausible as given.
     """
 
     problems: tuple[str, ...]
@@ -59,26 +60,26 @@ class ConventionReport(NamedTuple):
 
 
 ANGLE_TOLERANCE = np.deg2rad(4.0)
-"""Rotation that may be left over (median), rad."""
+"""Largest acceptable median rotation error, rad."""
 
 SOUND = 0.03
-"""Score of data that need no explanation: some 10 mm and a degree at half a metre."""
+"""Closure score below which data are accepted: about 10 mm and a degree at half a metre."""
 
 BETTER = 0.3
-"""Of the score of the data as given, below which that without a mistake is much better."""
+"""Ratio of corrected to given closure score below which a mistake counts as an explanation."""
 
 ALIKE = 2.0
-"""Times the score of the likeliest mistake, up to which another explains the data as well."""
+"""Ratio to the best closure score up to which another mistake explains the data as well."""
 
 NOTHING = 1e-4
-"""Score that is nothing: a twentieth of a millimetre at half a metre, below any robot's error."""
+"""Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
 
 ONE_AXIS = 0.05
-"""Turns about a second axis, as a share of those about the first, up to which motions of robot and
-camera cannot be compared: no hand-eye rotation follows from them."""
+"""Ratio of rotation about a second axis to rotation about the first, up to which the motions do not
+determine a hand-eye rotation and cannot be compared."""
 
 REACH = 30.0
-"""Metres that no arm reaches and no target is away from its camera."""
+"""Distance in metres beyond the reach of any arm and beyond any target's distance."""
 
 
 def check_conventions(
@@ -87,12 +88,12 @@ def check_conventions(
     mount: str,
     weights: Float[Array, "views"] | np.ndarray | None = None,
 ) -> ConventionReport:
-    """Compare the motion of the robot with that of the camera, view by view.
+    """Compare the motion of the robot with the motion of the camera over all pairs of views.
 
     Args:
         base_from_tool: as reported, `(views)`.
         camera_from_world: from the pictures alone, `(views)`.
-        mount: where the camera is said to be.
+        mount: where the camera is stated to be, `"eye_in_hand"` or `"eye_to_hand"`.
         weights: zero leaves a view out.
     """
     in_hand = mount_frames(mount)[0] == "tool"
@@ -101,15 +102,19 @@ def check_conventions(
     used = used & np.isfinite(robot).all(axis=(1, 2)) & np.isfinite(camera).all(axis=(1, 2))
     angles = _angle_differences(robot, camera, used)
     mismatch = float(np.nanmedian(angles)) if used.sum() > 1 else 0.0
+    # Two views give a single motion, which does not test the hand-eye transform.
     if used.sum() < 3:
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
     pairs = _motion(robot, camera, used, in_hand)
     comparable = pairs.second_axis > ONE_AXIS
     given, ratio = closure(pairs), length_ratio(pairs) if comparable else 1.0
     problems, explanations = (), ()
+    # The score divides lengths by the target's distance, so a wrong unit of the target can leave
+    # it small; the ratio of the motions shows it.
     if comparable and (given.score > SOUND or not 0.2 < ratio < 5.0):
         explanations = _explanations(robot, camera, used, in_hand, pairs)
         problems = _problems(given, explanations, mismatch, _turns(robot, camera, used))
+    # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
         problems = _other_lengths(ratio, robot, camera, used)
     return ConventionReport(
@@ -123,6 +128,7 @@ def check_conventions(
 
 
 def _motion(robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool) -> Motion:
+    """Compute the motions of the used views for the stated mount."""
     mount_from_holder = np.linalg.inv(robot) if in_hand else robot
     return motion(mount_from_holder[used], camera[used])
 
@@ -134,13 +140,13 @@ _LENGTHS = {
     1e2: "the target's points look like centimetres where metres are expected",
     1e3: "the target's points look like millimetres where metres are expected",
 }
-"""What it means that the camera moves so many times as far as the robot."""
+"""Explanations in words, by the ratio of camera motion to robot motion."""
 
 
 def _explanations(
     robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, pairs: Motion
 ) -> tuple[Explanation, ...]:
-    """Every mistake undone, alone and with positions in another unit, the likeliest first."""
+    """Return every mistake, alone and with another unit of length, by ascending closure error."""
     found = [
         Explanation("length", words, closure(pairs, scale)) for scale, words in _LENGTHS.items()
     ]
@@ -150,10 +156,11 @@ def _explanations(
         found.append(alone)
         for scale, words in _LENGTHS.items():
             both = closure(undone, scale)
-            # Two mistakes at once are believed only where one of them explains next to nothing.
+            # Two mistakes at once are considered only if they leave less than a tenth of the
+            # closure error of the first alone.
             if both.rotation < ANGLE_TOLERANCE and both.score < 0.1 * alone.closure.score:
                 found.append(Explanation(mistake.name, f"{mistake.words}, and {words}", both))
-    # Of those that leave nothing over the plainest first.
+    # Scores below NOTHING are equal; the sort is stable and `mistakes` yields simple ones first.
     return tuple(sorted(found, key=lambda one: max(one.closure.score, NOTHING)))
 
 
@@ -163,7 +170,7 @@ def _problems(
     mismatch: float,
     turns: tuple[float, float],
 ) -> tuple[str, ...]:
-    """The likeliest mistake with its evidence; none where the data are believable as given."""
+    """Return the best explanation with its closure error, or nothing if the data are acceptable."""
     best = explanations[0]
     explained = (
         best.closure.rotation < ANGLE_TOLERANCE and best.closure.score < BETTER * given.score
@@ -172,6 +179,7 @@ def _problems(
     if not explained:
         unbelievable = max(mismatch, given.rotation) > ANGLE_TOLERANCE
         return (f"{as_given}: {_unexplained(best, mismatch, turns)}",) if unbelievable else ()
+    # Mistakes with nearly the same closure error cannot be distinguished: report all of them.
     rivals = [
         one
         for one in explanations[1:]
@@ -189,14 +197,16 @@ def _problems(
 
 
 def _left_over(found: Closure, short: bool = False) -> str:
+    """Return a closure error in words, in degrees and millimetres."""
     angle, length = np.rad2deg(found.rotation), 1e3 * found.translation
     numbers = f"{angle:.2f} degrees and {length:.3g} mm"
     return numbers if short else f"{numbers} left over between two views, in the median"
 
 
 def _unexplained(best: Explanation, mismatch: float, turns: tuple[float, float]) -> str:
-    """What may be wrong where no known mistake, undone, makes robot and camera move alike."""
+    """Return what may be wrong, in words, when correcting no known mistake explains the motions."""
     robot, camera = (float(np.rad2deg(turn)) for turn in turns)
+    # Equal rotation angles in every pair exclude wrong pairing and wrong angle units.
     if mismatch < ANGLE_TOLERANCE:
         likely = "they turn by the same angles, but about other axes"
     elif 0.67 < robot / max(camera, 1e-9) < 1.5:
@@ -216,19 +226,20 @@ def _unexplained(best: Explanation, mismatch: float, turns: tuple[float, float])
 
 
 def _turns(robot: Poses, camera: Poses, used: np.ndarray) -> tuple[float, float]:
-    """Median angle between two views, of the robot and of the camera, rad."""
+    """Return the median rotation angle between two views, of robot and of camera, rad."""
     upper = np.triu_indices(int(used.sum()), 1)
     robot_turn, camera_turn = (float(np.median(_angles(p[used])[upper])) for p in (robot, camera))
     return robot_turn, camera_turn
 
 
 def _other_lengths(ratio: float, robot: Poses, camera: Poses, used: np.ndarray) -> tuple[str, ...]:
-    """Lengths in another unit, by their ratio or by what no arm and no picture reaches."""
+    """Return problems with units of length, by the ratio of motions or by impossible distances."""
     if not 0.2 < ratio < 5.0:
         power = 10.0 ** round(math.log10(abs(ratio)))
         different = "robot positions and target points are not in the same unit"
         words = _LENGTHS.get(power, different) if ratio > 0.0 else different
         return (f"{words}: the camera moved {ratio:.3g} times as far as the robot",)
+    # Both may be in the same wrong unit: their ratio is then 1, and only the distances show it.
     found = []
     for poses, what in (
         (robot, "the tool is reported {:.0f} m from the base"),
@@ -241,10 +252,11 @@ def _other_lengths(ratio: float, robot: Poses, camera: Poses, used: np.ndarray) 
 
 
 def _suspicious(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[int, str], ...]:
-    """Views whose rotation disagrees with most others, where most agree among themselves."""
+    """Return views whose rotation angles disagree with most others, which agree with each other."""
     used = np.isfinite(angles).any(axis=1)
     typical = np.zeros(len(angles))
     typical[used] = np.nanmedian(angles[used], axis=1)
+    # Relative to the typical view, because an inaccurate robot makes all views differ.
     limit = max(6.0 * float(np.median(typical[used])), np.deg2rad(3.0))
     return tuple(
         (
@@ -259,17 +271,21 @@ def _suspicious(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[int, st
 def _angle_differences(
     robot: Poses, camera: Poses, used: np.ndarray
 ) -> Float[np.ndarray, "views views"]:
-    """Difference of the angles by which robot and camera turn, rad; NaN where one is not used."""
+    """Return the differences of robot and camera rotation angles, rad; NaN for unused views.
+
+    The angle is the same in every frame, so this needs no hand-eye transform.
+    """
     gap = np.abs(_angles(np.linalg.inv(_finite(robot))) - _angles(_finite(camera)))
     unused = np.eye(len(gap), dtype=bool) | ~np.outer(used, used)
     return np.where(unused, np.nan, gap)
 
 
 def _finite(poses: Poses) -> Poses:
+    """Return the poses with the identity in place of poses that are not finite."""
     return np.where(np.isfinite(poses).all(axis=(1, 2), keepdims=True), poses, np.eye(4))
 
 
 def _angles(poses: Poses) -> Float[np.ndarray, "views views"]:
-    """Angle of `R_i R_j^T` for all views, rad."""
+    """Return the angle of `R_i R_j^T` for all pairs of views, rad: `2 cos(angle) + 1 = trace`."""
     R = poses[:, :3, :3].reshape(len(poses), 9)
     return np.arccos(np.clip(0.5 * (R @ R.T - 1.0), -1.0, 1.0))

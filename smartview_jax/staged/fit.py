@@ -32,7 +32,17 @@ MINIMUM_POINTS = 6
 
 @runtime_checkable
 class CommonCamera(Protocol):
-    """The interface of a result of Step 2: a `KalmanResult`, or the result of the batch fit."""
+    """The interface of a result of Step 2: a `KalmanResult`, or the result of the batch fit.
+
+    Attributes:
+        camera: the common camera.
+        camera_from_world: one pose per view.
+        inliers: the observations used.
+        pixel_sigma: standard deviation of u and of v, px.
+        rms: root mean square reprojection error of the inliers, px.
+        converged: whether the fit converged.
+        message: the outcome in words.
+    """
 
     @property
     def camera(self) -> Camera: ...
@@ -184,6 +194,7 @@ def fit_staged(
     step1, start_camera, start_poses, start_inliers, rms = _step_one(
         observations, data.image_size, used, lens, camera
     )
+    # Views that Step 1 could not fit to the target (wrong corner numbering, another object).
     unlike = unlike_the_target(rms, used, data.image_size)
     if unlike:
         # Repeat without them: they entered the median intrinsics from which Step 2 starts.
@@ -205,6 +216,8 @@ def fit_staged(
         hold_camera=camera is not None,
         progress=progress,
     )
+    # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
+    # and the transforms that minimise Eq. 17 would still look like an answer.
     report = check_conventions(data.base_from_tool, common.camera_from_world, data.mount, weights)
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
@@ -272,6 +285,7 @@ def _step_one(
         return None, camera, _safe(poses, used), kept, np.asarray(rms)
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
     step1 = calibrate_views(observations, image_size, distortion)
+    # The median over views: single views with a poor focal length do not spoil the start.
     numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
     common = Camera(*numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=image_size)
     # The size in the picture is alpha / depth. A view with a larger alpha of its own has a larger
@@ -284,6 +298,7 @@ def _step_one(
 
 def _safe(poses: SE3, used: np.ndarray) -> SE3:
     """Return the poses with an arbitrary finite pose in the views that are not used."""
+    # Identity rotation, one metre in front of the camera: everything stays finite.
     ahead = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     return SE3(jnp.asarray(np.where(used[:, None], np.asarray(poses.wxyz_xyz), ahead)))
 
@@ -298,6 +313,7 @@ def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -
         view: index of the view; by default the one that determines its focal length best.
         options: passed on to `fit_staged`.
     """
+    # Step 1 runs here on its own first, only to find the camera; `fit_staged` then holds it fixed.
     used = data.select(data.usable_views(MINIMUM_POINTS))
     step1 = calibrate_views(used.observations, data.image_size)
     chosen = int(np.argmin(np.asarray(step1.alpha_std))) if view is None else view
@@ -308,6 +324,7 @@ def _rejected(
     data: Dataset, unusable: dict[int, str], inliers: np.ndarray
 ) -> tuple[Rejection, ...]:
     """Return every rejected view and every point rejected by Step 2, with reasons."""
+    # Points of unusable views are not listed one by one; the reason for the view covers them.
     whole = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
     points = [
         Rejection(data.view_ids[view], int(point), "outside the gate of Step 2")

@@ -192,6 +192,7 @@ def _search(
         )
         for k, name in enumerate(starts)
     )
+    # Equal costs go to the earlier start, so that the paper's own start is named if it suffices.
     best = min(range(len(tried)), key=lambda k: (tried[k].cost, k))
     return SE3(found.wxyz_xyz[best]), tried, tried[best]
 

@@ -57,6 +57,7 @@ class Interpolation(eqx.Module):
     gains: Float[Array, "views 4"]
 
     def __init__(self, camera: Camera, base_from_tool: SE3, camera_from_world: SE3):
+        """Compute the gains of the weights from the viewpoints' robot and camera poses, `(views)`."""
         angles = jnp.stack(camera_from_world.rotation().as_rpy_radians()[::-1], axis=-1)
         # Unwrap the angles: 179 and -179 degrees must not average to 0.
         turns = jnp.round((angles - angles[:1]) / (2.0 * jnp.pi))
@@ -68,8 +69,8 @@ class Interpolation(eqx.Module):
         placed = np.asarray(self.positions)
         middle = placed.mean(axis=0)
         U, spread, Vt = np.linalg.svd(placed - middle, full_matrices=False)
-        # Minimum-norm weights: w = 1/n + (centred positions)^+ (position - middle), with the
-        # pseudoinverse restricted to the directions that the viewpoints span.
+        # Minimum-norm weights: w = 1/n + (centred positions^T)^+ (position - middle), with
+        # the pseudoinverse restricted to the directions that the viewpoints span.
         spanned = spread > FLAT * max(spread[0], np.finfo(float).tiny)
         slopes = (U[:, spanned] / spread[spanned]) @ Vt[spanned]
         self.axes = jnp.asarray(Vt[spanned])

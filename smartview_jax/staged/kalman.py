@@ -375,6 +375,7 @@ def _interleave(
     views, points = inliers.shape
 
     def flat(x):
+        """Return an array over (views, points) as one over measurements, points outermost."""
         return jnp.swapaxes(x, 0, 1).reshape(views * points, *x.shape[2:])
 
     view = jnp.tile(jnp.arange(views), points)
@@ -410,8 +411,8 @@ def _absorb(sigma: Array, gate: Array, camera_size: int) -> Callable:
         innovation = residual - J_camera @ mean[:camera_size] - J_pose @ pose_mean
         L = jnp.linalg.cholesky(S)
         whitened = jax.scipy.linalg.solve_triangular(L, innovation, lower=True)
-        # No gating until the pose of the view is determined (small predicted variance, at least
-        # four points used): before, its predictions are poor and good points would be rejected.
+        # No gating until the pose of the view is determined (small predicted variance, and four
+        # or more points used): before, its predictions are poor and good points would be rejected.
         determined = (jnp.trace(predicted) < 25.0 * sigma**2) & (seen[view] >= 4.0)
         accept = use & ((jnp.sum(whitened**2) <= gate) | ~determined)
         half = jax.scipy.linalg.solve_triangular(L, HP, lower=True)

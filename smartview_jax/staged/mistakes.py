@@ -1,8 +1,8 @@
-"""The mistakes that people make with poses and pictures, each undone: what the data would then be.
+"""List the usual mistakes with poses and pictures, each with a function that corrects it.
 
-A mistake is a change of `base_from_tool`, or of the camera's poses where the pictures are wrong.
-Which number was read as which angle is undone by writing the rotation in the format that it was
-read in and reading the numbers in the other. Host code, on a few dozen matrices.
+A mistake changes `base_from_tool`, or the camera's poses if the pictures are wrong. Angles read in
+the wrong format are corrected by converting the rotation back to the numbers of that format and
+reading these numbers in the right one. NumPy code, run once on a few dozen matrices.
 """
 
 import itertools
@@ -15,15 +15,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 Poses = Float[np.ndarray, "views 4 4"]
+"""Homogeneous matrices, one per view, m."""
 
 
 class Mistake(NamedTuple):
-    """One way in which data may be wrong.
+    """A possible mistake in the data, and the function that corrects it.
 
     Attributes:
         name: short, for programs.
         words: what was done wrong, as a clause.
-        undo: robot's and camera's poses as they would be without it.
+        undo: maps robot and camera poses with the mistake to poses without it.
     """
 
     name: str
@@ -32,11 +33,11 @@ class Mistake(NamedTuple):
 
 
 def mistakes(in_hand: bool, views: int) -> Iterator[Mistake]:
-    """Every mistake that is looked for, the plainest first.
+    """Yield every known mistake, simple ones first.
 
     Args:
-        in_hand: the camera is said to be on the hand.
-        views: number of them.
+        in_hand: whether the camera is stated to be on the hand.
+        views: number of views.
     """
     other = "beside the arm (eye_to_hand)" if in_hand else "on the hand (eye_in_hand)"
     yield Mistake(
@@ -64,9 +65,10 @@ def mistakes(in_hand: bool, views: int) -> Iterator[Mistake]:
 
 
 def _of_rotations(name: str, words: str, change: Callable[[Rotation], Rotation]) -> Mistake:
-    """A mistake in the robot's rotations alone."""
+    """Return a mistake that concerns the robot's rotations only."""
 
     def undo(robot: Poses, camera: Poses) -> tuple[Poses, Poses]:
+        """Return the poses with corrected robot rotations."""
         changed = robot.copy()
         changed[:, :3, :3] = change(Rotation.from_matrix(robot[:, :3, :3])).as_matrix()
         return changed, camera
@@ -75,28 +77,32 @@ def _of_rotations(name: str, words: str, change: Callable[[Rotation], Rotation])
 
 
 def _mirrored(camera: Poses) -> Poses:
-    """Camera poses of a flat target, where every picture is mirrored about a column.
+    """Return the camera poses of a flat target with every picture mirrored left to right.
 
     A mirrored view of a plane is a view of it from behind: `F R diag(1, 1, -1)` and `F t`, with F
-    the mirror. Top and bottom swapped is that and half a turn of the camera about its axis.
+    the mirror. Top and bottom swapped is the same with the camera rotated by 180 degrees about its
+    optical axis, which the hand-eye transform absorbs.
     """
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     return mirror @ camera @ np.diag([1.0, 1.0, -1.0, 1.0])
 
 
 _VAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
-"""M0 of Eq. 18, for which `M0 Rz(T) = Ry(-T) M0`."""
+"""The matrix M0 of VAL's angles, `R = Rz(O) Rx(A) M0 Rz(T)` (Eq. 18).
+
+Since `M0 Rz(T) = Ry(-T) M0`, also `R M0^T = Rz(O) Rx(A) Ry(-T)`: Euler angles with one sign
+reversed."""
 
 
 class _Format(NamedTuple):
-    """Three numbers for a rotation.
+    """A format that describes a rotation by three numbers.
 
     Attributes:
         name: of the pose format.
-        words: its name with those of others that are the same.
-        numbers: of rotations, `(views, 3)`, rad.
-        rotation: the inverse.
-        middle: range of the second number as controllers give it, rad; None for a vector.
+        words: its name, with the names of equal formats.
+        numbers: function from rotations to numbers, `(views, 3)`, rad.
+        rotation: its inverse.
+        middle: range of the second angle as controllers report it, rad; None for a vector.
     """
 
     name: str
@@ -107,13 +113,17 @@ class _Format(NamedTuple):
 
 
 def _euler(name: str, words: str, axes: str, middle: tuple[float, float]) -> _Format:
+    """Return a format of Euler angles about the given axes, in SciPy's notation."""
     return _Format(
         name, words, lambda r: r.as_euler(axes), lambda x: Rotation.from_euler(axes, x), middle
     )
 
 
 _UPRIGHT = (-0.5 * np.pi, 0.5 * np.pi)
+"""Range of the second angle of most formats, rad."""
 _SIGN = np.array([1.0, 1.0, -1.0])
+"""Signs of O, A, T in the Euler angles of `R M0^T` (see `_VAL`)."""
+# KUKA's angles are the yaw, pitch, roll of Eq. 16.
 _KUKA = _euler("kuka_abc", "kuka_abc (yaw_pitch_roll)", "ZYX", _UPRIGHT)
 _FANUC = _euler("fanuc_wpr", "fanuc_wpr", "xyz", _UPRIGHT)
 _FORMATS = (
@@ -132,7 +142,7 @@ _FORMATS = (
 
 
 def _angles() -> Iterator[Mistake]:
-    """Numbers read in another format or unit than they were written in."""
+    """Yield the mistakes of angles read in a different format or unit than they were written in."""
     yield _of_rotations(
         "kuka_abc_for_fanuc_wpr",
         "the angles are kuka_abc (yaw_pitch_roll) and were read as fanuc_wpr, or the reverse "
@@ -142,7 +152,8 @@ def _angles() -> Iterator[Mistake]:
     for read, true in itertools.permutations(_FORMATS, 2):
         if {read, true} == {_KUKA, _FANUC}:
             continue
-        # Several numbers read alike, and it may be either that the true format writes.
+        # Two triples of numbers describe the rotation that was read, and the true format may
+        # produce either of them; try both.
         either = read.middle is None or true.middle == (0.0, np.pi)
         for second in (False, True) if either else (False,):
             yield _of_rotations(
@@ -153,7 +164,7 @@ def _angles() -> Iterator[Mistake]:
                 ),
             )
     for form in _FORMATS:
-        # KUKA's and Fanuc's are the same three angles.
+        # Radians read as degrees: KUKA's and Fanuc's angles are the same three, in reverse order.
         if form is not _FANUC:
             yield _of_rotations(
                 f"radians_as_degrees_{form.name}",
@@ -163,8 +174,9 @@ def _angles() -> Iterator[Mistake]:
 
 
 def _numbers(rotation: Rotation, form: _Format) -> np.ndarray:
+    """Return the numbers of rotations in a format, without warnings at gimbal lock."""
     with warnings.catch_warnings():
-        # Where two of three angles are one, any split of them is as good.
+        # At gimbal lock only the sum or difference of two angles is determined; any split is right.
         warnings.filterwarnings("ignore", message="Gimbal lock")
         return form.numbers(rotation)
 
@@ -172,16 +184,20 @@ def _numbers(rotation: Rotation, form: _Format) -> np.ndarray:
 def _as_written(
     rotation: Rotation, read: _Format, true: _Format, other_first: bool = False
 ) -> np.ndarray:
-    """The numbers that were read, of those that read alike the ones that the true format writes.
+    """Return the numbers that were read, in the form that the true format produces.
 
-    `other_first` takes, where it writes both, not the ones that the format read writes itself.
+    Two triples of numbers describe the same rotation in the format `read`; the one within the
+    ranges of the format `true` is returned. If both or neither are, the principal one is returned,
+    or the other one with `other_first`.
     """
     first = _numbers(rotation, read)
     if read.middle is None:
         length = np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+        # A rotation by |v| about v is also one by |v| - 2 pi.
         second = first * (1.0 - 2.0 * np.pi / length)
     else:
-        # Half a turn about the outer axes, and the inner angle from the other side.
+        # Euler angles (a, b, c) describe the same rotation as (a + pi, pi - b, c + pi), and with
+        # equal outer axes (ZYZ) the same as (a + pi, -b, c + pi).
         inner = -first[:, 1] if read.middle[0] == 0.0 else np.pi - first[:, 1]
         second = np.stack([first[:, 0] + np.pi, inner, first[:, 2] + np.pi], axis=1)
         second = (second + np.pi) % (2.0 * np.pi) - np.pi
@@ -191,7 +207,7 @@ def _as_written(
 
 
 def _written(numbers: np.ndarray, true: _Format) -> np.ndarray:
-    """Whether a controller with this format would give these numbers, `(views, 1)`."""
+    """Return whether a controller with this format would report these numbers, `(views, 1)`."""
     if true.middle is None:
         return np.linalg.norm(numbers, axis=1, keepdims=True) <= np.pi + 1e-9
     low, high = true.middle
@@ -201,9 +217,10 @@ def _written(numbers: np.ndarray, true: _Format) -> np.ndarray:
 
 
 def _pairings(views: int) -> Iterator[Mistake]:
-    """Pictures paired with the poses of others, in the orders in which that happens."""
+    """Yield the mistakes of pictures paired with the poses of other views, in the usual orders."""
 
     def paired(name: str, words: str, order: np.ndarray) -> Mistake:
+        """Return the mistake that a reordering of the robot's poses corrects."""
         return Mistake(
             f"paired_{name}",
             f"the pictures are paired with wrong poses: {words}",
@@ -218,7 +235,8 @@ def _pairings(views: int) -> Iterator[Mistake]:
         )
     yield paired("reversed", "they fit the poses in reverse order", count[::-1])
     for first in (0, 1) if views + 1 > 10 else ():
-        # 1, 10, 11, 2, ...: numbers sorted as words.
+        # File names sorted as text: 1, 10, 11, 2, ... Numbering may start at 0 or 1, and either
+        # the pictures or the poses may be the sorted ones.
         by_words = np.array(sorted(count, key=lambda k, first=first: str(k + first)))
         for order in (by_words, np.argsort(by_words)):
             yield paired("sorted", "one of the two is sorted as words (1, 10, 11, 2, ...)", order)

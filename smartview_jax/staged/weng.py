@@ -85,6 +85,7 @@ def calibrate_views(
     flat = np.asarray(coplanar(jnp.asarray(extent)))
     problems = _too_little(np.asarray(observations.visible).sum(axis=1), extent, flat)
     size = jnp.asarray(float(max(image_size)))
+    # Both linear starts are computed for every view and one is selected: the shapes stay fixed.
     start = _starts(observations, jnp.asarray(centre), size, jnp.asarray(flat))
     # One plane: only alpha (and k1) are free; alpha_v / alpha_u, u0 and v0 are held.
     free = np.ones((len(flat), 5), dtype=bool)
@@ -136,6 +137,7 @@ def locate_views(
     Returns:
         `camera_from_world`, the RMS reprojection error of each view in px, and the points used.
     """
+    # Unseen pixels are NaN; they are set to zero here and stay masked.
     pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
     rays, valid = camera.unproject(pixels)
     valid = valid & (rays[..., 2] > 1e-3)
@@ -149,6 +151,7 @@ def locate_views(
     flat = coplanar(extents(straight.points, straight.visible))
     every = jnp.ones(len(flat), dtype=bool)
     alpha, zero = camera.alpha_u, jnp.zeros(())
+    # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
     known = Intrinsics(alpha, alpha, zero, zero, zero)
     size = jnp.asarray(float(max(camera.image_size)))
     start = _starts(straight, jnp.zeros(2), size, flat)
@@ -248,6 +251,7 @@ def _calibrate_all(
         points, pixels, visible, intrinsics, poses, free, planar = view
 
         def from_pose(which):
+            """Fit the view from one of its two start poses."""
             # Spatial points have one pose only; the second fit gets no points and ends at once.
             seen = visible & (planar | (which == 0))
             return alternate(points, pixels, seen, intrinsics, SE3(poses[which]), free)

@@ -157,6 +157,7 @@ def _minimise(state: _State, points: Array, pixels: Array, used: Array, free: Ar
         # A rejected step does not prove convergence; damping this large does: then even a very
         # short gradient step no longer lowers the cost.
         stuck = damping > 1e6
+        # The first condition is convergence, the last an exact fit (noise-free data).
         settled = (better & (gain <= 1e-12 * before)) | stuck | (after <= 1e-18)
         crawling = (better & (gain <= 1e-3 * before)) | stuck | (turns >= _TURNS // 3)
         damping = jnp.maximum(jnp.where(better, damping * 0.1, damping * 10.0), 1e-12)

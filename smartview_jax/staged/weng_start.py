@@ -79,6 +79,7 @@ def planar_start(
         centre: the principal point, px.
         size: of the picture's longer side, px; alpha is accepted between 1/5 and 30 times it.
     """
+    # Coordinates within the plane: its two principal axes, and its normal as the third.
     origin = _mean(points, visible)
     _, axes = jnp.linalg.eigh(_scatter(points, visible))
     plane = jnp.stack([axes[:, 2], axes[:, 1], jnp.cross(axes[:, 2], axes[:, 1])])
@@ -119,6 +120,7 @@ def linear_start(
     The rotation found in this manner is not exactly orthogonal. The nearest rotation is kept, and
     camera and translation are solved for again, linearly, with that rotation held.
     """
+    # Normalised points and pixels; without this the linear system is ill-conditioned.
     (a, s), (b, r) = _similarity(points, visible), _similarity(pixels, visible)
     p = (points - a[None]) / s
     uv = (pixels - b[None]) / r
@@ -158,6 +160,7 @@ def _take_apart(W: Array, p: Array, visible: Array) -> tuple[Array, Array, Array
 
     so that `u0 = w1.w3`, `v0 = w2.w3`, and alpha is the length of the rest (Weng, section IV).
     """
+    # The scale of W is free, also in sign: points must be in front of the camera.
     depth = jnp.sum(jnp.where(visible, p @ W[2, :3] + W[2, 3], 0.0))
     W = W * jnp.where(depth >= 0.0, 1.0, -1.0) / jnp.linalg.norm(W[2, :3])
     centre = W[:2, :3] @ W[2, :3]
