@@ -57,7 +57,7 @@ class Interpolation(eqx.Module):
     gains: Float[Array, "views 4"]
 
     def __init__(self, camera: Camera, base_from_tool: SE3, camera_from_world: SE3):
-        """Compute the gains of the weights from the viewpoints' robot and camera poses, `(views)`."""
+        """Compute the gains of the weights from robot and camera poses of the viewpoints."""
         angles = jnp.stack(camera_from_world.rotation().as_rpy_radians()[::-1], axis=-1)
         # Unwrap the angles: 179 and -179 degrees must not average to 0.
         turns = jnp.round((angles - angles[:1]) / (2.0 * jnp.pi))

@@ -12,8 +12,8 @@ Either half-step is kept only if it lowers Eq. 8.
 
 Alternating protects the first iterations, in which a wrong k1 would distort the pose. Near the
 optimum it converges slowly, because k1 and alpha compensate each other. As soon as one iteration
-lowers the cost by no more than a thousandth, all unknowns are freed together and the same cost is
-minimised by Levenberg-Marquardt alone.
+lowers the cost by no more than a thousandth (or after a third of the iterations), all unknowns are
+freed together and the same cost is minimised by Levenberg-Marquardt alone.
 """
 
 from typing import NamedTuple
