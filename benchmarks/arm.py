@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import smartview_jax as sv
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 
 from .real_sets import LENS, held_out_px, load, present
 
@@ -58,7 +58,7 @@ def run(smoke: bool = False) -> bool:
     for row in ROWS[:2] if smoke else ROWS:
         fit = _fitter(row)
         found = fit(data)
-        figures = [deviations(found.calibration, data).rms]
+        figures = [reprojection_errors(found.calibration, data).rms]
         if not smoke:
             folds = (5, len(data.usable_views()))
             figures += [held_out_px(data, fit, k) for k in folds]

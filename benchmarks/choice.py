@@ -20,20 +20,20 @@ import numpy as np
 from jaxlie import SE3
 
 import smartview_jax as sv
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.simulation import (
     paper_calibration,
     paper_points,
-    views_around,
+    random_viewpoints,
 )
 from smartview_jax.viewpoints import (
-    Goal,
-    Survey,
+    InformationModel,
+    OptimalityCriterion,
     ViewRange,
     choose_views,
-    held_out,
+    i_optimal,
 )
-from smartview_jax.viewpoints.selection import exchanged, greedy
+from smartview_jax.viewpoints.candidate_selection import exchange_selection, greedy_selection
 
 from .real_sets import LENS, load, present
 
@@ -73,17 +73,17 @@ def _simulated(truth: sv.Calibration, smoke: bool) -> bool:
     points = paper_points()
     if smoke:
         points = points[::7]
-    survey = Survey.of(truth, points, NOISE)
+    survey = InformationModel.from_calibration(truth, points, NOISE)
     centre = points.mean(axis=0)
     rng = np.random.default_rng((0, 2))
-    goal = held_out(survey, views_around(rng, 60, centre, (0.2, 0.2), np.deg2rad(19.0), 0.6))
+    goal = i_optimal(survey, random_viewpoints(rng, 60, centre, (0.2, 0.2), np.deg2rad(19.0), 0.6))
     for roll, words in ((0.6, "rolled"), (0.0, "without roll")):
         turns = [np.random.default_rng(seed).uniform(-roll, roll, 5) for seed in range(20)]
         sets = [sv.five_viewpoints(centre, 0.2, turn, pattern="L") for turn in turns]
         values = [float(goal(jnp.sum(survey.information(poses), axis=0))) for poses in sets]
         print(f"five in an L, {words}: {np.median(values):.2f} px")
     views = ViewRange(centre, (0.17, 0.25), float(np.deg2rad(40.0)))
-    candidates = views.poses(views.drawn(np.random.default_rng(1), 2000))
+    candidates = views.poses(views.sample(np.random.default_rng(1), 2000))
     told = survey.information(candidates)
     most = f"best of {DRAWS}"
     print(f"{'views':>5}{'random median':>15}{most:>14}{'chosen':>9}{'of median':>11}")
@@ -91,7 +91,7 @@ def _simulated(truth: sv.Calibration, smoke: bool) -> bool:
     for count in (5,) if smoke else (5, 10, 20):
         drawn = _random(goal, told, count)
         best, middle = drawn.min(), np.median(drawn)
-        found = choose_views(survey, goal, count, views, share=0.5, refine=not smoke)
+        found = choose_views(survey, goal, count, views, min_visible_fraction=0.5, refine=not smoke)
         value = float(found.value)
         good.append(value <= FIVE if count == 5 else value <= (1.0 - BETTER) * middle)
         bound = f"at most {FIVE} px" if count == 5 else f"at most {1.0 - BETTER:.0%} of the median"
@@ -103,7 +103,7 @@ def _simulated(truth: sv.Calibration, smoke: bool) -> bool:
     return smoke or all(good)
 
 
-def _random(goal: Goal, told: jax.Array, count: int) -> np.ndarray:
+def _random(goal: OptimalityCriterion, told: jax.Array, count: int) -> np.ndarray:
     rng = np.random.default_rng(3)
     sets = [rng.choice(len(told), count, replace=False) for _ in range(DRAWS)]
     return np.array([float(goal(jnp.sum(told[index], axis=0))) for index in sets])
@@ -119,10 +119,10 @@ def _real(smoke: bool) -> bool:
     first = data.select(rng.choice(usable, 5, replace=False))
     rough = _fit(first, sv.fit_staged(first, LENS).calibration)
     noise = sv.Noise(0.3, 1e-3, float(np.deg2rad(0.1)))
-    survey = Survey.of(rough, np.asarray(data.points[0]), noise)
-    told = np.array(survey.information_of(data.select(usable)))
+    survey = InformationModel.from_calibration(rough, np.asarray(data.points[0]), noise)
+    told = np.array(survey.dataset_information(data.select(usable)))
     poses = rough.camera_from_world(data.select(usable).base_from_tool)
-    goal = held_out(survey, poses)
+    goal = i_optimal(survey, poses)
     print(f"{REAL[0]}: {'views':>5}{'random median':>15}{'5 to 95 %':>16}{'chosen':>9}   px unseen")
     better = []
     for count in (8, 12, 16):
@@ -143,11 +143,15 @@ def _real(smoke: bool) -> bool:
     return all(better)
 
 
-def _index(survey: Survey, goal: Goal, told: np.ndarray, count: int) -> np.ndarray:
+def _index(
+    survey: InformationModel, goal: OptimalityCriterion, told: np.ndarray, count: int
+) -> np.ndarray:
     """Which of the views that were taken a plan would have taken."""
     free = jnp.ones(len(told), dtype=bool)
-    found = greedy(jnp.asarray(told), survey.prior, goal, count, free)
-    return np.asarray(exchanged(jnp.asarray(told), survey.prior, goal, found, free))
+    found = greedy_selection(jnp.asarray(told), survey.prior_information, goal, count, free)
+    return np.asarray(
+        exchange_selection(jnp.asarray(told), survey.prior_information, goal, found, free)
+    )
 
 
 def _fit(part: sv.Dataset, start: sv.Calibration) -> sv.Calibration:
@@ -159,4 +163,4 @@ def _unseen(
 ) -> float:
     """RMS on the views that the fit did not see, px."""
     fitted = _fit(data.select(taken), start)
-    return deviations(fitted, data.select(np.setdiff1d(usable, taken))).rms
+    return reprojection_errors(fitted, data.select(np.setdiff1d(usable, taken))).rms

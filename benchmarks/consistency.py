@@ -23,11 +23,11 @@ from rich.progress import track
 from scipy.special import chdtri
 
 import smartview_jax as sv
-from smartview_jax.evaluation import coverage, covered, mean_nees, nees
+from smartview_jax.evaluation import coverage, mean_nees, nees, within_interval
 from smartview_jax.files import write_atomically
 from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene, simulate
-from smartview_jax.variance.doubt import p_value
+from smartview_jax.variance.kenward_roger import p_value
 
 RESULTS = Path(__file__).parents[1] / "build" / "consistency"
 POINTS = paper_points((0.0, 0.02))[::3][:30]
@@ -68,8 +68,8 @@ def _row(name: str, views: int, runs: list[dict], smoke: bool) -> bool:
     rare = mean_nees(chdtri(6, chances), 6)
     std = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     freedom = np.array([r["freedom"] for r in runs])[sound]
-    normal = coverage(covered(errors, std).ravel())
-    held = coverage(covered(errors, std, freedom).ravel())
+    normal = coverage(within_interval(errors, std).ravel())
+    held = coverage(within_interval(errors, std, freedom).ravel())
     sizes = np.array([r["sizes"] for r in runs])
     truth = np.array([TRUE.pixel, TRUE.translation, TRUE.rotation, *TRUE.field])[: sizes.shape[1]]
     ratio = np.sqrt(np.mean(sizes**2, axis=0)) / truth
@@ -78,11 +78,11 @@ def _row(name: str, views: int, runs: list[dict], smoke: bool) -> bool:
     row = f"{name:16}{len(errors):6}{square:8.2f}{rare.value:11.2f}{band:>16}"
     print(f"{row}{normal.value:10.3f}{held.value:8.3f}   {listed}")
     if smoke:
-        return rare.within
+        return rare.is_consistent
     averaged = len(ratio) < 3 + len(TRUE.field)
     close = views < MANY or averaged or bool((np.abs(ratio - 1.0) <= SIZES_WITHIN).all())
     within = COVERED[0] <= held.value <= COVERED[1]
-    return within and (views < ENOUGH or (rare.within and close))
+    return within and (views < ENOUGH or (rare.is_consistent and close))
 
 
 def _runs(path: Path | None, kind: str, views: int, wanted: int) -> list[dict]:
@@ -103,7 +103,7 @@ def _scene(views: int, seed: int) -> tuple[sv.Dataset, LinearInPosition, sv.Cali
     """Views of a robot with an error of its own; the field, which is to be fitted; the truth."""
     rng = np.random.default_rng((seed, 3))
     poses = random_scene(seed, views, POINTS, pixel_noise=0.0).base_from_tool
-    field = LinearInPosition.over(poses)
+    field = LinearInPosition.from_poses(poses)
     sizes = np.repeat(TRUE.field, [count for _, count in field.groups])
     error = RobotError(field, jnp.asarray(sizes * rng.normal(size=field.size)))
     truth = dataclasses.replace(paper_calibration(), robot_error=error)
@@ -131,7 +131,9 @@ def _estimated(views: int, seeds: range) -> list[dict]:
         fit = sv.fit_joint(data, paper_calibration(), noise="estimated", field=field)
         assert fit.noise is not None
         sizes = (fit.noise.pixel, fit.noise.translation, fit.noise.rotation, *fit.noise.field)
-        entry = _entry(fit.calibration, fit.covariance, fit.parameter_names, sizes, fit.freedom)
+        entry = _entry(
+            fit.calibration, fit.covariance, fit.parameter_names, sizes, fit.degrees_of_freedom
+        )
         found.append({**entry, "p_value": fit.p_value(truth)})
     return found
 
@@ -144,7 +146,9 @@ def _averaged(views: int, seeds: range) -> list[dict]:
         assert fit.noise is not None
         # The field's sizes are of whichever field the models that count have together.
         sizes = (fit.noise.pixel, fit.noise.translation, fit.noise.rotation)
-        entry = _entry(fit.calibration, fit.covariance, fit.parameter_names, sizes, fit.freedom)
+        entry = _entry(
+            fit.calibration, fit.covariance, fit.parameter_names, sizes, fit.degrees_of_freedom
+        )
         alike = dataclasses.replace(truth, robot_error=fit.calibration.robot_error)
         found.append({**entry, "p_value": fit.p_value(alike)})
     return found

@@ -23,7 +23,7 @@ import numpy as np
 from rich.progress import track
 
 import smartview_jax as sv
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 
 from .real_sets import LENS, load, present
 from .regime_trials import DEFAULT, STAGED, TRUSTED, WHITE, Regime, simulated
@@ -108,7 +108,7 @@ def _simulated_run(regime: Regime, seed: int) -> Figures:
 def _real_run(data: sv.Dataset, count: int, seed: int) -> Figures:
     order = np.random.default_rng((seed, count, 7)).permutation(data.view_count)
     taken, rest = order[:count].tolist(), order[count:].tolist()
-    return _figures(data.without(rest), data.without(taken), LENS, None)
+    return _figures(data.mask_views(rest), data.mask_views(taken), LENS, None)
 
 
 def _figures(
@@ -121,7 +121,7 @@ def _figures(
     fits = {
         STAGED: lambda: staged,
         TRUSTED: lambda: sv.fit_joint(data, staged, noise="trusted").calibration,
-        WHITE: lambda: sv.fit_joint(data, staged, field=False).calibration,
+        WHITE: lambda: sv.fit_joint(data, staged, field=None).calibration,
         DEFAULT: lambda: sv.fit_joint(data, staged).calibration,
     }
     return {name: _error(fit, unseen, truth) for name, fit in fits.items()}
@@ -135,8 +135,8 @@ def _error(
         found = fit()
     except ValueError:
         return np.inf, np.inf
-    seen = deviations(found, unseen)
-    px = np.inf if seen.unpredicted else seen.rms
+    seen = reprojection_errors(found, unseen)
+    px = np.inf if seen.unpredicted_count else seen.rms
     if truth is None:
         return px, np.nan
     shift = found.camera_from_tool.translation() - truth.camera_from_tool.translation()

@@ -17,8 +17,8 @@ from smartview_jax.io import robot_cal_tools
 from smartview_jax.io.rough_pose import rough_pose
 from smartview_jax.robot_errors import JointOffsets, LinearInPosition, RobotError
 from smartview_jax.robots import kuka_lwr4
-from smartview_jax.schemas.dataset import DATASET
-from smartview_jax.schemas.reading import checked
+from smartview_jax.schemas.dataset import DATASET_SCHEMA
+from smartview_jax.schemas.validation import validate_content
 from smartview_jax.simulation import paper_calibration
 from smartview_jax.targets import CircleGrid
 
@@ -76,7 +76,7 @@ def _roughly(mount: str, name: str, pose: dict[str, list[float]]) -> Callable[[P
 
 
 def _load_roughly(path: Path) -> tuple[sv.Dataset, SE3 | None]:
-    return _load_folder(path), rough_pose(checked(read_yaml(path), DATASET, path))
+    return _load_folder(path), rough_pose(validate_content(read_yaml(path), DATASET_SCHEMA, path))
 
 
 def _roughly_in_range(found: tuple[sv.Dataset, SE3 | None]) -> None:
@@ -117,12 +117,12 @@ def _calibration_in_range(found: sv.Calibration) -> None:
     _poses_in_range(found.holder_from_world)
     assert 1e-3 <= float(found.target_scale) <= 1e3, f"target_scale {found.target_scale}"
     if found.region is not None:
-        numbers = [found.region.plane, *found.region.middle, found.region.reach]
+        numbers = [found.region.plane_z, *found.region.centroid, found.region.radius]
         assert (np.abs(np.array(numbers)) <= 1e2 * FARTHEST).all(), "a region far away"
-        near, far = map(float, found.region.distance)
+        near, far = map(float, found.region.distance_range)
         assert 0.0 < near <= far <= 1e2 * FARTHEST, f"distances {near} to {far}"
         assert float(found.region.side) in (-1.0, 0.0, 1.0), f"side {found.region.side}"
-        lowest = float(found.region.lowest_tool)
+        lowest = float(found.region.min_tool_height)
         assert abs(lowest) <= 1e2 * FARTHEST or lowest == np.inf, f"lowest_tool {lowest}"
     if found.robot_error is not None:
         coefficients = np.asarray(found.robot_error.coefficients)
@@ -147,7 +147,7 @@ def _calibration(with_arm: bool) -> Callable[[Path], Path]:
         if with_arm:
             error = RobotError(JointOffsets(kuka_lwr4()), 1e-3 * jnp.arange(7.0))
         cameras = np.array([[0.0, 0.1, 0.5], [0.2, 0.1, 0.7]])
-        region = ViewedRegion.of(cameras, _TARGET.points, cameras)
+        region = ViewedRegion.from_positions(cameras, _TARGET.points, cameras)
         found = dataclasses.replace(paper_calibration(), robot_error=error, region=region)
         found.save(folder / "calibration.yaml", "a run")
         return folder / "calibration.yaml"
@@ -211,7 +211,7 @@ def _pairs(name: str) -> Callable[[Path], Path]:
 
 def _import_pairs(path: Path) -> sv.Dataset:
     folder = path.parent
-    return io.import_pairs(folder / "poses.csv", folder / "corners.csv", (640, 480))
+    return io.import_correspondences(folder / "poses.csv", folder / "corners.csv", (640, 480))
 
 
 _QUATERNION = {"qx": 0.5, "qy": 0.5, "qz": -0.5, "qw": 0.5}
@@ -304,13 +304,15 @@ FORMATS: dict[str, Format] = {
     "visp camera": Format(_text("camera.xml", _XML), io.read_visp_camera, _camera_in_range),
     "robot_cal_tools": Format(
         _text("cal_data.yaml", _CAL_DATA.replace("a:\n", "")),
-        robot_cal_tools._entries,
+        robot_cal_tools._read_entries,
         _entries_in_range,
     ),
-    "robot_cal_tools pose": Format(_text("0.yaml", _POSE), robot_cal_tools._pose, _pose_in_range),
+    "robot_cal_tools pose": Format(
+        _text("0.yaml", _POSE), robot_cal_tools._read_pose, _pose_in_range
+    ),
     "robot_cal_tools target": Format(
         _text("target.yaml", dump_yaml({"target_finder": _FINDER})),
-        robot_cal_tools._target,
+        robot_cal_tools._read_target,
         _target_in_range,
     ),
     "positioner": Format(

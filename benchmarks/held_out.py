@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 import smartview_jax as sv
-from smartview_jax.evaluation import repeatability
+from smartview_jax.evaluation import split_half_difference
 
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_park, vision_calibration
 from .real_sets import LENS, held_out_px, load, present
@@ -85,10 +85,12 @@ def _joint(data: sv.Dataset, noise: str) -> sv.JointFit:
 def _halves_agree(data: sv.Dataset) -> bool:
     good = True
     for noise in ("trusted", "estimated"):
-        found = repeatability(data, lambda half, noise=noise: _joint(half, noise))
-        print(f"even and odd views of {AGREEING[0]}, {noise}: hand-eye {found.words}")
+        found = split_half_difference(data, lambda half, noise=noise: _joint(half, noise))
+        print(f"even and odd views of {AGREEING[0]}, {noise}: hand-eye {found.description}")
         turn, shift = np.rad2deg(found.rotation), 1e3 * found.translation
-        stated = np.inf if found.in_std is None else found.in_std.max()
+        stated = (
+            np.inf if found.standardised_difference is None else found.standardised_difference.max()
+        )
         within = turn <= AGREEMENT[0] and shift <= AGREEMENT[1] and stated <= 2.0
         good &= within or noise == "trusted"
     return good

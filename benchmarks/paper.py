@@ -13,8 +13,13 @@ import numpy as np
 from jaxlie import SO3
 
 import smartview_jax as sv
-from smartview_jax.evaluation import Predictor, stylus_miss, touching
-from smartview_jax.simulation import PICTURED, Scene, paper_photographs, paper_unseen
+from smartview_jax.evaluation import Predictor, stylus_error, touching_pose
+from smartview_jax.simulation import (
+    RENDERED_PAPER_SETUP,
+    Scene,
+    paper_held_out,
+    paper_rendered_scene,
+)
 
 from .table1 import NOISE, agrees, joint_methods, methods, print_table, unseen_deviations
 
@@ -46,7 +51,7 @@ def stylus_misses(
     sizes = (0.0, 0.0) if noise is None else (noise.translation, noise.rotation)
     deviations = np.repeat(sizes, 3)
     errors = deviations * rng.standard_normal((TOUCHES, 6))
-    miss = stylus_miss(calibration, truth, TIP, touching(TIP, turns @ upright), errors)
+    miss = stylus_error(calibration, truth, TIP, touching_pose(TIP, turns @ upright), errors)
     return np.linalg.norm(np.asarray(miss), axis=-1)
 
 
@@ -57,8 +62,8 @@ def run(smoke: bool = False) -> bool:
     misses: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for seed in seeds:
         where = f"seed {seed + 1} of {len(seeds)}"
-        scene = paper_photographs(seed, progress=lambda text, at=where: _say(f"{at}, {text}"))
-        unseen = paper_unseen(seed, PICTURED)
+        scene = paper_rendered_scene(seed, progress=lambda text, at=where: _say(f"{at}, {text}"))
+        unseen = paper_held_out(seed, RENDERED_PAPER_SETUP)
         _say(f"{where}, fits")
         for name, predictor in predictors(scene).items():
             deviations.setdefault(name, []).append(unseen_deviations(predictor, unseen))

@@ -62,7 +62,7 @@ def load(folder: str, prefix: str) -> tuple[sv.Dataset, dict]:
     """A real set from its tables, and its reference figures."""
     path = SHARED / folder
     reference = json.loads((path / f"{prefix}measured.json").read_text())
-    data = sv.io.import_pairs(
+    data = sv.io.import_correspondences(
         path / f"{prefix}poses.csv",
         path / f"{prefix}corners.csv",
         image_size=tuple(reference["image_size"]),
@@ -84,8 +84,8 @@ def held_out_px(
         unseen = sv.held_out(data, fitter, folds)
     except (ValueError, RuntimeError, cv2.error):
         return float("nan")
-    whole = not unseen.failures and not unseen.deviations.unpredicted
-    return unseen.deviations.rms if whole else float("nan")
+    whole = not unseen.failures and not unseen.errors.unpredicted_count
+    return unseen.errors.rms if whole else float("nan")
 
 
 def _row(folder: str, prefix: str) -> bool:

@@ -21,10 +21,10 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 import smartview_jax as sv
-from smartview_jax.evaluation import Bound, deviations
+from smartview_jax.evaluation import CramerRaoBound, reprojection_errors
 from smartview_jax.robots import CommandLike
 from smartview_jax.simulation import paper_calibration, random_scene, six_axis_scene
-from smartview_jax.simulation.arm_scenes import ERRORS
+from smartview_jax.simulation.arm_scenes import KINEMATIC_ERROR_SIGMA
 
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_park, vision_calibration
 
@@ -69,7 +69,11 @@ class Regime:
     @property
     def noise(self) -> sv.Noise:
         """True sizes of all errors; an arm's own are those it was drawn from."""
-        field = () if self.errors is None else tuple(self.errors * e for e in ERRORS.values())
+        field = (
+            ()
+            if self.errors is None
+            else tuple(self.errors * e for e in KINEMATIC_ERROR_SIGMA.values())
+        )
         turn = float(np.deg2rad(self.rotation))
         return sv.Noise(self.pixel, 1e-3 * self.translation, turn, field=field)
 
@@ -81,7 +85,7 @@ class Trial(NamedTuple):
         data: to calibrate with.
         unseen: what other views truly show.
         truth: the calibration.
-        by_joints: both sets as a robot that tells its joint angles gives them; None for others.
+        by_joints: both sets from a robot that reports its joint angles; None for others.
     """
 
     data: sv.Dataset
@@ -100,10 +104,10 @@ def simulated(regime: Regime, seed: int) -> Trial:
     if regime.errors is not None:
         scene = six_axis_scene(seed, VIEWS, UNSEEN, regime.errors, pixel_noise=noise.pixel, **size)
         shown = range(regime.views)
-        told = scene.by_joints
-        pair = _padded(told.data.select(shown), VIEWS, told.data.points.shape[1]), told.unseen
+        told = scene.with_joint_readings
+        pair = _padded(told.data.select(shown), VIEWS, told.data.points.shape[1]), told.held_out
         data = _padded(scene.data.select(shown), VIEWS, scene.data.points.shape[1])
-        return Trial(data, scene.unseen, scene.calibration, pair)
+        return Trial(data, scene.held_out, scene.calibration, pair)
     i, j = np.indices(regime.grid).reshape(2, -1)
     rows, columns = (max(n - 1, 1) for n in regime.grid)
     board = np.stack([0.036 * j / columns, 0.030 * i / rows, np.zeros(len(i))], axis=1)
@@ -147,7 +151,7 @@ def methods(regime: Regime) -> dict[str, Method]:
     found: dict[str, Method] = {
         STAGED: staged,
         TRUSTED: joint("trusted"),
-        WHITE: joint("estimated", field=False),
+        WHITE: joint("estimated", field=None),
         DEFAULT: joint("estimated"),
     }
     if regime.errors is not None:
@@ -183,9 +187,9 @@ def _judged(method: Method, trial: Trial, by_joints: bool) -> dict[str, Any]:
         found = method(data)
     except (ValueError, RuntimeError, cv2.error) as error:
         return {"failed": str(error)}
-    seen = deviations(found, unseen)
-    if seen.unpredicted or not np.isfinite(seen.rms):
-        return {"failed": f"{seen.unpredicted} points cannot be predicted"}
+    seen = reprojection_errors(found, unseen)
+    if seen.unpredicted_count or not np.isfinite(seen.rms):
+        return {"failed": f"{seen.unpredicted_count} points cannot be predicted"}
     error = found.camera_from_tool.inverse() @ trial.truth.camera_from_tool
     turn = np.linalg.norm(np.asarray(error.rotation().log()))
     shift = found.camera_from_tool.translation() - trial.truth.camera_from_tool.translation()
@@ -213,7 +217,7 @@ def _least_error(regime: Regime, trial: Trial) -> float:
     """
     data, unseen = trial.by_joints or trial[:2]
     error = trial.truth.robot_error
-    bound: Bound = sv.cramer_rao(
+    bound: CramerRaoBound = sv.cramer_rao(
         trial.truth, data, regime.noise, field=None if error is None else error.field
     )
     std = sv.std_of(bound, _Places(unseen.command, unseen.points))

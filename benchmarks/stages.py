@@ -59,7 +59,7 @@ def _estimating(views: int, rows: int, columns: int) -> None:
     scene = _scene(views, rows, columns, translation_noise=1e-4, rotation_noise=1e-4)
     options: dict[str, dict[str, Any]] = {
         "trusted": {"noise": "trusted"},
-        "estimated": {"noise": "estimated", "bad_views": "keep"},
+        "estimated": {"noise": "estimated", "gross_errors": "keep"},
         "estimated, screened": {"noise": "estimated"},
     }
 
@@ -78,7 +78,9 @@ def _size(views: int, rows: int, columns: int, smoke: bool) -> bool:
     robot = data.base_from_tool.inverse()
 
     def step_one() -> None:
-        jax.block_until_ready(calibrate_views(data.observations, data.image_size).alpha_std)
+        jax.block_until_ready(
+            calibrate_views(data.observations, data.image_size).alpha_relative_std
+        )
 
     def step_three() -> None:
         solve_hand_eye(robot, poses)

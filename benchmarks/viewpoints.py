@@ -14,7 +14,7 @@ from jaxlie import SE3
 
 import smartview_jax as sv
 from smartview_jax.robot_errors import LinearInPose, RobotError
-from smartview_jax.simulation import paper_calibration, paper_points, views_around
+from smartview_jax.simulation import paper_calibration, paper_points, random_viewpoints
 from smartview_jax.viewpoints import predict
 
 from .peers.result import timed
@@ -31,9 +31,9 @@ def run(smoke: bool = False) -> bool:
     count, repeats = (20_000, 3) if smoke else (1_000_000, 9)
     plain = paper_calibration()
     centre = paper_points().mean(axis=0)
-    views = views_around(np.random.default_rng(0), count, centre, (0.17, 0.25), 0.6)
+    views = random_viewpoints(np.random.default_rng(0), count, centre, (0.17, 0.25), 0.6)
     poses = plain.command_for(views)
-    field = LinearInPose.over(SE3(poses.wxyz_xyz[:100]))
+    field = LinearInPose.from_poses(SE3(poses.wxyz_xyz[:100]))
     size = 1e-4 * np.random.default_rng(1).normal(size=field.size)
     erring = dataclasses.replace(plain, robot_error=RobotError(field, jnp.asarray(size)))
     one, wanted = SE3(poses.wxyz_xyz[0]), SE3(views.wxyz_xyz[0])

@@ -29,7 +29,7 @@ Glossary:
 - held-out error: the same distance on views that were not used by the fit.
 - gross error: a measurement that is too far off to be noise, such as a wrongly detected corner;
   also called an outlier. Fits leave it out or limit its influence.
-- robot error field: the twist between the reported and the true pose of the tool as a smooth
+- robot error field: the twist between the reported and the actual pose of the tool as a smooth
   function of the reported pose or of the joint angles.
 - effective pixel sigma: the standard deviation with which the pixels are weighted when a whole
   view is judged. It is not smaller than the standard deviation of the noise within a view,
@@ -51,8 +51,8 @@ from . import simulation as simulation  # noqa: E402
 from . import targets as targets  # noqa: E402
 from . import viewpoints as viewpoints  # noqa: E402
 from .arm_identification import fit_kinematics as fit_kinematics  # noqa: E402
-from .calibrate_data import calibrate as calibrate  # noqa: E402
 from .calibration import Calibration as Calibration  # noqa: E402
+from .calibration_pipeline import calibrate as calibrate  # noqa: E402
 from .cameras import Camera as Camera  # noqa: E402
 from .dataset import Dataset as Dataset  # noqa: E402
 from .detection import correct_circle_centres as correct_circle_centres  # noqa: E402

@@ -66,6 +66,8 @@ def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
 
     The function is its own inverse: applied to its result it returns `base_from_tool`.
     """
+    # Eye-in-hand: tool_from_base, the inverse of what the robot reports. Eye-to-hand: the camera is
+    # on the base and the target on the tool, so the reported pose itself is the link between them.
     return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
 
 
@@ -173,7 +175,7 @@ class Calibration(eqx.Module):
         """The pose of the target in the tool frame (eye-to-hand)."""
         return self._transform("holder_from_world", "tool_from_world")
 
-    def _transform(self, field: str, name: str) -> SE3:
+    def _transform(self, attribute: str, name: str) -> SE3:
         """Return a transform by its public name, if this mount has it.
 
         Raises:
@@ -183,7 +185,7 @@ class Calibration(eqx.Module):
             raise AttributeError(
                 f"an {self.mount} calibration has {' and '.join(self.transform_names)}, not {name}"
             )
-        return getattr(self, field)
+        return getattr(self, attribute)
 
     @property
     def transform_names(self) -> tuple[str, str]:
@@ -201,7 +203,7 @@ class Calibration(eqx.Module):
         """The calibration without robot error, for programs that use the transforms only."""
         return dataclasses.replace(self, robot_error=None)
 
-    def camera_from_world(self, base_from_tool: CommandLike, corrected: bool = True) -> SE3:
+    def camera_from_world(self, base_from_tool: CommandLike, *, corrected: bool = True) -> SE3:
         """Return the extrinsics at the given robot poses, `(*views)`, by the chain of Eq. 10.
 
         Args:
@@ -211,7 +213,7 @@ class Calibration(eqx.Module):
         reported, error = as_command(base_from_tool), self.robot_error if corrected else None
         # The command may carry joint angles, on which an arm's own errors depend; a pose alone does
         # not determine them.
-        pose = reported.base_from_tool if error is None else error.true_pose(reported)
+        pose = reported.base_from_tool if error is None else error.actual_pose(reported)
         robot = mount_from_holder(self.mount, pose)
         # Eq. 10: camera_from_world = camera_from_tool @ tool_from_base @ base_from_world.
         return self.camera_from_mount @ robot @ self.holder_from_world
@@ -219,6 +221,7 @@ class Calibration(eqx.Module):
     def command_for(
         self,
         camera_from_world: PoseLike,
+        *,
         corrected: bool = True,
         near: JointsLike | None = None,
     ) -> SE3:
@@ -226,28 +229,31 @@ class Calibration(eqx.Module):
 
         Args:
             camera_from_world: the wanted camera poses, `(*views)`.
-            corrected: compensate the robot error, so that the true pose is the wanted one.
+            corrected: compensate the robot error, so that the actual pose is the wanted one.
             near: joint angles near which inverse kinematics search, if the errors of an arm were
                 fitted. The result is NaN if no solution is found there.
 
         Raises:
             ValueError: the errors of an arm were fitted, and `near` is not given.
         """
-        return self.reported_for(camera_from_world, corrected, near).base_from_tool
+        return self.robot_command_for(
+            camera_from_world, corrected=corrected, near=near
+        ).base_from_tool
 
-    def reported_for(
+    def robot_command_for(
         self,
         camera_from_world: PoseLike,
+        *,
         corrected: bool = True,
         near: JointsLike | None = None,
     ) -> Command:
         """Return the command of `command_for`, with joint angles if an arm's errors were fitted."""
-        true_pose = self._pose_for(camera_from_world)
+        actual_pose = self._base_from_tool_for(camera_from_world)
         # Without robot error the reported pose is the true one. With it, the error depends on the
         # pose that is asked for, so the robot error model has to be inverted.
         if self.robot_error is None or not corrected:
-            return Command(true_pose)
-        return self.robot_error.command(true_pose, near)
+            return Command(actual_pose)
+        return self.robot_error.command(actual_pose, near)
 
     def joints_for(
         self,
@@ -260,12 +266,12 @@ class Calibration(eqx.Module):
             ValueError: no errors of an arm were fitted.
         """
         # With the robot error applied; without it a command has no joint angles.
-        joints = self.reported_for(camera_from_world, near=near).joints
+        joints = self.robot_command_for(camera_from_world, near=near).joints
         if joints is None:
             raise ValueError("this calibration knows no arm; robots.joints_near finds joint angles")
         return joints
 
-    def _pose_for(self, camera_from_world: PoseLike) -> SE3:
+    def _base_from_tool_for(self, camera_from_world: PoseLike) -> SE3:
         """Return the true `base_from_tool` for a wanted camera pose, without robot error.
 
         Eq. 19, `base_from_tool = base_from_world @ world_from_camera @ camera_from_tool`, is Eq. 10
@@ -284,17 +290,21 @@ class Calibration(eqx.Module):
         self,
         base_from_tool: CommandLike,
         points: Float[Array, "*points 3"] | np.ndarray,
+        *,
         corrected: bool = True,
-    ) -> Float[Array, "*moved 3"]:
-        """Return target points in the camera frame, m; arguments as in `project`."""
+    ) -> Float[Array, "*transformed 3"]:
+        """Return target points in the camera frame (Eq. 1), m; arguments as in `project`."""
         # The scale is that of the target about its own origin, so it acts before any transform.
         points = self.target_scale * jnp.asarray(points, dtype=float)
-        return transform_points(self.camera_from_world(base_from_tool, corrected), points)
+        # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The projection to
+        # pixels (Eq. 2 and the lens) follows in `project`.
+        return transform_points(self.camera_from_world(base_from_tool, corrected=corrected), points)
 
     def project(
         self,
         base_from_tool: CommandLike,
         points: Float[Array, "*points 3"] | np.ndarray,
+        *,
         corrected: bool = True,
     ) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
         """Return the pixels of target points seen from the given robot poses, and their validity.
@@ -307,7 +317,9 @@ class Calibration(eqx.Module):
         Returns:
             pixels `(*views, N, 2)`, NaN where `valid` `(*views, N)` is False.
         """
-        return self.camera.project(self.points_in_camera(base_from_tool, points, corrected))
+        return self.camera.project(
+            self.points_in_camera(base_from_tool, points, corrected=corrected)
+        )
 
     def to_dict(self, run: str | None = None, warnings: Sequence[str] = ()) -> dict[str, Any]:
         """Return a dictionary of plain numbers with names and units, as written by `save`."""
@@ -349,19 +361,21 @@ class Calibration(eqx.Module):
             ValueError: naming the entry that is missing or wrong.
         """
         # The validation library is imported only where files are read; fits do not need it.
-        from .schemas.calibration import CALIBRATION
-        from .schemas.reading import checked
+        from .schemas.calibration import CALIBRATION_SCHEMA
+        from .schemas.validation import validate_content
 
-        checked(content, CALIBRATION)
+        validate_content(content, CALIBRATION_SCHEMA)
         mount = content["mount"]
         # The file uses the public names, which depend on the mount.
         names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
-        mounted, held = (transform_from_dict(name, content[name]) for name in names)
+        camera_from_mount, holder_from_world = (
+            transform_from_dict(name, content[name]) for name in names
+        )
         error, region = content.get("robot_error"), content.get("region")
         return cls(
             camera_from_dict(content["camera"], lens),
-            mounted,
-            held,
+            camera_from_mount,
+            holder_from_world,
             mount,
             float(content["target_scale"]),
             None if error is None else robot_error_from_dict(error, field),

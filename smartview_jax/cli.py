@@ -13,18 +13,21 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from .files import refuse_unwritable, written_together
-from .interrupts import EXIT_CODE, WORDS, heard_at_once, told
+from .files import file_transaction, refuse_unwritable
+from .interrupts import INTERRUPT_EXIT_CODE, INTERRUPT_MESSAGE, interrupt_listener, message_printed
 
+# The library is imported inside the commands: importing JAX takes seconds, which `--help` and a
+# misspelt option should not cost.
 if TYPE_CHECKING:
     import numpy as np
     from jaxlie import SE3
 
-    from .calibrate_data import CalibrationFit
     from .calibration import Calibration
+    from .calibration_pipeline import CalibrationFit
     from .dataset import Dataset
-    from .evaluation import ErrorBudget, Repeatability, Unseen
+    from .evaluation import ErrorBudget, HeldOutReport, SplitHalfDifference
     from .geometry import PoseCodec
+    from .report import ErrorSummary
     from .robots import SerialArm
     from .viewpoints import ViewpointCommands
 
@@ -70,13 +73,14 @@ BaseFromWorldOption = Annotated[
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
 
 
-def _version(asked: bool) -> bool:
-    if asked:
+def _version(requested: bool) -> bool:
+    """Print the version and exit, if that was requested."""
+    if requested:
         from . import __version__
 
         typer.echo(f"smartview_jax {__version__}")
         raise typer.Exit
-    return asked
+    return requested
 
 
 @app.callback()
@@ -90,11 +94,11 @@ def main(
     What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
     names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
     """
-    with _errors(False):
-        _keep_compiled()
+    with _report_errors(False):
+        _enable_compilation_cache()
 
 
-def _keep_compiled() -> None:
+def _enable_compilation_cache() -> None:
     """Enable JAX's persistent compilation cache, so that later runs start several times faster."""
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -127,46 +131,64 @@ def calibrate(
     Writes the staged pipeline's answer as calibration_staged.yaml besides; and, where the robot's
     error is corrected, calibration_uncorrected.yaml, for programs that cannot do that.
     """
-    with _errors(debug):
-        from .calibrate_data import calibrate as fit_both
+    with _report_errors(debug):
+        from .calibration_pipeline import calibrate as fit_both
         from .evaluation import without_rejected_views
-        from .report import halves_agree, summaries, write_page
+        from .report import error_summaries, repeatability_rows, write_page
 
         # Checked first, so that minutes of fitting are not lost to a folder that is read-only.
         refuse_unwritable(out, "--out")
         run = _run_name()
-        with _progress() as say:
-            data, name = _load(dataset, bad_views, say, base_from_world)
+        with _progress() as progress:
+            data, name = _load(dataset, bad_views, progress, base_from_world)
             notes = list(data.notes)
-            fit = fit_both(data, lens, noise=noise.value, progress=say)
+            fit = fit_both(data, lens, noise=noise.value, progress=progress)
             warnings = fit.warnings
             # Views that the joint fit rejected are outliers, and say nothing about the calibration.
-            counted = without_rejected_views(data, fit)
-            unseen = _held_out(counted, lens, noise, diagnose, say, notes) if held_out else {}
-            halves = budget = None
+            inlier_data = without_rejected_views(data, fit)
+            held_out_reports = (
+                _held_out_reports(inlier_data, lens, noise, diagnose, progress, notes)
+                if held_out
+                else {}
+            )
+            split_half = budget = None
             if diagnose:
-                halves, budget = _diagnosis(fit, counted, lens, noise, say, notes)
-                warnings += () if halves is None else halves.warnings
+                split_half, budget = _diagnosis(fit, inlier_data, lens, noise, progress, notes)
+                warnings += () if split_half is None else split_half.warnings
         notes += [f"warning: {text}" for text in warnings]
-        _print_result(summaries(fit, data, unseen), fit, data)
-        for text in (*notes, *(f"even and odd views: {text}" for _, text in halves_agree(halves))):
+        _print_result(error_summaries(fit, data, held_out_reports), fit, data)
+        for text in (
+            *notes,
+            *(f"even and odd views: {text}" for _, text in repeatability_rows(split_half)),
+        ):
             typer.echo(text)
         if budget is not None:
             _print_budget(budget)
-        with _progress() as say, written_together(out, tuple(_RESULTS)) as folder:
+        with _progress() as progress, file_transaction(out, tuple(_RESULT_FILES)) as folder:
             # All files appear together, so that the report always belongs to the calibration.
-            _save(fit, data, folder, run, warnings)
-            title, page = f"Calibration of {name}", folder / "report.html"
-            write_page(page, fit, data, unseen, title, say, halves, budget, notes, run)
-        for file, words in _RESULTS.items():
+            _save_calibrations(fit, data, folder, run, warnings)
+            title, page_path = f"Calibration of {name}", folder / "report.html"
+            write_page(
+                page_path,
+                fit,
+                data,
+                held_out_reports,
+                title,
+                progress,
+                split_half,
+                budget,
+                notes,
+                run,
+            )
+        for file, description in _RESULT_FILES.items():
             if (out / file).is_file():
-                typer.echo(f"{out / file}: {words}")
+                typer.echo(f"{out / file}: {description}")
         # The results are written nevertheless, but a script must notice a fit without convergence.
         if not fit.result.converged:
             raise typer.Exit(1)
 
 
-_RESULTS = {
+_RESULT_FILES = {
     "calibration.yaml": "the calibration",
     "calibration_staged.yaml": "that of the staged pipeline",
     "calibration_uncorrected.yaml": "for programs that cannot correct the robot's error; predicts "
@@ -184,17 +206,17 @@ def _run_name() -> str:
     return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
 
 
-def _save(
+def _save_calibrations(
     fit: "CalibrationFit", data: "Dataset", folder: Path, run: str, warnings: tuple[str, ...]
 ) -> None:
-    """Write the calibrations of a fit to a folder, by the names in `_RESULTS`."""
-    from .calibrate_data import best_uncorrected
+    """Write the calibrations of a fit to a folder, by the names in `_RESULT_FILES`."""
+    from .calibration_pipeline import refit_uncorrected
 
     fit.calibration.save(folder / "calibration.yaml", run, warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
-        bare = best_uncorrected(data, fit)
-        bare.save(folder / "calibration_uncorrected.yaml", run)
+        uncorrected = refit_uncorrected(data, fit)
+        uncorrected.save(folder / "calibration_uncorrected.yaml", run)
 
 
 @app.command()
@@ -206,28 +228,30 @@ def compare(
     debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
-    with _errors(debug):
-        from .evaluation import Unseen, standard_methods
+    with _report_errors(debug):
+        from .evaluation import HeldOutReport, standard_methods
         from .evaluation import compare as compare_methods
-        from .report import COMPARED, compared, remarks
+        from .report import COMPARISON_HEADINGS, comparison_row, remarks
 
-        with _progress() as say:
-            data, name = _load(dataset, bad_views, say, base_from_world)
-            rows = compare_methods(data, standard_methods(lens), progress=say)
+        with _progress() as progress:
+            data, name = _load(dataset, bad_views, progress, base_from_world)
+            rows = compare_methods(data, standard_methods(lens), progress=progress)
         table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
-        for column in COMPARED:
-            side = "left" if column == "method" else "right"
+        for column in COMPARISON_HEADINGS:
+            alignment = "left" if column == "method" else "right"
             # On a narrow terminal the headings wrap, but method names and "mean +- std" do not.
-            table.add_column(column, justify=side, no_wrap=side == "left" or "+-" in column)
+            table.add_column(
+                column, justify=alignment, no_wrap=alignment == "left" or "+-" in column
+            )
         for row in rows:
-            table.add_row(*compared(row))
+            table.add_row(*comparison_row(row))
         console = Console()
         console.print(table)
         for note in data.notes:
             console.print(note, highlight=False)
         for row in rows:
-            unseen = None if row.held_out is None else Unseen(row.held_out)
-            for remark in remarks(row.name, row.fitted, unseen, row.failure):
+            held_out_report = None if row.held_out is None else HeldOutReport(row.held_out)
+            for remark in remarks(row.name, row.fitted, held_out_report, row.failure):
                 console.print(remark, highlight=False)
 
 
@@ -251,32 +275,34 @@ def export(
     child: Annotated[str, typer.Option(help="ROS frame of the camera.")] = "camera_optical_frame",
     debug: DebugOption = False,
 ) -> None:
-    """Print a calibration in another program's words."""
-    with _errors(debug):
+    """Print a calibration in another program's format."""
+    with _report_errors(debug):
         from . import io
         from .calibration import Calibration
 
         # The note goes to stderr, because stdout may be redirected to the exported file.
-        found = Calibration.load(calibration)
-        if found.robot_error is not None and to is not ExportFormat.CAMERA_INFO:
+        loaded_calibration = Calibration.load(calibration)
+        if loaded_calibration.robot_error is not None and to is not ExportFormat.CAMERA_INFO:
             typer.echo(
                 "note: this calibration corrects the robot's error, and the other program will "
                 "not; calibration_uncorrected.yaml predicts best without the correction",
                 err=True,
             )
         if to is ExportFormat.ROS:
-            frame = parent or ("tool0" if found.mount == "eye_in_hand" else "base_link")
-            text = io.ros_static_transform(found, frame, child)
+            frame = parent or (
+                "tool0" if loaded_calibration.mount == "eye_in_hand" else "base_link"
+            )
+            text = io.ros_static_transform(loaded_calibration, frame, child)
         elif to is ExportFormat.CAMERA_INFO:
-            text = io.ros_camera_info(found)
+            text = io.ros_camera_info(loaded_calibration)
         elif to is ExportFormat.URDF:
-            text = io.urdf_origin(found)
+            text = io.urdf_origin(loaded_calibration)
         else:
-            text = io.opencv_yaml(found)
+            text = io.opencv_yaml(loaded_calibration)
         typer.echo(text, nl=False)
 
 
-class SchemaOf(StrEnum):
+class SchemaName(StrEnum):
     """The files that have a JSON schema."""
 
     DATASET = "dataset"
@@ -284,7 +310,7 @@ class SchemaOf(StrEnum):
 
 
 @app.command()
-def schema(of: Annotated[SchemaOf, typer.Argument(help="Of which file.")]) -> None:
+def schema(of: Annotated[SchemaName, typer.Argument(help="Of which file.")]) -> None:
     """Print the JSON schema of dataset.yaml or calibration.yaml, for editors.
 
     Editors with a YAML language server check a file that begins with the line
@@ -346,12 +372,12 @@ def viewpoint(
     ] = False,
     debug: DebugOption = False,
 ) -> None:
-    """Print what to tell the robot so that the camera looks at a point, and write it for it.
+    """Print commands by which the camera looks at a point, and write them for the robot.
 
     Refused, with nothing written, are commands out of reach, on the side of the target that was
     not seen, or far outside the views that the calibration was fitted to.
     """
-    with _errors(debug):
+    with _report_errors(debug):
         import numpy as np
 
         from .calibration import Calibration
@@ -361,51 +387,63 @@ def viewpoint(
 
         if out is not None:
             refuse_unwritable(out.parent, "--out")
-        known, codec = Calibration.load(calibration), pose_codec(pose_format)
-        place = np.array(at)
-        wanted = _wanted(known, place, distance, (tilt, azimuth, roll), five, below)
-        serial = _arm(arm, known)
-        commands = viewpoint_commands(known, wanted, place[None], serial, _readings(near, serial))
+        loaded_calibration, codec = Calibration.load(calibration), pose_codec(pose_format)
+        point = np.array(at)
+        camera_from_world = _requested_camera_poses(
+            loaded_calibration, point, distance, (tilt, azimuth, roll), five, below
+        )
+        serial_arm = _arm_from_option(arm, loaded_calibration)
+        commands = viewpoint_commands(
+            loaded_calibration,
+            camera_from_world,
+            point[None],
+            serial_arm,
+            _parse_joint_readings(near, serial_arm),
+        )
         # Printed before any refusal, which refers to the views by the names in the table.
         _print_viewpoints(commands, codec)
         joints = None if commands.joints is None else np.asarray(commands.joints)
-        if serial is not None and joints is not None:
-            Console().print(_joint_table(joints, serial))
-        for text in _by_view(commands.checks.reasons()):
+        if serial_arm is not None and joints is not None:
+            Console().print(_joint_table(joints, serial_arm))
+        for text in _view_messages(commands.checks.reasons()):
             typer.echo(text)
-        dangers = _by_view(commands.checks.dangers())
-        if dangers and not force:
+        violations = _view_messages(commands.checks.safety_violations())
+        if violations and not force:
             raise ValueError(
-                f"refused, and nothing is written: {'; '.join(dangers)}. --force if it is meant"
+                f"refused, and nothing is written: {'; '.join(violations)}. --force if it is meant"
             )
         if out is not None:
             write_viewpoints(out, commands.base_from_tool, None, joints, pose_format)
             typer.echo(out)
 
 
-DISTANCE = 0.2
+DEFAULT_DISTANCE = 0.2
 """Default distance from the camera to the point, m, as in the paper.
 
 It is used where a calibration has no region of viewpoints.
 """
 
 
-def _wanted(
-    known: "Calibration",
-    place: "np.ndarray",
+def _requested_camera_poses(
+    calibration: "Calibration",
+    point: "np.ndarray",
     distance: float | None,
-    degrees: tuple[float, float, float],
+    angles_deg: tuple[float, float, float],
     five: bool,
     below: bool | None,
 ) -> "SE3":
     """Return the requested camera poses; distance and side default to those of the calibration."""
     import numpy as np
 
-    from .viewpoints import FIVE_STEP, direction_of, five_viewpoints, look_at
+    from .viewpoints import FIVE_VIEWPOINT_STEP, five_viewpoints, look_at, viewing_direction
 
-    region = known.region
+    region = calibration.region
     if distance is None:
-        distance = DISTANCE if region is None else float(np.mean(np.asarray(region.distance)))
+        distance = (
+            DEFAULT_DISTANCE
+            if region is None
+            else float(np.mean(np.asarray(region.distance_range)))
+        )
     if not distance > 0.0:
         raise ValueError(f"--distance is in metres and positive; found {distance}")
     above = (None if region is None else region.above) if below is None else not below
@@ -414,11 +452,13 @@ def _wanted(
             "the calibration does not say from which side the target was seen: --above if the "
             "world's z points to the camera, --below if away from it (as a chessboard's does)"
         )
-    lean, around, turn = np.deg2rad(degrees)
+    tilt, azimuth, roll = np.deg2rad(angles_deg)
     if five:
-        return five_viewpoints(place, distance, float(turn), float(lean) or FIVE_STEP, above)
-    directions = direction_of(lean, np.array([around]), above)
-    return look_at(place, directions, distance, float(turn))
+        return five_viewpoints(
+            point, distance, float(roll), float(tilt) or FIVE_VIEWPOINT_STEP, above
+        )
+    directions = viewing_direction(tilt, np.array([azimuth]), above)
+    return look_at(point, directions, distance, float(roll))
 
 
 def _print_viewpoints(commands: "ViewpointCommands", codec: "PoseCodec") -> None:
@@ -429,38 +469,40 @@ def _print_viewpoints(commands: "ViewpointCommands", codec: "PoseCodec") -> None
     for name in pose_columns(codec):
         table.add_column(name.replace("_", " "), justify="right", no_wrap=True)
     for k, row in enumerate(codec.encode(commands.base_from_tool, *codec.units)):
-        table.add_row(f"v{1 + k}", *(_figure(value, codec, n) for n, value in enumerate(row)))
+        table.add_row(
+            f"v{1 + k}", *(_format_number(value, codec, n) for n, value in enumerate(row))
+        )
     Console().print(table)
 
 
-def _by_view(words: tuple[str, ...]) -> list[str]:
+def _view_messages(texts: tuple[str, ...]) -> list[str]:
     """Return the texts that are not empty, each with its view's name as in the table."""
-    return [f"v{1 + k}: {text}" for k, text in enumerate(words) if text]
+    return [f"v{1 + k}: {text}" for k, text in enumerate(texts) if text]
 
 
-def _figure(value: float, codec: "PoseCodec", column: int) -> str:
+def _format_number(value: float, codec: "PoseCodec", column: int) -> str:
     """Return a number of a pose as text: three decimals for mm and degrees, else six."""
-    millimetres = column in codec.lengths and codec.units[0] == "mm"
-    degrees = column in codec.angles and codec.units[1] == "deg"
+    millimetres = column in codec.length_columns and codec.units[0] == "mm"
+    degrees = column in codec.angle_columns and codec.units[1] == "deg"
     return f"{value:.3f}" if millimetres or degrees else f"{value:.6f}"
 
 
-def _arm(words: str | None, known: "Calibration") -> "SerialArm | None":
+def _arm_from_option(text: str | None, calibration: "Calibration") -> "SerialArm | None":
     """Return the named arm, or else the arm whose errors the calibration corrects, or None."""
     from .io import load_urdf
-    from .robot_errors import arm_of
+    from .robot_errors import nominal_arm
     from .robots import arm_by_name
 
-    if words is not None:
-        return load_urdf(words) if words.endswith(".urdf") else arm_by_name(words)
-    return arm_of(known.field)
+    if text is not None:
+        return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
+    return nominal_arm(calibration.field)
 
 
 def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:
     """Return a table of joint readings, in degrees (mm for a prismatic joint)."""
     import numpy as np
 
-    units = ["mm" if slides else "deg" for slides in arm.prismatic]
+    units = ["mm" if is_prismatic else "deg" for is_prismatic in arm.prismatic]
     names = (f"q{1 + k} {unit}" for k, unit in enumerate(units))
     table = Table("view", *names, box=box.SIMPLE)
     for k, row in enumerate(joints * np.where(arm.prismatic, 1e3, 180.0 / np.pi)):
@@ -468,67 +510,69 @@ def _joint_table(joints: "np.ndarray", arm: "SerialArm") -> Table:
     return table
 
 
-def _readings(words: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
+def _parse_joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
     """Return joint readings (rad, m) from text in degrees and metres; None without an arm."""
     import numpy as np
 
     if arm is None:
-        if words is not None:
+        if text is not None:
             raise ValueError("--near: no arm to read; name one by --arm")
         return None
-    if words is None:
+    if text is None:
         # Inverse kinematics has several solutions; the one nearest to given readings is chosen.
         raise ValueError("an arm reaches a pose in several ways: say --near which readings")
     try:
-        given = np.array([float(word) for word in words.split(",")])
+        readings = np.array([float(word) for word in text.split(",")])
     except ValueError:
-        given = np.array([])
-    if len(given) != arm.size or not np.isfinite(given).all():
-        raise ValueError(f"--near: expected {arm.size} numbers between commas, found {words!r}")
-    return np.where(arm.prismatic, given, np.deg2rad(given))
+        readings = np.array([])
+    if len(readings) != arm.joint_count or not np.isfinite(readings).all():
+        raise ValueError(
+            f"--near: expected {arm.joint_count} numbers between commas, found {text!r}"
+        )
+    return np.where(arm.prismatic, readings, np.deg2rad(readings))
 
 
 def _load(
     dataset: Path | None,
     bad_views: str,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
     base_from_world: str | None = None,
 ) -> "tuple[Dataset, str]":
     """Load a data set (the sample if none is named), and return it with its name."""
     from .io import load_dataset, parse_rough_pose, sample_folder
 
-    rough = None
+    rough_pose = None
     if base_from_world is not None:
-        rough = parse_rough_pose("--base-from-world", base_from_world)
+        rough_pose = parse_rough_pose("--base-from-world", base_from_world)
 
     if dataset is None:
         # The sample belongs to the installed package, and nothing is written to its folder.
-        say("no data set given: the sample of the package")
-        return load_dataset(sample_folder(), progress=say, keep_detections=False), "the sample"
-    found = load_dataset(dataset, bad_views, progress=say, holder_from_world=rough)
-    return found, dataset.resolve().name
+        progress("no data set given: the sample of the package")
+        return load_dataset(sample_folder(), progress=progress, keep_detections=False), "the sample"
+    data = load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
+    return data, dataset.resolve().name
 
 
-def _held_out(
+def _held_out_reports(
     data: "Dataset",
     lens: str,
     noise: NoiseModel,
     thorough: bool,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
     notes: list[str],
-) -> "dict[str, Unseen]":
+) -> "dict[str, HeldOutReport]":
     """Return the held-out errors of both fits, refitting each fold once, or add a note why not."""
-    from .calibrate_data import calibrate as fit_both
-    from .evaluation import unseen_errors
+    from .calibration_pipeline import calibrate as fit_both
+    from .evaluation import held_out_reports
 
     if len(data.usable_views()) < 4:
         notes.append("held-out error needs at least 4 usable views: left out")
         return {}
-    return unseen_errors(
+    return held_out_reports(
         data,
         lambda part: fit_both(part, lens, noise=noise.value),
         thorough=thorough,
-        progress=say,
+        progress=progress,
     )
 
 
@@ -537,51 +581,51 @@ def _diagnosis(
     data: "Dataset",
     lens: str,
     noise: NoiseModel,
-    say: Callable[[str], None],
+    progress: Callable[[str], None],
     notes: list[str],
-) -> "tuple[Repeatability | None, ErrorBudget | None]":
+) -> "tuple[SplitHalfDifference | None, ErrorBudget | None]":
     """Compare halves of the views and compute the error budget; note what cannot be computed."""
-    from .calibrate_data import calibrate as fit_both
-    from .evaluation import error_budget, repeatability
+    from .calibration_pipeline import calibrate as fit_both
+    from .evaluation import error_budget, split_half_difference
 
-    def half(part: "Dataset"):
-        say("half of the views")
-        return fit_both(part, lens, noise=noise.value).joint
+    def fit_half(half_data: "Dataset"):
+        progress("half of the views")
+        return fit_both(half_data, lens, noise=noise.value).joint
 
     # Each of the two may be impossible, such as with too few views, without harm to the other.
-    halves = budget = None
+    split_half = budget = None
     try:
-        halves = repeatability(data, half)
+        split_half = split_half_difference(data, fit_half)
     except ValueError as error:
         notes.append(f"halves of the views are not compared: {error}")
     try:
-        budget = error_budget(data, fit.joint, say, regions=True)
+        budget = error_budget(data, fit.joint, progress, held_out_by_region=True)
     except ValueError as error:
         notes.append(f"there is no error budget: {error}")
-    return halves, budget
+    return split_half, budget
 
 
 def _print_budget(budget: "ErrorBudget") -> None:
-    """Print the error budget, and the explanations by a single parameter if there are any."""
-    from .report import budget_rows, explanation_rows
+    """Print the error budget, and the scale hypotheses if there are any."""
+    from .report import budget_rows, scale_hypothesis_rows
 
     table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
     for name, px, _ in budget_rows(budget):
         table.add_row(name, px)
     console = Console()
     console.print(table)
-    if budget.explanations:
+    if budget.scale_hypotheses:
         names = ("or one number", "its size", "gains", "beside the field", "unseen regions")
         table = Table(*names, box=box.SIMPLE_HEAD)
-        for row in explanation_rows(budget):
+        for row in scale_hypothesis_rows(budget):
             table.add_row(*row)
         console.print(table)
-    console.print(budget.words, highlight=False)
+    console.print(budget.summary, highlight=False)
 
 
-def _print_result(rows, fit, data) -> None:
+def _print_result(rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset") -> None:
     """Print the table of errors, the summary, undetermined directions, remarks and rejections."""
-    from .report import rejections, remarks, table_rows, verdict
+    from .report import rejections, remarks, result_summary, table_rows
 
     table = Table()
     table.add_column("")
@@ -591,11 +635,11 @@ def _print_result(rows, fit, data) -> None:
         table.add_row(*texts)
     console = Console()
     console.print(table)
-    console.print(verdict(rows, fit))
-    for direction in fit.joint.observability.null:
-        console.print(f"not determined: {direction.words}")
+    console.print(result_summary(rows, fit))
+    for direction in fit.joint.observability.null_directions:
+        console.print(f"not determined: {direction.description}")
     for row in rows:
-        for remark in remarks(row.name, row.fitted, row.unseen):
+        for remark in remarks(row.name, row.registration_errors, row.held_out_report):
             console.print(remark, highlight=False)
     rejected = rejections(fit, data)
     if rejected:
@@ -619,16 +663,16 @@ def _progress() -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _errors(debug: bool) -> Iterator[None]:
+def _report_errors(debug: bool) -> Iterator[None]:
     """Print an error that a user can correct as one line, and report an interrupt."""
     try:
-        with heard_at_once():
+        with interrupt_listener():
             yield
     except KeyboardInterrupt:
-        if not told.is_set():
-            told.set()
-            typer.echo(WORDS, err=True)
-        sys.exit(EXIT_CODE)
+        if not message_printed.is_set():
+            message_printed.set()
+            typer.echo(INTERRUPT_MESSAGE, err=True)
+        sys.exit(INTERRUPT_EXIT_CODE)
     except (ValueError, OSError) as error:
         if debug:
             raise

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 from jax.core import Tracer
 
-MUCH = 30_000
+MIN_OPTIMISED_ELEMENTS = 30_000
 """Smallest number of array elements in the arguments for which a program is compiled optimised.
 
 It corresponds to some five thousand observations.
@@ -26,42 +26,49 @@ _R = TypeVar("_R")
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit`, optimised only if its arguments are large.
 
-    Two programs are prepared. A call with fewer than `MUCH` array elements on a CPU runs the one
-    that compiles quickly; every other call runs the optimised one.
+    Two programs are prepared. A call on a CPU with fewer than `MIN_OPTIMISED_ELEMENTS` array
+    elements runs the one that compiles quickly; every other call runs the optimised one.
     """
-    quickly, well = _compiled(function, 0), _compiled(function, 2)
+    # Nothing is compiled yet: `filter_jit` compiles at the first call with new shapes.
+    fast_compiling = _compiled_at_level(function, 0)
+    fully_optimised = _compiled_at_level(function, 2)
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        given = sum(x.size for x in jax.tree.leaves((args, kwargs)) if hasattr(x, "size"))
-        # The cost and gain of optimisation were measured on CPUs only, so other backends always get
-        # it.
-        little = given < MUCH and jax.default_backend() == "cpu"
-        return (quickly if little else well)(*args, **kwargs)
+        element_count = sum(x.size for x in jax.tree.leaves((args, kwargs)) if hasattr(x, "size"))
+        # The cost and benefit of optimisation were measured on CPUs only, so other backends always
+        # get it.
+        is_small = element_count < MIN_OPTIMISED_ELEMENTS and jax.default_backend() == "cpu"
+        return (fast_compiling if is_small else fully_optimised)(*args, **kwargs)
 
     return call
 
 
-def optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
+def compiled_optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit`, always optimised.
 
     Use it for functions that compute much from small arguments: long loops, or many views of few
     points. LLVM's level 2 is used: at level 3, XLA's own default, the linearisation of many points
     takes twice as long as at level 2.
     """
-    return _compiled(function, 2)
+    return _compiled_at_level(function, 2)
 
 
-def _compiled(function: Callable[_P, _R], level: int) -> Callable[_P, _R]:
+def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters."""
-    options = {"xla_backend_optimization_level": level, "xla_cpu_use_fusion_emitters": False}
-    alone = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
+    # Level 0 takes the least time to compile; the emitters are left out for the same reason (see
+    # the module's docstring).
+    options = {
+        "xla_backend_optimization_level": optimisation_level,
+        "xla_cpu_use_fusion_emitters": False,
+    }
+    top_level = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
-    inside = eqx.filter_jit(function)
+    nested = eqx.filter_jit(function)
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs)))
-        return (inside if traced else alone)(*args, **kwargs)
+        return (nested if traced else top_level)(*args, **kwargs)
 
     return call

@@ -13,19 +13,19 @@ from typing import Any
 
 import yaml
 
-DEEPEST = 40
+MAX_NESTING_DEPTH = 40
 """Largest number of nested levels in a YAML file; the package's own files have six."""
 
-MOST_NODES = 1_000_000
+MAX_NODES = 1_000_000
 """Largest number of entries in a YAML file, counted with all aliases expanded."""
 
-_LONGEST_MESSAGE = 300
+_MAX_MESSAGE_LENGTH = 300
 """Largest number of characters of the YAML parser's message within an error message."""
 
-_writing = threading.RLock()
+_write_lock = threading.RLock()
 """Lock that is held while a file, or a set of files, is moved to its final name."""
 
-_unfinished: set[Path] = set()
+_temporary_folders: set[Path] = set()
 """Temporary folders with the results of unfinished runs."""
 
 
@@ -36,7 +36,7 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path
     """
     path = Path(path)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    with _writing:
+    with _write_lock:
         path.parent.mkdir(parents=True, exist_ok=True)
         # The temporary file is in the same folder, because a rename is atomic only within one file
         # system.
@@ -61,19 +61,21 @@ def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
         option: command-line option that named the folder, for the error message.
     """
     folder = Path(folder)
-    above = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not above.is_dir():
-        raise ValueError(f"{option}: {above} is a file; expected a folder to write to")
+    existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not existing_parent.is_dir():
+        raise ValueError(f"{option}: {existing_parent} is a file; expected a folder to write to")
     # Writing is tried, since permission bits do not tell about read-only or network file systems.
     try:
-        with tempfile.TemporaryFile(dir=above):
+        with tempfile.TemporaryFile(dir=existing_parent):
             pass
     except OSError as error:
-        raise ValueError(f"{option}: {above} cannot be written to: {error.strerror}") from error
+        raise ValueError(
+            f"{option}: {existing_parent} cannot be written to: {error.strerror}"
+        ) from error
 
 
 @contextmanager
-def written_together(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
+def file_transaction(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
     """Provide a temporary folder for a run's files, and move them to their folder together.
 
     A run that fails or is interrupted leaves the results of the previous run unchanged.
@@ -85,48 +87,51 @@ def written_together(folder: str | os.PathLike[str], names: Sequence[str]) -> It
     """
     folder = Path(folder)
     # The temporary folder is on the same file system as the final one, so that moving is a rename.
-    near = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
-    made = Path(tempfile.mkdtemp(dir=near, prefix=f".{folder.name}."))
-    _unfinished.add(made)
+    existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    temporary_folder = Path(tempfile.mkdtemp(dir=existing_parent, prefix=f".{folder.name}."))
+    _temporary_folders.add(temporary_folder)
     try:
-        yield made
-        with _undisturbed():
+        yield temporary_folder
+        # Reached only if the run did not raise.
+        with _deferred_interrupt():
             folder.mkdir(parents=True, exist_ok=True)
             for name in names:
-                if (made / name).is_file():
-                    os.replace(made / name, folder / name)
+                if (temporary_folder / name).is_file():
+                    os.replace(temporary_folder / name, folder / name)
                 else:
                     (folder / name).unlink(missing_ok=True)
     finally:
-        shutil.rmtree(made, ignore_errors=True)
-        _unfinished.discard(made)
+        shutil.rmtree(temporary_folder, ignore_errors=True)
+        _temporary_folders.discard(temporary_folder)
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def _deferred_interrupt() -> Iterator[None]:
     """Postpone an interrupt until a set of files is moved completely."""
-    asked: list[int] = []
-    with _writing, ExitStack() as after:
+    pending_signals: list[int] = []
+    with _write_lock, ExitStack() as cleanup:
         # Python runs signal handlers only in the main thread, and only there can they be set.
         if threading.current_thread() is threading.main_thread():
-            before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
-            after.callback(signal.signal, signal.SIGINT, before)
+            previous_handler = signal.signal(
+                signal.SIGINT, lambda number, _: pending_signals.append(number)
+            )
+            cleanup.callback(signal.signal, signal.SIGINT, previous_handler)
         yield
-    if asked:
+    if pending_signals:
         raise KeyboardInterrupt
 
 
-def leave_nothing_half_written(patience: float) -> None:
+def clean_up_before_exit(timeout: float) -> None:
     """Wait until no file is being moved, and remove the temporary folders of unfinished runs.
 
     Call this before ending the process from a thread other than the one that writes.
 
     Args:
-        patience: longest time to wait, s.
+        timeout: longest time to wait, s.
     """
     # Never released: the process ends next, and no other thread shall begin to write before.
-    _writing.acquire(timeout=patience)
-    for folder in list(_unfinished):
+    _write_lock.acquire(timeout=timeout)
+    for folder in list(_temporary_folders):
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -151,8 +156,8 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is not YAML, has a key twice, has more than `DEEPEST` levels or `MOST_NODES`
-            entries, or is not a mapping at the top level.
+        ValueError: it is not YAML, has a key twice, has more than `MAX_NESTING_DEPTH` levels or
+            `MAX_NODES` entries, or is not a mapping at the top level.
     """
     content = parse_yaml(read_text(path), path)
     if not isinstance(content, dict):
@@ -161,27 +166,27 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
 
 
 def parse_yaml(
-    text: str, path: str | os.PathLike[str], loader: "type[PlainLoader] | None" = None
+    text: str, path: str | os.PathLike[str], loader: "type[StrictYamlLoader] | None" = None
 ) -> Any:
     """Parse a YAML text; errors name the file that it is from.
 
     Args:
         text: one YAML document.
         path: of the file that the text is from, for error messages.
-        loader: a loader with further tags; by default `PlainLoader`.
+        loader: a loader with further tags; by default `StrictYamlLoader`.
 
     Raises:
         ValueError: it is not YAML that the loader accepts.
     """
     try:
-        return yaml.load(text, Loader=loader or PlainLoader)
+        return yaml.load(text, Loader=loader or StrictYamlLoader)
     # Any exception may come from a scalar that does not fit its tag, such as `!!bool x`.
     except Exception as error:
-        words = " ".join(str(error).split())[:_LONGEST_MESSAGE]
-        raise ValueError(f"{path}: not readable as YAML: {words}") from error
+        message = " ".join(str(error).split())[:_MAX_MESSAGE_LENGTH]
+        raise ValueError(f"{path}: not readable as YAML: {message}") from error
 
 
-class PlainLoader(yaml.SafeLoader):
+class StrictYamlLoader(yaml.SafeLoader):
     """A stricter safe YAML loader: unique keys, numbers as in YAML 1.2, bounded nesting.
 
     YAML 1.1, which PyYAML follows, reads 1e-3 as text, 010 as eight and 1:30 as ninety. The result
@@ -191,25 +196,28 @@ class PlainLoader(yaml.SafeLoader):
     def __init__(self, stream: str):
         super().__init__(stream)
         self._depth = 0
-        self._sizes: dict[int, int] = {}
+        self._node_sizes: dict[int, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         """Compose a node; raise an error where nesting or expanded aliases exceed the limits."""
-        if self._depth > DEEPEST:
-            raise yaml.YAMLError(f"nested deeper than {DEEPEST} levels")
+        if self._depth > MAX_NESTING_DEPTH:
+            raise yaml.YAMLError(f"nested deeper than {MAX_NESTING_DEPTH} levels")
         is_alias = self.check_event(yaml.AliasEvent)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
-        if is_alias and id(node) not in self._sizes:
-            raise yaml.YAMLError("an alias to what it stands in")
+        # A node gets its size when it is complete, so an alias to a node without one is a cycle.
+        if is_alias and id(node) not in self._node_sizes:
+            raise yaml.YAMLError("an alias to a node that contains it")
         # size(node) = 1 + sum of the sizes of its parts, with an alias as large as its anchor. This
         # finds a file whose nested aliases would expand to billions of entries, without expanding.
         if node is not None and not is_alias:
-            size = 1 + sum(self._sizes[id(part)] for pair in _parts(node) for part in pair)
-            if size > MOST_NODES:
-                raise yaml.YAMLError(f"more than {MOST_NODES} entries, aliases written out")
-            self._sizes[id(node)] = size
+            size = 1 + sum(
+                self._node_sizes[id(part)] for pair in _child_nodes(node) for part in pair
+            )
+            if size > MAX_NODES:
+                raise yaml.YAMLError(f"more than {MAX_NODES} entries, aliases written out")
+            self._node_sizes[id(node)] = size
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -227,41 +235,42 @@ class PlainLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _parts(node: yaml.Node) -> list[tuple[yaml.Node, ...]]:
+def _child_nodes(node: yaml.Node) -> list[tuple[yaml.Node, ...]]:
     """Return the nodes directly inside a node: pairs of key and value, or single elements."""
     if isinstance(node, yaml.MappingNode):
         return node.value
     return [(part,) for part in node.value] if isinstance(node, yaml.SequenceNode) else []
 
 
-def _whole_number(loader: PlainLoader, node: yaml.ScalarNode) -> int:
+def _construct_int(loader: StrictYamlLoader, node: yaml.ScalarNode) -> int:
     return int(loader.construct_scalar(node))
 
 
-def _number(loader: PlainLoader, node: yaml.ScalarNode) -> float:
+def _construct_float(loader: StrictYamlLoader, node: yaml.ScalarNode) -> float:
     text = loader.construct_scalar(node).lower()
     return float(text.replace(".inf", "inf").replace(".nan", "nan"))
 
 
-def _numbers_of_yaml_1_2() -> None:
+def _install_yaml_1_2_resolvers() -> None:
     """Replace the loader's syntax of numbers by that of YAML 1.2, and its dates by text."""
     tags = {name: f"tag:yaml.org,2002:{name}" for name in ("int", "float", "timestamp")}
-    PlainLoader.yaml_implicit_resolvers = {
+    StrictYamlLoader.yaml_implicit_resolvers = {
         first: [pair for pair in pairs if pair[0] not in tags.values()]
         for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
-    whole = re.compile(r"[-+]?[0-9]+\Z")
-    number = re.compile(
+    # The patterns of YAML 1.2's core schema, without its octal and hexadecimal integers.
+    int_pattern = re.compile(r"[-+]?[0-9]+\Z")
+    float_pattern = re.compile(
         r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
         r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z"
     )
-    PlainLoader.add_implicit_resolver(tags["int"], whole, list("-+0123456789"))
-    PlainLoader.add_implicit_resolver(tags["float"], number, list("-+0123456789."))
-    PlainLoader.add_constructor(tags["int"], _whole_number)
-    PlainLoader.add_constructor(tags["float"], _number)
+    StrictYamlLoader.add_implicit_resolver(tags["int"], int_pattern, list("-+0123456789"))
+    StrictYamlLoader.add_implicit_resolver(tags["float"], float_pattern, list("-+0123456789."))
+    StrictYamlLoader.add_constructor(tags["int"], _construct_int)
+    StrictYamlLoader.add_constructor(tags["float"], _construct_float)
 
 
-_numbers_of_yaml_1_2()
+_install_yaml_1_2_resolvers()
 
 
 def dump_yaml(content: dict[str, Any]) -> str:

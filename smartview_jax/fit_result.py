@@ -15,7 +15,7 @@ class FitCode(StrEnum):
 class FitResult(NamedTuple):
     """The outcome of a fit as a code and a message.
 
-    A fit that failed does not raise by itself; call `require` to raise.
+    A fit that failed does not raise by itself; call `require_convergence` to raise.
 
     Attributes:
         code: the outcome as one word.
@@ -30,7 +30,7 @@ class FitResult(NamedTuple):
         """Whether the result is the optimum."""
         return self.code is FitCode.CONVERGED
 
-    def require(self) -> None:
+    def require_convergence(self) -> None:
         """Raise unless the fit converged.
 
         Raises:

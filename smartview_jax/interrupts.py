@@ -2,8 +2,8 @@
 
 Python handles an interrupt only between two of its own instructions, and a single call into a
 library (the compiler, the circle detection) may take minutes. Therefore a second thread listens for
-interrupts: if the main thread has not ended within `GRACE`, it ends the process, as soon as no file
-is being written.
+interrupts: if the main thread has not ended within `GRACE_PERIOD`, it ends the process, as soon as
+no file is being written.
 """
 
 import os
@@ -13,67 +13,69 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from .files import leave_nothing_half_written
+from .files import clean_up_before_exit
 
-EXIT_CODE = 130
+INTERRUPT_EXIT_CODE = 130
 """Exit code of an interrupted program, by the shells' convention: 128 + 2, the signal's number."""
 
-WORDS = "interrupted; no file is left half-written"
+INTERRUPT_MESSAGE = "interrupted; no file is left half-written"
 """Message on standard error after an interrupt."""
 
-GRACE = 1.0
+GRACE_PERIOD = 1.0
 """Time that the main thread has to end by itself after an interrupt, s."""
 
-_PATIENCE = 0.5
+_WRITE_TIMEOUT = 0.5
 """Longest time to wait for files that are being written, s."""
 
 _SHOW_CURSOR = "\x1b[?25h"
 """Terminal code that shows the cursor, which a progress line hides."""
 
-told = threading.Event()
-"""Event that is set once `WORDS` was printed, so that only one thread prints it."""
+message_printed = threading.Event()
+"""Event that is set once `INTERRUPT_MESSAGE` was printed, so that only one thread prints it."""
 
 
 @contextmanager
-def heard_at_once() -> Iterator[None]:
+def interrupt_listener() -> Iterator[None]:
     """Listen for interrupts while a command runs; do nothing outside the main thread."""
-    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if threading.current_thread() is not threading.main_thread() or not ours:
+    is_default_handler = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    # A program that handles interrupts by itself must not be ended behind its back.
+    if threading.current_thread() is not threading.main_thread() or not is_default_handler:
         yield
         return
-    told.clear()
+    message_printed.clear()
     # Python's low-level handler writes the signal's number to this pipe, even while the main thread
     # is inside a library. It may not block there, hence the non-blocking end.
-    heard, bell = os.pipe()
-    os.set_blocking(bell, False)
-    before = signal.set_wakeup_fd(bell, warn_on_full_buffer=False)
-    asked = threading.Event()
-    threading.Thread(target=_listen, args=(heard, asked), daemon=True).start()
+    read_fd, write_fd = os.pipe()
+    os.set_blocking(write_fd, False)
+    previous_fd = signal.set_wakeup_fd(write_fd, warn_on_full_buffer=False)
+    interrupted = threading.Event()
+    threading.Thread(target=_listen, args=(read_fd, interrupted), daemon=True).start()
     try:
         yield
     finally:
-        signal.set_wakeup_fd(before)
+        signal.set_wakeup_fd(previous_fd)
         # Closing the pipe ends the thread. After an interrupt it must stay alive, because the
         # interpreter's own shutdown may wait minutes for a running compiler.
-        if not asked.is_set():
-            os.close(bell)
+        if not interrupted.is_set():
+            os.close(write_fd)
 
 
-def _listen(heard: int, asked: threading.Event) -> None:
+def _listen(read_fd: int, interrupted: threading.Event) -> None:
     """End the process a moment after an interrupt, or at once after a second one."""
-    while signal.SIGINT not in (rung := os.read(heard, 64)):
-        if not rung:
-            os.close(heard)
+    while signal.SIGINT not in (received := os.read(read_fd, 64)):
+        # An empty read means that the command has ended and closed the other end.
+        if not received:
+            os.close(read_fd)
             return
-    asked.set()
-    # Returns after GRACE, or earlier when a second interrupt arrives.
-    select.select([heard], [], [], GRACE)
-    leave_nothing_half_written(_PATIENCE)
+    interrupted.set()
+    # Returns after GRACE_PERIOD, or earlier when a second interrupt arrives.
+    select.select([read_fd], [], [], GRACE_PERIOD)
+    clean_up_before_exit(_WRITE_TIMEOUT)
     if os.isatty(2):
         os.write(2, _SHOW_CURSOR.encode())
-    if not told.is_set():
+    if not message_printed.is_set():
         # Set before the write, during which the main thread may run and print the same message.
-        told.set()
-        os.write(2, f"{WORDS}\n".encode())
+        message_printed.set()
+        os.write(2, f"{INTERRUPT_MESSAGE}\n".encode())
     # `sys.exit` would end only this thread; `os._exit` ends the process without waiting for others.
-    os._exit(EXIT_CODE)
+    os._exit(INTERRUPT_EXIT_CODE)

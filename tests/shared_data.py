@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from smartview_jax.dataset import Dataset
-from smartview_jax.io import import_pairs
+from smartview_jax.io import import_correspondences
 
 _ROOT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -23,7 +23,7 @@ def shared_pairs(name: str, prefix: str = "") -> tuple[Dataset, dict]:
     """A data set's corners and poses, and its reference figures."""
     folder = shared_data(name)
     reference = json.loads((folder / f"{prefix}measured.json").read_text())
-    data = import_pairs(
+    data = import_correspondences(
         folder / f"{prefix}poses.csv",
         folder / f"{prefix}corners.csv",
         tuple(reference["image_size"]),

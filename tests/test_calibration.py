@@ -257,7 +257,7 @@ CAMERAS = np.array([[0.0, 0.1, 0.5], [0.2, 0.1, 0.7], [0.1, 0.4, 0.6]])
 
 def seen_from(calibration, tools=CAMERAS):
     """The calibration, as if it were fitted to views from these places."""
-    region = ViewedRegion.of(CAMERAS, np.zeros((1, 3)), tools)
+    region = ViewedRegion.from_positions(CAMERAS, np.zeros((1, 3)), tools)
     return dataclasses.replace(calibration, region=region)
 
 
@@ -270,7 +270,7 @@ def test_where_the_target_was_seen_from_is_saved_and_loaded(tmp_path, eye_in_han
     path.write_text(path.read_text().replace("lowest_tool: 0.5", "lowest_tool: null"))
     region = Calibration.load(path).region
     assert region is not None
-    assert np.isinf(region.lowest_tool)
+    assert np.isinf(region.min_tool_height)
 
 
 @pytest.mark.parametrize(

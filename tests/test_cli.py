@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from smartview_jax import Calibration
 from smartview_jax.cli import app
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.files import read_yaml
 from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
@@ -62,9 +62,13 @@ def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result)
     bare = Calibration.load(out / "calibration_uncorrected.yaml")
     assert bare.robot_error is None
     data = load_dataset(sample_folder(), keep_detections=False)
-    best = deviations(bare, data).rms
+    best = reprojection_errors(bare, data).rms
     assert best == pytest.approx(0.77, abs=0.05)
-    assert best < 0.7 * deviations(Calibration.load(out / "calibration.yaml").uncorrected, data).rms
+    assert (
+        best
+        < 0.7
+        * reprojection_errors(Calibration.load(out / "calibration.yaml").uncorrected, data).rms
+    )
     told = RUNNER.invoke(app, ["export", str(out / "calibration.yaml"), "--to", "ros"])
     assert "will not; calibration_uncorrected.yaml" in told.stderr
 
@@ -190,7 +194,7 @@ def test_names_from_the_data_are_escaped(result, tmp_path, monkeypatch):
     rows = page.tables.rejections
     monkeypatch.setattr(page.tables, "rejections", lambda *_: [("<script>", "&")])
     assert rows is not page.tables.rejections
-    text = page._TEMPLATE("page.html").render(rejections=[("<script>", "&")], title="<b>")
+    text = page._get_template("page.html").render(rejections=[("<script>", "&")], title="<b>")
     assert "<script>" not in text
     assert "&lt;script&gt;" in text
 
@@ -206,7 +210,7 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("smartview_jax.calibrate_data.fit_staged", interrupted)
+    monkeypatch.setattr("smartview_jax.calibration_pipeline.fit_staged", interrupted)
     run = RUNNER.invoke(app, ["calibrate", "--out", str(tmp_path / "out")])
     assert run.exit_code == 130
     assert "interrupted; no file is left half-written" in run.stderr

@@ -10,7 +10,7 @@ import pytest
 
 import smartview_jax
 from smartview_jax import compilation
-from smartview_jax.compilation import compiled, optimised
+from smartview_jax.compilation import compiled, compiled_optimised
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
@@ -22,14 +22,14 @@ def root_mean_square(x):
     return jnp.sqrt(jnp.mean(x**2))
 
 
-@pytest.mark.parametrize("decorator", [compiled, optimised])
-@pytest.mark.parametrize("count", [3, compilation.MUCH])
+@pytest.mark.parametrize("decorator", [compiled, compiled_optimised])
+@pytest.mark.parametrize("count", [3, compilation.MIN_OPTIMISED_ELEMENTS])
 def test_the_same_function_for_little_and_for_much(decorator, count):
     x = np.random.default_rng(0).normal(size=count)
     np.testing.assert_allclose(decorator(root_mean_square)(x), np.sqrt(np.mean(x**2)), rtol=1e-12)
 
 
-@pytest.mark.parametrize("decorator", [compiled, optimised])
+@pytest.mark.parametrize("decorator", [compiled, compiled_optimised])
 def test_inside_other_programs_and_under_derivatives(decorator):
     """JAX refuses options for a program inside another one."""
     function, x = decorator(root_mean_square), jnp.arange(1.0, 7.0).reshape(2, 3)
@@ -47,12 +47,12 @@ def test_what_is_given_decides(monkeypatch):
     def recorded(function, level):
         return lambda *args: levels.append(level) or function(*args)
 
-    monkeypatch.setattr(compilation, "_compiled", recorded)
+    monkeypatch.setattr(compilation, "_compiled_at_level", recorded)
     function = compiled(root_mean_square)
-    function(jnp.zeros(compilation.MUCH - 1))
-    function(jnp.zeros(compilation.MUCH))
+    function(jnp.zeros(compilation.MIN_OPTIMISED_ELEMENTS - 1))
+    function(jnp.zeros(compilation.MIN_OPTIMISED_ELEMENTS))
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    function(jnp.zeros(compilation.MUCH - 1))
+    function(jnp.zeros(compilation.MIN_OPTIMISED_ELEMENTS - 1))
     assert levels == [0, 2, 2]
 
 

@@ -3,7 +3,7 @@ import signal
 
 import pytest
 
-from smartview_jax.files import dump_yaml, read_yaml, write_atomically, written_together
+from smartview_jax.files import dump_yaml, file_transaction, read_yaml, write_atomically
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -38,7 +38,7 @@ def test_a_missing_file_is_named(tmp_path):
         ("- 1\n- 2\n", "expected a mapping, found list"),
         ("a: 1\nb: 2\na: 3\n", "not readable as YAML: key 'a' comes twice"),
         ("a: " + 2000 * "[" + 2000 * "]", "not readable as YAML: nested deeper"),
-        ("a: &a [*a]\n", "not readable as YAML: an alias to what it stands in"),
+        ("a: &a [*a]\n", "not readable as YAML: an alias to a node that contains it"),
         ("a: !!bool maybe\n", "not readable as YAML"),
         ("a: !!int ''\n", "not readable as YAML"),
         ("a: " + 5000 * "1" + "\n", "not readable as YAML: Exceeds the limit"),
@@ -83,7 +83,7 @@ def test_results_of_two_runs_never_stand_side_by_side(tmp_path, monkeypatch):
     for name in ("a", "b"):
         (tmp_path / name).write_text("old")
     (tmp_path / "another's").write_text("kept")
-    with pytest.raises(IsADirectoryError), written_together(tmp_path, ["a", "b"]) as folder:
+    with pytest.raises(IsADirectoryError), file_transaction(tmp_path, ["a", "b"]) as folder:
         folder.write_text("in vain")
     assert (tmp_path / "a").read_text() == "old"
 
@@ -94,7 +94,7 @@ def test_results_of_two_runs_never_stand_side_by_side(tmp_path, monkeypatch):
         signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(os, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt), written_together(tmp_path, ["a", "b"]) as folder:
+    with pytest.raises(KeyboardInterrupt), file_transaction(tmp_path, ["a", "b"]) as folder:
         (folder / "a").write_text("new")
     assert (tmp_path / "a").read_text() == "new"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "another's"]

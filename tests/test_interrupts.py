@@ -10,10 +10,10 @@ ANSWER = 2.0
 
 STUCK = """
 import hashlib, sys
-from smartview_jax.interrupts import heard_at_once
-from smartview_jax.files import written_together
+from smartview_jax.interrupts import interrupt_listener
+from smartview_jax.files import file_transaction
 
-with heard_at_once(), written_together(sys.argv[1], ["result.yaml"]) as folder:
+with interrupt_listener(), file_transaction(sys.argv[1], ["result.yaml"]) as folder:
     (folder / "result.yaml").write_text("half")
     print("begun", file=sys.stderr, flush=True)
     # One call into a library, which Python cannot interrupt, for about a minute.

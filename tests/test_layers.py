@@ -17,12 +17,12 @@ import smartview_jax
 PACKAGE = Path(smartview_jax.__file__).parent
 
 # From the ground floor up; `compilation` is how programs are compiled, `files` only the reading and
-# writing of text, `fit_result` how any fit ended, `moved` where names were before, `schemas` what
-# may stand in a file, `interrupts` how Ctrl-C ends a run.
+# writing of text, `fit_result` how any fit ended, `deprecation` what old names are now, `schemas`
+# what may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
-    compilation files fit_result moved schemas geometry cameras targets robots robot_errors
+    compilation files fit_result deprecation schemas geometry cameras targets robots robot_errors
     calibration dataset detection io simulation staged engine variance joint arm_identification
-    calibrate_data evaluation viewpoints features modeling localization grasping report editor
+    calibration_pipeline evaluation viewpoints features modeling localization grasping report editor
     interrupts cli
 """.split()
 

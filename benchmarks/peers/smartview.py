@@ -12,8 +12,8 @@ import numpy as np  # noqa: E402
 
 import smartview_jax as sv  # noqa: E402
 from smartview_jax.cameras import AbstractPerspectiveLens, implicit_inverse  # noqa: E402
-from smartview_jax.engine.build import build_problem  # noqa: E402
-from smartview_jax.engine.sharding import deal_out  # noqa: E402
+from smartview_jax.engine.problem_builder import build_problem  # noqa: E402
+from smartview_jax.engine.sharding import shard  # noqa: E402
 from smartview_jax.engine.solver import solve  # noqa: E402
 
 from . import problem as peer  # noqa: E402
@@ -62,7 +62,7 @@ def main(path: Path, repeats: int, lens: str, devices: int = 1) -> None:
     noise = sv.Noise(peer.PIXEL, peer.TRANSLATION, peer.ROTATION) if data.corrected else "trusted"
     built = build_problem(dataset_of(data), calibration_of(data, lens), noise=noise).problem
     if devices > 1:
-        built = deal_out(built, jax.devices())
+        built = shard(built, jax.devices())
     whitened = 1.0 if data.corrected else peer.PIXEL**-2
     del data
     (solution, _), seconds, cold = timed(

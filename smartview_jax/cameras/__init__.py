@@ -1,5 +1,6 @@
 """Camera models: four pinhole parameters and a lens, with one lens model in each file."""
 
+from ..deprecation import deprecated_names as _deprecated_names
 from .camera import Camera as Camera
 from .circles import circle_centre_bias as circle_centre_bias
 from .circles import circle_image_centre as circle_image_centre
@@ -14,9 +15,11 @@ from .opencv import OpenCV8 as OpenCV8
 from .pinhole import Pinhole as Pinhole
 from .radial import Radial as Radial
 from .registry import LENSES as LENSES
+from .registry import initial_lens as initial_lens
 from .registry import lens_by_name as lens_by_name
 from .registry import lens_name as lens_name
-from .registry import start_lens as start_lens
 from .serialization import camera_from_dict as camera_from_dict
 from .serialization import camera_to_dict as camera_to_dict
 from .weng import Weng as Weng
+
+__getattr__ = _deprecated_names(__name__)

@@ -59,9 +59,10 @@ class Camera(eqx.Module):
             The pixels, NaN where not valid; and whether each is valid.
         """
         # u = alpha_u x + u0,   v = alpha_v y + v0
-        plane, valid = self.lens.distort(points)
+        plane_points, valid = self.lens.distort(points)
         # NaN is inserted last: as a factor it would make the derivatives of masked points NaN too.
-        x, y = jnp.where(valid, plane[..., 0], 0.0), jnp.where(valid, plane[..., 1], 0.0)
+        x = jnp.where(valid, plane_points[..., 0], 0.0)
+        y = jnp.where(valid, plane_points[..., 1], 0.0)
         pixels = jnp.stack([self.alpha_u * x + self.u0, self.alpha_v * y + self.v0], axis=-1)
         return jnp.where(valid[..., None], pixels, jnp.nan), valid
 
@@ -74,12 +75,14 @@ class Camera(eqx.Module):
             The rays, NaN where not valid; and whether each is valid.
         """
         # x = (u - u0) / alpha_u,   y = (v - v0) / alpha_v, then the inverse of the lens.
-        return self.lens.undistort((pixels - self._centre(pixels.ndim)) / self._focal(pixels.ndim))
+        return self.lens.undistort(
+            (pixels - self._principal_point(pixels.ndim)) / self._focal_lengths(pixels.ndim)
+        )
 
-    def _focal(self, rank: int) -> Float[Array, "*ones 2"]:
+    def _focal_lengths(self, rank: int) -> Float[Array, "*ones 2"]:
         """Return alpha_u and alpha_v, px, with as many leading axes of size one as a rank needs."""
         return jnp.stack([self.alpha_u, self.alpha_v]).reshape((1,) * (rank - 1) + (2,))
 
-    def _centre(self, rank: int) -> Float[Array, "*ones 2"]:
+    def _principal_point(self, rank: int) -> Float[Array, "*ones 2"]:
         """Return u0 and v0, px, with as many leading axes of size one as a rank needs."""
         return jnp.stack([self.u0, self.v0]).reshape((1,) * (rank - 1) + (2,))

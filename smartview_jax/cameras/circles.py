@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from ..geometry import region_centroid, transform_points
 from .camera import Camera
 
-SAMPLES = 16
+BOUNDARY_SAMPLES = 16
 """Number of points that sample a circle's boundary.
 
 More points change the centroid by less than 1e-9 px, even if the circle fills a third of a wide
@@ -34,7 +34,7 @@ def circle_image_centre(
     Returns:
         The centroid, NaN where not valid; and whether the whole circle can be projected.
     """
-    angle = 2.0 * jnp.pi / SAMPLES * jnp.arange(SAMPLES, dtype=float)
+    angle = 2.0 * jnp.pi / BOUNDARY_SAMPLES * jnp.arange(BOUNDARY_SAMPLES, dtype=float)
 
     def boundary(angle: Float[Array, "samples"]) -> tuple[Array, Array]:
         """Return the pixels of the boundary at these angles, and whether each is valid."""
@@ -44,14 +44,16 @@ def circle_image_centre(
 
     # Green's theorem needs the curve and its derivative with respect to the angle. One
     # Jacobian-vector product gives both, through any lens.
-    pixels, velocity, seen = jax.jvp(boundary, (angle,), (jnp.ones_like(angle),), has_aux=True)
-    valid = jnp.all(seen, axis=-1)
+    pixels, velocity, boundary_valid = jax.jvp(
+        boundary, (angle,), (jnp.ones_like(angle),), has_aux=True
+    )
+    valid = jnp.all(boundary_valid, axis=-1)
     # Circles that are not valid are replaced by the unit circle, which keeps derivatives finite.
-    cos, sin = (jnp.broadcast_to(f(angle), seen.shape) for f in (jnp.cos, jnp.sin))
-    whole = valid[..., None, None]
+    cos, sin = (jnp.broadcast_to(f(angle), boundary_valid.shape) for f in (jnp.cos, jnp.sin))
+    valid_mask = valid[..., None, None]
     centre = region_centroid(
-        jnp.where(whole, pixels, jnp.stack([cos, sin], axis=-1)),
-        jnp.where(whole, velocity, jnp.stack([-sin, cos], axis=-1)),
+        jnp.where(valid_mask, pixels, jnp.stack([cos, sin], axis=-1)),
+        jnp.where(valid_mask, velocity, jnp.stack([-sin, cos], axis=-1)),
     )
     return jnp.where(valid[..., None], centre, jnp.nan), valid
 

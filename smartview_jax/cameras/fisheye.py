@@ -36,7 +36,7 @@ class Fisheye(AbstractLens):
         # (x_d, y_d) = (x, y) theta_d(theta) / r   with   r = |(x, y)|,   theta = atan2(r, z)
         xy, z = points[..., :2], points[..., 2]
         square = jnp.sum(xy**2, axis=-1)
-        on_axis = square <= _TINY * z**2
+        on_axis = square <= _ON_AXIS_TOLERANCE * z**2
         radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
         angle = jnp.arctan2(radius, z)
         # On the axis, where both vanish, the limit of theta_d / r is 1 / z.
@@ -46,19 +46,19 @@ class Fisheye(AbstractLens):
         return jnp.where(valid[..., None], xy * ratio[..., None], jnp.nan), valid
 
     def undistort(
-        self, plane: Float[Array, "*batch 2"]
+        self, plane_points: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
         """Return the unit rays that are mapped to points of the unit image plane."""
         # ray = ((x_d, y_d) sin(theta) / r_d, cos(theta))   with   theta_d(theta) = r_d
-        square = jnp.sum(plane**2, axis=-1)
-        on_axis = square <= _TINY
+        square = jnp.sum(plane_points**2, axis=-1)
+        on_axis = square <= _ON_AXIS_TOLERANCE
         radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
         fold = self._fold_angle()
         valid = on_axis | (radius < self._distorted_angle(fold))
         angle = self._undistorted_angle(jnp.where(valid, radius, 0.5 * fold), fold)
         ratio = jnp.where(on_axis, 1.0, jnp.sin(angle) / radius)
         cosine = jnp.where(on_axis, 1.0, jnp.cos(angle))
-        ray = jnp.concatenate([plane * ratio[..., None], cosine[..., None]], axis=-1)
+        ray = jnp.concatenate([plane_points * ratio[..., None], cosine[..., None]], axis=-1)
         return jnp.where(valid[..., None], ray, jnp.nan), valid
 
     def _distorted_angle(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -66,7 +66,7 @@ class Fisheye(AbstractLens):
         s = angle * angle
         return angle * (1.0 + s * (self.k1 + s * (self.k2 + s * (self.k3 + s * self.k4))))
 
-    def _slope(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    def _distorted_angle_derivative(self, angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Return the derivative of theta_d with respect to theta."""
         # 1 + 3 k1 theta^2 + 5 k2 theta^4 + 7 k3 theta^6 + 9 k4 theta^8
         s = angle * angle
@@ -80,18 +80,20 @@ class Fisheye(AbstractLens):
         limits where the lens is valid.
         """
         # A grid finds the interval of the derivative's first sign change, and bisection refines it.
-        rising = self._slope(jnp.asarray(_ANGLES)) > 0.0
+        # `argmin` of truth values gives the index of the first False.
+        angles = jnp.asarray(_FOLD_SEARCH_ANGLES)
+        rising = self._distorted_angle_derivative(angles) > 0.0
         first = jnp.argmin(rising)
-        low, high = jnp.asarray(_ANGLES)[jnp.maximum(first - 1, 0)], jnp.asarray(_ANGLES)[first]
+        low, high = angles[jnp.maximum(first - 1, 0)], angles[first]
 
-        def halve(_, bracket):
-            """Return the half of the bracket that contains the solution."""
+        def bisect(_, bracket):
+            """Return the half of the bracket that contains the sign change."""
             low, high = bracket
             middle = 0.5 * (low + high)
-            rises = self._slope(middle) > 0.0
+            rises = self._distorted_angle_derivative(middle) > 0.0
             return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
 
-        low, _ = jax.lax.fori_loop(0, 50, halve, (low, high))
+        low, _ = jax.lax.fori_loop(0, 50, bisect, (low, high))
         return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.pi, low))
 
     def _undistorted_angle(
@@ -106,7 +108,7 @@ class Fisheye(AbstractLens):
         def solve(residual, guess):
             """Return the angle at which the residual is zero, rad."""
 
-            def halve(_, bracket):
+            def bisect(_, bracket):
                 """Return the half of each bracket that contains the solution."""
                 low, high = bracket
                 middle = 0.5 * (low + high)
@@ -114,12 +116,14 @@ class Fisheye(AbstractLens):
                 return jnp.where(below, middle, low), jnp.where(below, high, middle)
 
             low, high = jnp.zeros_like(guess), jnp.ones_like(guess) * fold
-            low, high = jax.lax.fori_loop(0, 25, halve, (low, high))
+            low, high = jax.lax.fori_loop(0, 25, bisect, (low, high))
             angle = 0.5 * (low + high)
-            # Newton: theta <- theta - (theta_d(theta) - wanted) / theta_d'(theta). The bound on the
-            # derivative only matters next to the fold, where it vanishes.
+            # Newton: theta <- theta - (theta_d(theta) - distorted) / theta_d'(theta). The bound on
+            # the derivative only matters next to the fold, where it vanishes.
             for _ in range(3):
-                angle = angle - residual(angle) / jnp.maximum(self._slope(angle), 1e-9)
+                angle = angle - residual(angle) / jnp.maximum(
+                    self._distorted_angle_derivative(angle), 1e-9
+                )
             return angle
 
         return jax.lax.custom_root(
@@ -130,8 +134,8 @@ class Fisheye(AbstractLens):
         )
 
 
-_ANGLES = np.linspace(0.0, np.pi, 400)
+_FOLD_SEARCH_ANGLES = np.linspace(0.0, np.pi, 400)
 """Angles at which the search for the fold evaluates the derivative, rad."""
 
-_TINY = 1e-24
+_ON_AXIS_TOLERANCE = 1e-24
 """Limit on squared radius over squared depth, below which a point is treated as on the axis."""

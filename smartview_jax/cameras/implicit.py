@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-_CONVERGED = 1e-10
+_RESIDUAL_TOLERANCE = 1e-10
 """Largest accepted residual of the inverse, in units of the normalised image plane."""
 
 
@@ -48,14 +48,14 @@ def implicit_inverse(
         lambda x: function(x) - target, jax.lax.stop_gradient(start), newton, _solve_pointwise
     )
     # Whether a solution is valid is not differentiated.
-    fixed = jax.lax.stop_gradient(solution)
-    error = jnp.max(jnp.abs(function(fixed) - target), axis=-1)
-    valid = (error < _CONVERGED) & unfolded(function, fixed)
+    constant_solution = jax.lax.stop_gradient(solution)
+    error = jnp.max(jnp.abs(function(constant_solution) - target), axis=-1)
+    valid = (error < _RESIDUAL_TOLERANCE) & is_unfolded(function, constant_solution)
     return solution, valid
 
 
-def unfolded(
-    function: Callable[[Array], Array], at: Float[Array, "*batch 2"]
+def is_unfolded(
+    function: Callable[[Array], Array], points: Float[Array, "*batch 2"]
 ) -> Bool[Array, "*batch"]:
     """Return where a pointwise map of the plane is not folded.
 
@@ -63,25 +63,25 @@ def unfolded(
     map, and the determinant vanishes at the first fold.
     """
     # det J > 0 and trace J > 0: without the trace, a map that is mirrored in both axes would pass.
-    along_x, along_y = _columns(lambda v: jax.jvp(function, (at,), (v,))[1], at)
-    determinant = along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]
-    return (determinant > 0.0) & (along_x[..., 0] + along_y[..., 1] > 0.0)
+    column_x, column_y = _matrix_columns(lambda v: jax.jvp(function, (points,), (v,))[1], points)
+    determinant = column_x[..., 0] * column_y[..., 1] - column_x[..., 1] * column_y[..., 0]
+    return (determinant > 0.0) & (column_x[..., 0] + column_y[..., 1] > 0.0)
 
 
 def _solve_pointwise(linear: Callable[[Array], Array], value: Array) -> Array:
     """Solve a 2 x 2 system at every point; the solution of a singular one is zero, never NaN."""
     # Cramer's rule for x a + y b = v:   x = (v x b) / (a x b),   y = (a x v) / (a x b).
     # Without NaN, a point without a solution does not spoil the derivatives of the others.
-    along_x, along_y = _columns(linear, value)
-    determinant = along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]
+    column_x, column_y = _matrix_columns(linear, value)
+    determinant = column_x[..., 0] * column_y[..., 1] - column_x[..., 1] * column_y[..., 0]
     regular = jnp.abs(determinant) > 1e-12
     scale = jnp.where(regular, 1.0, 0.0) / jnp.where(regular, determinant, 1.0)
-    x = along_y[..., 1] * value[..., 0] - along_y[..., 0] * value[..., 1]
-    y = along_x[..., 0] * value[..., 1] - along_x[..., 1] * value[..., 0]
+    x = column_y[..., 1] * value[..., 0] - column_y[..., 0] * value[..., 1]
+    y = column_x[..., 0] * value[..., 1] - column_x[..., 1] * value[..., 0]
     return jnp.stack([scale * x, scale * y], axis=-1)
 
 
-def _columns(linear: Callable[[Array], Array], like: Array) -> tuple[Array, Array]:
+def _matrix_columns(linear: Callable[[Array], Array], like: Array) -> tuple[Array, Array]:
     """Return the two columns of a linear pointwise map of the plane, at every point."""
-    one, zero = jnp.ones_like(like[..., 0]), jnp.zeros_like(like[..., 0])
-    return linear(jnp.stack([one, zero], axis=-1)), linear(jnp.stack([zero, one], axis=-1))
+    ones, zeros = jnp.ones_like(like[..., 0]), jnp.zeros_like(like[..., 0])
+    return linear(jnp.stack([ones, zeros], axis=-1)), linear(jnp.stack([zeros, ones], axis=-1))

@@ -31,7 +31,7 @@ class AbstractLens(eqx.Module):
 
     @abc.abstractmethod
     def undistort(
-        self, plane: Float[Array, "*batch 2"]
+        self, plane_points: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
         """Return the unit rays that are mapped to points of the unit image plane."""
 
@@ -70,11 +70,11 @@ class AbstractPerspectiveLens(AbstractLens):
         return jnp.stack([x, y], axis=-1), valid
 
     def undistort(
-        self, plane: Float[Array, "*batch 2"]
+        self, plane_points: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:
         """Return the unit rays that are mapped to points of the unit image plane."""
         # ray = (x', y', 1) / |(x', y', 1)|, with the ideal coordinates (x', y').
-        ideal, valid = self.undistort_normalised(plane)
+        ideal, valid = self.undistort_normalised(plane_points)
         ray = jnp.concatenate([ideal, jnp.ones_like(ideal[..., :1])], axis=-1)
         ray = ray / jnp.linalg.norm(ray, axis=-1, keepdims=True)
         return jnp.where(valid[..., None], ray, jnp.nan), valid

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from .implicit import implicit_inverse, unfolded
+from .implicit import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
 
@@ -33,11 +33,11 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
         """Return distorted from ideal normalised coordinates, and whether each is valid."""
         # The fold radius bounds the radial part. The tangential part can fold the map earlier,
-        # which `unfolded` tests at the point itself.
+        # which `is_unfolded` tests at the point itself.
         valid = jnp.sum(ideal**2, axis=-1) < self._fold_radius() ** 2
         inside = jnp.where(valid[..., None], ideal, 0.0)
-        distorted = self._polynomial(inside)
-        return distorted, valid & unfolded(self._polynomial, inside)
+        distorted = self._distort_unchecked(inside)
+        return distorted, valid & is_unfolded(self._distort_unchecked, inside)
 
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]
@@ -46,11 +46,11 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         # The inverse of the radial part alone is close enough to the solution that Newton's method
         # converges on the whole map.
         fold = self._fold_radius()
-        start = self._undo_radial(distorted, jnp.minimum(fold, _FAR))
-        ideal, valid = implicit_inverse(self._polynomial, distorted, start)
+        start = self._invert_radial(distorted, jnp.minimum(fold, _MAX_IDEAL_RADIUS))
+        ideal, valid = implicit_inverse(self._distort_unchecked, distorted, start)
         return ideal, valid & (jnp.sum(ideal**2, axis=-1) < fold**2)
 
-    def _polynomial(self, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    def _distort_unchecked(self, ideal: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Return distorted from ideal normalised coordinates, without a test of validity."""
         # x_d = x ratio + 2 p1 x y + p2 (s + 2 x^2)
         # y_d = y ratio + p1 (s + 2 y^2) + 2 p2 x y
@@ -70,43 +70,46 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
     def _fold_radius(self) -> Float[Array, ""]:
         """Return the smallest ideal radius at which the radial part stops increasing.
 
-        It is infinite if the radial part increases up to the largest radius of `_RADII`. It is not
-        differentiated, because it only limits where the lens is valid.
+        It is infinite if the radial part increases up to the largest of the `_FOLD_SEARCH_RADII`.
+        It is not differentiated, because it only limits where the lens is valid.
         """
         # A grid finds the interval of the derivative's first sign change, and bisection refines it.
-        rising = self._radial_slope(jnp.asarray(_RADII)) > 0.0
+        # `argmin` of truth values gives the index of the first False.
+        radii = jnp.asarray(_FOLD_SEARCH_RADII)
+        rising = self._radial_derivative(radii) > 0.0
         first = jnp.argmin(rising)
-        low, high = jnp.asarray(_RADII)[jnp.maximum(first - 1, 0)], jnp.asarray(_RADII)[first]
+        low, high = radii[jnp.maximum(first - 1, 0)], radii[first]
 
-        def halve(_, bracket):
-            """Return the half of each bracket that contains the solution."""
+        def bisect(_, bracket):
+            """Return the half of the bracket that contains the sign change."""
             low, high = bracket
             middle = 0.5 * (low + high)
-            rises = self._radial_slope(middle) > 0.0
+            rises = self._radial_derivative(middle) > 0.0
             return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
 
-        low, _ = jax.lax.fori_loop(0, 50, halve, (low, high))
+        low, _ = jax.lax.fori_loop(0, 50, bisect, (low, high))
         return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.inf, low))
 
-    def _radial_slope(self, radius: Float[Array, "*grid"]) -> Float[Array, "*grid"]:
+    def _radial_derivative(self, radius: Float[Array, "*grid"]) -> Float[Array, "*grid"]:
         """Return a positive multiple of the derivative of the distorted radius by the ideal one.
 
         It is -1 where the denominator of the radial part is not positive, since the model ends
         there, too.
         """
-        # r' = r a(s) / b(s) with s = r^2 has
+        # r' = r a(s) / b(s), with s = r^2, the numerator a and the denominator b, has
         #   dr'/dr = ((a + 2 s a') b - 2 s a b') / b^2,   where a' = da/ds, b' = db/ds.
         # The positive factor 1 / b^2 is left out.
         k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
         s = radius * radius
-        above = 1.0 + s * (k1 + s * (k2 + s * k3))
-        below = 1.0 + s * (k4 + s * (k5 + s * k6))
-        above_slope = k1 + s * (2.0 * k2 + 3.0 * s * k3)
-        below_slope = k4 + s * (2.0 * k5 + 3.0 * s * k6)
-        slope = (above + 2.0 * s * above_slope) * below - 2.0 * s * above * below_slope
-        return jnp.where(below > 0.0, slope, -1.0)
+        numerator = 1.0 + s * (k1 + s * (k2 + s * k3))
+        denominator = 1.0 + s * (k4 + s * (k5 + s * k6))
+        numerator_derivative = k1 + s * (2.0 * k2 + 3.0 * s * k3)
+        denominator_derivative = k4 + s * (2.0 * k5 + 3.0 * s * k6)
+        derivative = (numerator + 2.0 * s * numerator_derivative) * denominator
+        derivative = derivative - 2.0 * s * numerator * denominator_derivative
+        return jnp.where(denominator > 0.0, derivative, -1.0)
 
-    def _undo_radial(
+    def _invert_radial(
         self, distorted: Float[Array, "*batch 2"], limit: Float[Array, ""]
     ) -> Float[Array, "*batch 2"]:
         """Return the ideal point whose radial distortion gives a distorted point, by bisection.
@@ -117,25 +120,27 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
             distorted: normalised coordinates.
             limit: largest ideal radius to consider.
         """
-        # 40 halvings find r in r a(r^2) / b(r^2) = r'; then ideal = distorted r / r'.
+        # 40 halvings find r in r a(r^2) / b(r^2) = r', with the `target_radius` r' = |distorted|
+        # and the polynomials a, b of `_radial_derivative`; then ideal = distorted r / r'.
         k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
-        wanted = jnp.linalg.norm(jax.lax.stop_gradient(distorted), axis=-1)
+        target_radius = jnp.linalg.norm(jax.lax.stop_gradient(distorted), axis=-1)
 
-        def halve(_, bracket):
+        def bisect(_, bracket):
             """Return the half of each bracket that contains the solution."""
             low, high = bracket
             middle = 0.5 * (low + high)
             s = middle * middle
-            below = 1.0 + s * (k4 + s * (k5 + s * k6))
-            reached = middle * (1.0 + s * (k1 + s * (k2 + s * k3))) / below
-            return jnp.where(reached < wanted, middle, low), jnp.where(
-                reached < wanted, high, middle
-            )
+            denominator = 1.0 + s * (k4 + s * (k5 + s * k6))
+            distorted_radius = middle * (1.0 + s * (k1 + s * (k2 + s * k3))) / denominator
+            below = distorted_radius < target_radius
+            return jnp.where(below, middle, low), jnp.where(below, high, middle)
 
-        low, high = jnp.zeros_like(wanted), jnp.full_like(wanted, 1.0) * limit
-        low, high = jax.lax.fori_loop(0, 40, halve, (low, high))
-        ratio = 0.5 * (low + high) / jnp.where(wanted > 0.0, wanted, 1.0)
-        return jax.lax.stop_gradient(distorted) * jnp.where(wanted > 0.0, ratio, 1.0)[..., None]
+        low, high = jnp.zeros_like(target_radius), jnp.full_like(target_radius, 1.0) * limit
+        low, high = jax.lax.fori_loop(0, 40, bisect, (low, high))
+        ratio = 0.5 * (low + high) / jnp.where(target_radius > 0.0, target_radius, 1.0)
+        return (
+            jax.lax.stop_gradient(distorted) * jnp.where(target_radius > 0.0, ratio, 1.0)[..., None]
+        )
 
 
 class OpenCV4(AbstractOpenCVLens):
@@ -217,11 +222,11 @@ class OpenCV8(AbstractOpenCVLens):
         return jnp.stack([self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6])
 
 
-_RADII = np.tan(np.deg2rad(np.linspace(0.0, 89.5, 400)))
+_FOLD_SEARCH_RADII = np.tan(np.deg2rad(np.linspace(0.0, 89.5, 400)))
 """Ideal radii at which the search for the fold evaluates the derivative.
 
 They are `r/z` of rays up to 89.5 degrees from the axis.
 """
 
-_FAR = float(_RADII[-1])
+_MAX_IDEAL_RADIUS = float(_FOLD_SEARCH_RADII[-1])
 """Largest ideal radius that the inverse considers where the model has no fold."""

@@ -29,7 +29,7 @@ class Radial(AbstractPerspectiveLens):
         # u~ = g u' with the root g of g + q g^3 = 1 and q = k1 r'^2
         x, y = ideal[..., 0], ideal[..., 1]
         strength = self.k1 * (x * x + y * y)
-        valid = strength > -_FOLD
+        valid = strength > -_FOLD_STRENGTH
         ratio = _radius_ratio(jnp.where(valid, strength, 0.0))
         return jnp.stack([x * ratio, y * ratio], axis=-1), valid
 
@@ -42,11 +42,11 @@ class Radial(AbstractPerspectiveLens):
         return distorted * (1.0 + strength[..., None]), 1.0 + 3.0 * strength > 0.0
 
 
-_FOLD = 4.0 / 27.0
+_FOLD_STRENGTH = 4.0 / 27.0
 """Value of `-k1 r'^2` beyond which the cubic of `_radius_ratio` has no positive root."""
 
 _HALF_ROOT_3 = 0.75**0.5
-"""Half the square root of 3, a coefficient of the start of `_radius_ratio`."""
+"""Half the square root of 3, a coefficient of the initial value in `_radius_ratio`."""
 
 
 @jax.custom_jvp
@@ -58,18 +58,24 @@ def _radius_ratio(strength: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """
     # Four Halley steps, g <- g - f f' / (f'^2 - f f'' / 2) with f = g + q g^3 - 1.
     # The transcendental forms of the root were tried: they cost eight times as much.
-    # For q < 0 the start is exact at q = 0 and at the fold, and behaves as the square root of the
-    # distance to the fold, as the root does; for q > 0 it is exact at q = 0.
-    to_fold = jnp.sqrt(jnp.maximum(1.0 + strength / _FOLD, 0.0))
-    shrinking = jnp.sqrt(jnp.sqrt(1.0 / (1.0 + 4.0 * jnp.maximum(strength, 0.0))))
-    growing = 1.5 - _HALF_ROOT_3 * to_fold + (_HALF_ROOT_3 - 0.5) * to_fold * to_fold
-    ratio = jnp.where(strength < 0.0, growing, shrinking)
+    # For q < 0 the initial value is exact at q = 0 and at the fold, and behaves as the square root
+    # of the distance to the fold, as the root does; for q > 0 it is exact at q = 0.
+    fold_distance_root = jnp.sqrt(jnp.maximum(1.0 + strength / _FOLD_STRENGTH, 0.0))
+    initial_positive = jnp.sqrt(jnp.sqrt(1.0 / (1.0 + 4.0 * jnp.maximum(strength, 0.0))))
+    initial_negative = (
+        1.5
+        - _HALF_ROOT_3 * fold_distance_root
+        + (_HALF_ROOT_3 - 0.5) * fold_distance_root * fold_distance_root
+    )
+    ratio = jnp.where(strength < 0.0, initial_negative, initial_positive)
     for _ in range(4):
         value = ratio * (1.0 + strength * ratio * ratio) - 1.0
-        slope = 1.0 + 3.0 * strength * ratio * ratio
+        derivative = 1.0 + 3.0 * strength * ratio * ratio
         # f f'' / 2 = 3 q g f. The bound on the denominator only matters at the fold itself.
-        turn = 3.0 * strength * ratio * value
-        ratio = ratio - value * slope / jnp.maximum(slope * slope - turn, 1e-12)
+        curvature_term = 3.0 * strength * ratio * value
+        ratio = ratio - value * derivative / jnp.maximum(
+            derivative * derivative - curvature_term, 1e-12
+        )
     return ratio
 
 

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..schemas.words import nearest
+from ..schemas.messages import spelling_suggestion
 from .fisheye import Fisheye
 from .lens import AbstractLens
 from .opencv import OpenCV4, OpenCV5, OpenCV8
@@ -34,7 +34,7 @@ def lens_by_name(name: str | AbstractLens) -> AbstractLens:
     if name not in LENSES:
         raise ValueError(
             f"lens is one of {', '.join(LENSES)}, or an AbstractLens; found {name!r}"
-            f"{nearest(name, LENSES)}"
+            f"{spelling_suggestion(name, LENSES)}"
         )
     return LENSES[name]()
 
@@ -47,7 +47,7 @@ def lens_name(lens: AbstractLens) -> str:
     return type(lens).__name__
 
 
-def start_lens(name: str | AbstractLens, known: AbstractLens) -> AbstractLens:
+def initial_lens(name: str | AbstractLens, fitted: AbstractLens) -> AbstractLens:
     """Return a lens of the named model as the start of a fit, given a fitted lens of another model.
 
     A lens of the same model is returned unchanged. Of another model only k1 is transferred. The
@@ -57,15 +57,19 @@ def start_lens(name: str | AbstractLens, known: AbstractLens) -> AbstractLens:
 
     Args:
         name: a key of `LENSES`, or a lens.
-        known: the fitted lens.
+        fitted: the fitted lens.
     """
     lens = lens_by_name(name)
-    if type(lens) is type(known):
-        return known
-    inverse = (Radial, Weng)
-    own = not isinstance(name, str)
-    if own or isinstance(lens, Pinhole | Fisheye) or isinstance(known, Fisheye):
+    if type(lens) is type(fitted):
+        return fitted
+    undistorting_models = (Radial, Weng)
+    is_user_lens = not isinstance(name, str)
+    if is_user_lens or isinstance(lens, Pinhole | Fisheye) or isinstance(fitted, Fisheye):
         return lens
-    k1 = getattr(known, "k1", jnp.zeros(()))
-    same = isinstance(lens, inverse) == isinstance(known, inverse)
-    return eqx.tree_at(lambda model: model.k1, lens, k1 if same else -k1)
+    # To first order in k1, the inverse of  x' = x (1 + k1 |x|^2)  is  x = x' (1 - k1 |x'|^2), so
+    # that k1 changes its sign where the directions differ. A pinhole has none: it counts as zero.
+    k1 = getattr(fitted, "k1", jnp.zeros(()))
+    same_direction = isinstance(lens, undistorting_models) == isinstance(
+        fitted, undistorting_models
+    )
+    return eqx.tree_at(lambda model: model.k1, lens, k1 if same_direction else -k1)

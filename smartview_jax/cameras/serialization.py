@@ -6,7 +6,7 @@ from .camera import Camera
 from .lens import AbstractLens
 from .registry import lens_by_name, lens_name
 
-_PINHOLE = ("alpha_u", "alpha_v", "u0", "v0")
+_PINHOLE_PARAMETERS = ("alpha_u", "alpha_v", "u0", "v0")
 """Names of a camera's pinhole parameters, px."""
 
 
@@ -15,7 +15,7 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     lens = {name: float(value) for name, value in vars(camera.lens).items()}
     return {
         "image_size": list(camera.image_size),
-        **{key: float(getattr(camera, key)) for key in _PINHOLE},
+        **{key: float(getattr(camera, key)) for key in _PINHOLE_PARAMETERS},
         "lens": {"model": lens_name(camera.lens), **lens},
     }
 
@@ -32,6 +32,7 @@ def camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Came
         ValueError: an unknown lens model, or other numbers than the lens has.
         KeyError: a number is missing.
     """
+    # The coefficients of a lens are its attributes, so that a template of its model names them.
     numbers = dict(content["lens"])
     model = numbers.pop("model")
     template = lens_by_name(model) if lens is None else lens
@@ -41,5 +42,5 @@ def camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Came
         )
     fitted = type(template)(**{name: float(value) for name, value in numbers.items()})
     width, height = content["image_size"]
-    alpha_u, alpha_v, u0, v0 = (float(content[key]) for key in _PINHOLE)
+    alpha_u, alpha_v, u0, v0 = (float(content[key]) for key in _PINHOLE_PARAMETERS)
     return Camera(alpha_u, alpha_v, u0, v0, fitted, (int(width), int(height)))

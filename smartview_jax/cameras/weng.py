@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from .implicit import implicit_inverse, unfolded
+from .implicit import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
 
@@ -43,7 +43,7 @@ class Weng(AbstractPerspectiveLens):
         self, ideal: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
         """Return distorted from ideal normalised coordinates, and whether each is valid."""
-        return implicit_inverse(self._polynomial, ideal, ideal)
+        return implicit_inverse(self._undistort_unchecked, ideal, ideal)
 
     def undistort_normalised(
         self, distorted: Float[Array, "*batch 2"]
@@ -52,11 +52,11 @@ class Weng(AbstractPerspectiveLens):
         # A point beyond a fold may pass the test for folds itself, so that points between the
         # centre and it are tested, too.
         valid = jnp.ones(distorted.shape[:-1], dtype=bool)
-        for part in (0.25, 0.5, 0.75, 1.0):
-            valid &= unfolded(self._polynomial, part * distorted)
-        return self._polynomial(distorted), valid
+        for fraction in (0.25, 0.5, 0.75, 1.0):
+            valid &= is_unfolded(self._undistort_unchecked, fraction * distorted)
+        return self._undistort_unchecked(distorted), valid
 
-    def _polynomial(self, distorted: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    def _undistort_unchecked(self, distorted: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Return ideal from distorted normalised coordinates, without a test of validity."""
         x, y = distorted[..., 0], distorted[..., 1]
         radial = self.k1 * (x * x + y * y)

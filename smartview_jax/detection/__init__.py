@@ -6,8 +6,8 @@ from .circle_centres import predicted_bias as predicted_bias
 from .detect import detect as detect
 from .detect import read_picture as read_picture
 from .detection import Detection as Detection
-from .detection import nothing_found as nothing_found
+from .detection import empty_detection as empty_detection
 from .markers import charuco_board as charuco_board
 from .markers import dictionary_by_name as dictionary_by_name
-from .ordering import Ordering as Ordering
+from .ordering import PointOrdering as PointOrdering
 from .ordering import consistent_ordering as consistent_ordering

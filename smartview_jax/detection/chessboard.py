@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ..targets import Chessboard, grid_rotations
-from .detection import Detection, found, nothing_found
+from ..targets import Chessboard, grid_symmetries
+from .detection import Detection, empty_detection, full_detection
 
 
 def detect_chessboard(image: np.ndarray, target: Chessboard) -> Detection:
@@ -22,14 +22,14 @@ def detect_chessboard(image: np.ndarray, target: Chessboard) -> Detection:
     size = (target.columns, target.rows)
     ok, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
     if not ok:
-        return nothing_found(
+        return empty_detection(
             target.rows * target.columns,
             f"no chessboard with {target.rows} x {target.columns} inner corners found",
         )
-    return found(_light_first(image, corners.reshape(-1, 2), target))
+    return full_detection(_start_at_light_square(image, corners.reshape(-1, 2), target))
 
 
-def _light_first(
+def _start_at_light_square(
     image: np.ndarray, corners: Float[np.ndarray, "corners 2"], target: Chessboard
 ) -> Float[np.ndarray, "corners 2"]:
     """Return the corners in the order whose first square is light, if there is such an order."""
@@ -38,7 +38,7 @@ def _light_first(
     # one in shadow does not decide.
     rows, columns = target.rows, target.columns
     sign = (-1.0) ** np.add.outer(np.arange(rows - 1), np.arange(columns - 1))
-    for order in grid_rotations(rows, columns):
+    for order in grid_symmetries(rows, columns):
         grid = corners[order].reshape(rows, columns, 2)
         centres = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4.0
         x, y = np.moveaxis(centres.astype(np.float32), -1, 0)

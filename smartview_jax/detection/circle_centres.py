@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import circle_centre_bias
-from ..compilation import optimised
+from ..compilation import compiled_optimised
 from ..dataset import Dataset, Observations
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
 
@@ -50,11 +50,11 @@ def correct_circle_centres(
     count = data.points.shape[1]
     if radii.shape not in ((), (count,)):
         raise ValueError(f"radius: expected one number or {count}, found shape {radii.shape}")
-    each = jnp.broadcast_to(jnp.asarray(radii), (count,))
-    bias, valid = predicted_bias(calibration, data.observations, each)
-    lost = np.asarray(data.visible & ~valid)
-    if lost.any():
-        view, point = np.argwhere(lost)[0]
+    radius_per_point = jnp.broadcast_to(jnp.asarray(radii), (count,))
+    bias, valid = predicted_bias(calibration, data.observations, radius_per_point)
+    not_projectable = np.asarray(data.visible & ~valid)
+    if not_projectable.any():
+        view, point = np.argwhere(not_projectable)[0]
         raise ValueError(
             f"view {data.view_ids[view]}: circle {point} was seen, but this calibration cannot "
             "project it"
@@ -63,7 +63,7 @@ def correct_circle_centres(
     return dataclasses.replace(data, pixels=pixels)
 
 
-@optimised
+@compiled_optimised
 def predicted_bias(
     calibration: Calibration, observations: Observations, radii: Float[Array, "points"]
 ) -> tuple[Float[Array, "views points 2"], Bool[Array, "views points"]]:
@@ -77,20 +77,20 @@ def predicted_bias(
     Returns:
         The bias, NaN where not valid; and whether the whole circle can be projected.
     """
-    size = calibration.target_scale * radii
+    scaled_radii = calibration.target_scale * radii
 
-    def view(seen: Observations) -> tuple[Array, Array]:
+    def view_bias(view_observations: Observations) -> tuple[Array, Array]:
         """Return the bias of all circles in one view, and whether each is valid."""
         # camera_from_circle = camera_from_world @ (translation to the circle's centre): the axes of
         # a circle's frame are parallel to those of the world.
-        pose = calibration.camera_from_world(seen.command)
-        centres = SE3.from_translation(calibration.target_scale * seen.points)
-        wide = SE3(jnp.broadcast_to(pose.wxyz_xyz, centres.wxyz_xyz.shape))
-        return circle_centre_bias(calibration.camera, wide @ centres, size)
+        pose = calibration.camera_from_world(view_observations.command)
+        centres = SE3.from_translation(calibration.target_scale * view_observations.points)
+        poses = SE3(jnp.broadcast_to(pose.wxyz_xyz, centres.wxyz_xyz.shape))
+        return circle_centre_bias(calibration.camera, poses @ centres, scaled_radii)
 
     # Views are processed one after another: each circle is sampled at a dozen or more points, and
     # all views at once would need that many times the memory of the data.
-    return jax.lax.map(view, observations)
+    return jax.lax.map(view_bias, observations)
 
 
 def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:

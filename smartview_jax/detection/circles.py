@@ -7,16 +7,16 @@ import cv2
 import numpy as np
 
 from ..targets import CircleGrid
-from .detection import Detection, found, nothing_found, some_found
-from .lattice import partial_grid
+from .detection import Detection, empty_detection, full_detection, partial_detection
+from .lattice import match_partial_grid
 
-_SMALLEST_BLOBS = (25.0, 10.0, 60.0, 150.0, 400.0)
+_MIN_BLOB_AREAS = (25.0, 10.0, 60.0, 150.0, 400.0)
 """Lower limits on a blob's area to try, px^2.
 
 Specks of noise have to be excluded, and their size depends on the picture.
 """
 
-_ROUNDNESS = (0.8, 0.4)
+_MIN_CIRCULARITIES = (0.8, 0.4)
 """Lower limits on a blob's circularity to try, without unit.
 
 At brightness thresholds within the noise of the paper, specks merge with a circle and shift its
@@ -24,15 +24,14 @@ centre by half a pixel. The high limit excludes them, since the blob is then not
 limit is tried because circles that are seen from the side are not round either.
 """
 
-
-MOST_BLOBS = 4
+MAX_BLOBS_PER_CIRCLE = 4
 """Largest number of blobs to search, as a multiple of the number of circles.
 
 The search for a grid takes time proportional to the third power of the number of blobs, and a
 larger number indicates noise or texture.
 """
 
-_SIZES = 3.0
+_MAX_DIAMETER_RATIO = 3.0
 """Largest expected ratio of circle diameters in one picture, due to perspective and a mark."""
 
 
@@ -49,36 +48,38 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
     # found. Only if none gives one, a part of a grid is searched for, with the pair that left the
     # most blobs.
     count = target.rows * target.columns
-    most, tried = 0, []
-    for area, roundness in itertools.product(_SMALLEST_BLOBS, _ROUNDNESS):
-        parameters = _blob_parameters(area, roundness, target, image.shape)
+    max_blob_count, candidate_sets = 0, []
+    for min_area, min_circularity in itertools.product(_MIN_BLOB_AREAS, _MIN_CIRCULARITIES):
+        parameters = _blob_parameters(min_area, min_circularity, target, image.shape)
         blobs = cv2.SimpleBlobDetector.create(parameters).detect(image)
-        most = max(most, len(blobs))
-        blobs = candidates(blobs, count, image.shape)
-        tried.append(blobs)
+        max_blob_count = max(max_blob_count, len(blobs))
+        blobs = candidate_blobs(blobs, count, image.shape)
+        candidate_sets.append(blobs)
         if len(blobs) < count:
             continue
-        centres = _grid(np.array([blob.pt for blob in blobs]), target)
+        centres = _find_grid(np.array([blob.pt for blob in blobs]), target)
         if centres is None:
             continue
         if target.origin_mark:
-            centres = _origin_first(centres, blobs, target)
-        return found(centres)
-    missing = f"no whole circle grid of {target.rows} x {target.columns} found: {most} blobs seen, "
-    missing += f"{count} expected"
-    if most > MOST_BLOBS * count:
-        missing += ": there is noise or texture"
-    return _part_of_a_grid(max(tried, key=len), target, missing)
+            centres = _start_at_origin_mark(centres, blobs, target)
+        return full_detection(centres)
+    reason = (
+        f"no whole circle grid of {target.rows} x {target.columns} found: "
+        f"{max_blob_count} blobs seen, {count} expected"
+    )
+    if max_blob_count > MAX_BLOBS_PER_CIRCLE * count:
+        reason += ": there is noise or texture"
+    return _detect_partial_grid(max(candidate_sets, key=len), target, reason)
 
 
-def candidates(
+def candidate_blobs(
     blobs: Sequence[cv2.KeyPoint], count: int, shape: tuple[int, ...]
 ) -> list[cv2.KeyPoint]:
     """Return the blobs among which a grid of circles is searched for.
 
     Blobs that reach the border of the picture are excluded: they are parts of circles, and their
     centres are wrong. If too many remain, the largest group of similar size is taken; if that is
-    still more than `MOST_BLOBS` times the number of circles, none is.
+    still more than `MAX_BLOBS_PER_CIRCLE` times the number of circles, none is.
 
     Args:
         blobs: all blobs.
@@ -93,43 +94,43 @@ def candidates(
         return min(x, y, width - 1.0 - x, height - 1.0 - y) > 0.45 * blob.size
 
     whole = sorted(filter(is_whole, blobs), key=lambda blob: blob.size)
-    if len(whole) > MOST_BLOBS * count:
-        # Sorted by size, the blobs first ... end - 1 have sizes within the allowed ratio of the
-        # first one's; the longest such group is taken.
-        sizes = np.array([blob.size for blob in whole])
-        ends = np.searchsorted(sizes, _SIZES * sizes, side="right")
-        first = int(np.argmax(ends - np.arange(len(sizes))))
+    if len(whole) > MAX_BLOBS_PER_CIRCLE * count:
+        # Sorted by diameter, the blobs first ... end - 1 have diameters within the allowed ratio of
+        # the first one's; the longest such group is taken.
+        diameters = np.array([blob.size for blob in whole])
+        ends = np.searchsorted(diameters, _MAX_DIAMETER_RATIO * diameters, side="right")
+        first = int(np.argmax(ends - np.arange(len(diameters))))
         whole = whole[first : ends[first]]
-    return whole if len(whole) <= MOST_BLOBS * count else []
+    return whole if len(whole) <= MAX_BLOBS_PER_CIRCLE * count else []
 
 
-def _part_of_a_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, missing: str) -> Detection:
+def _detect_partial_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, reason: str) -> Detection:
     """Return the detected circles of a partly visible grid, or the reason why it is not used.
 
     Args:
         blobs: the candidates for circles.
         target: the grid.
-        missing: the reason why no whole grid was found, with which a message begins.
+        reason: the reason why no whole grid was found, with which a message begins.
     """
     count = target.rows * target.columns
     if target.asymmetric:
-        return nothing_found(count, f"{missing}; an asymmetric grid has to be seen as a whole")
+        return empty_detection(count, f"{reason}; an asymmetric grid has to be seen as a whole")
     centres = np.array([blob.pt for blob in blobs], dtype=float).reshape(-1, 2)
-    part = partial_grid(centres, np.array([blob.size for blob in blobs]), target)
-    if isinstance(part, str):
-        return nothing_found(count, f"{missing}; {part}")
-    index, which = part
-    return some_found(count, index, centres[which])
+    match = match_partial_grid(centres, np.array([blob.size for blob in blobs]), target)
+    if isinstance(match, str):
+        return empty_detection(count, f"{reason}; {match}")
+    index, blob_indices = match
+    return partial_detection(count, index, centres[blob_indices])
 
 
 def _blob_parameters(
-    area: float, roundness: float, target: CircleGrid, shape: tuple[int, ...]
+    min_area: float, min_circularity: float, target: CircleGrid, shape: tuple[int, ...]
 ) -> cv2.SimpleBlobDetector.Params:
     """Return the settings of OpenCV's blob detector.
 
     Args:
-        area: lower limit on a blob's area, px^2.
-        roundness: lower limit on a blob's circularity.
+        min_area: lower limit on a blob's area, px^2.
+        min_circularity: lower limit on a blob's circularity.
         target: the grid.
         shape: of the picture, height and width first, px.
     """
@@ -141,19 +142,19 @@ def _blob_parameters(
     parameters.filterByColor = True
     parameters.blobColor = 255 if target.light_on_dark else 0
     parameters.filterByArea = True
-    parameters.minArea = area
+    parameters.minArea = min_area
     # The whole grid fits into the picture, and a circle is smaller than its cell of the grid, whose
     # area is at most height width / (rows columns).
     parameters.maxArea = 0.8 * shape[0] * shape[1] / (target.rows * target.columns)
     parameters.filterByCircularity = True
-    parameters.minCircularity = roundness
+    parameters.minCircularity = min_circularity
     parameters.filterByInertia = False
     parameters.filterByConvexity = True
     parameters.minConvexity = 0.9
     return parameters
 
 
-def _grid(centres: np.ndarray, target: CircleGrid) -> np.ndarray | None:
+def _find_grid(centres: np.ndarray, target: CircleGrid) -> np.ndarray | None:
     """Return the centres that form a whole grid, in OpenCV's order; None if there is no grid."""
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if target.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     size = (target.columns, target.rows)
@@ -163,12 +164,12 @@ def _grid(centres: np.ndarray, target: CircleGrid) -> np.ndarray | None:
         # With None as the blob detector, the finder accepts points instead of a picture.
         finder = cv2.CirclesGridFinderParameters()
         ok, centres = cv2.findCirclesGrid(points, size, flags, None, finder)  # pyright: ignore[reportCallIssue, reportArgumentType]
-        if ok and _is_a_grid(centres.reshape(-1, 2), target):
+        if ok and _is_grid(centres.reshape(-1, 2), target):
             return centres.reshape(-1, 2)
     return None
 
 
-def _is_a_grid(centres: np.ndarray, target: CircleGrid) -> bool:
+def _is_grid(centres: np.ndarray, target: CircleGrid) -> bool:
     """Return whether one homography maps the target's grid to the centres.
 
     OpenCV's finder may mistake another blob for a circle.
@@ -178,31 +179,35 @@ def _is_a_grid(centres: np.ndarray, target: CircleGrid) -> bool:
     if H is None:
         return False
     mapped = cv2.perspectiveTransform(flat[None], H)[0]
-    neighbours = np.linalg.norm(np.diff(mapped, axis=0), axis=1)
+    neighbour_distances = np.linalg.norm(np.diff(mapped, axis=0), axis=1)
     # Largest residual < 0.3 median distance between neighbours. Lens distortion causes residuals of
     # a few hundredths of that distance, a wrong circle one of a whole distance.
     return float(np.linalg.norm(centres - mapped, axis=1).max()) < 0.3 * float(
-        np.median(neighbours)
+        np.median(neighbour_distances)
     )
 
 
-def _origin_first(
+def _start_at_origin_mark(
     centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid
 ) -> np.ndarray:
     """Return the centres rotated so that the larger corner circle is first, never mirrored."""
     # The diameter of each centre's blob is compared with those of the corner's three neighbours,
     # for every rotation that maps the grid to itself.
     positions = np.array([blob.pt for blob in blobs])
-    sizes = np.array([blob.size for blob in blobs])
+    diameters = np.array([blob.size for blob in blobs])
     nearest = np.argmin(np.linalg.norm(centres[:, None] - positions[None], axis=-1), axis=1)
-    grid = np.concatenate([centres, sizes[nearest][:, None]], axis=1)
+    # Cells of the grid are (u, v, diameter), px.
+    grid = np.concatenate([centres, diameters[nearest][:, None]], axis=1)
     grid = grid.reshape(target.rows, target.columns, 3)
-    turns = range(4) if target.rows == target.columns else (0, 2)
-    best = max(turns, key=lambda k: np.rot90(grid, k)[0, 0, 2] / _around_corner(np.rot90(grid, k)))
+    quarter_rotations = range(4) if target.rows == target.columns else (0, 2)
+    best = max(
+        quarter_rotations,
+        key=lambda k: np.rot90(grid, k)[0, 0, 2] / _mean_neighbour_diameter(np.rot90(grid, k)),
+    )
     return np.rot90(grid, best)[..., :2].reshape(-1, 2)
 
 
-def _around_corner(grid: np.ndarray) -> float:
+def _mean_neighbour_diameter(grid: np.ndarray) -> float:
     """Return the mean diameter of the three circles around the first corner, px.
 
     The corner is compared with its neighbours because perspective makes a whole side larger.

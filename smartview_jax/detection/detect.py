@@ -63,9 +63,9 @@ def read_picture(path: Path, image_size: tuple[int, int] | None = None) -> np.nd
     # `cv2.imread` is not used: it prints to stderr, and on some systems cannot open file names
     # outside ASCII.
     data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    how = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = cv2.imdecode(data, how) if data.size else None
+        image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error as error:
         raise ValueError(f"{path}: not a picture that can be read: {error}") from error
     if image is None:

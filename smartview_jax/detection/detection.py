@@ -20,7 +20,7 @@ class Detection(NamedTuple):
     reason: str | None
 
 
-def found(pixels: np.ndarray) -> Detection:
+def full_detection(pixels: np.ndarray) -> Detection:
     """Return a detection of all points of the target.
 
     Args:
@@ -30,7 +30,7 @@ def found(pixels: np.ndarray) -> Detection:
     return Detection(pixels, np.ones(len(pixels), dtype=bool), None)
 
 
-def some_found(count: int, index: np.ndarray, pixels: np.ndarray) -> Detection:
+def partial_detection(count: int, index: np.ndarray, pixels: np.ndarray) -> Detection:
     """Return a detection of some of the target's points.
 
     Args:
@@ -38,12 +38,12 @@ def some_found(count: int, index: np.ndarray, pixels: np.ndarray) -> Detection:
         index: indices of the detected points.
         pixels: one row for each detected point, px.
     """
-    everywhere = np.full((count, 2), np.nan)
-    everywhere[index] = np.asarray(pixels, dtype=float).reshape(-1, 2)
-    return Detection(everywhere, np.asarray(np.isfinite(everywhere).all(axis=1)), None)
+    all_pixels = np.full((count, 2), np.nan)
+    all_pixels[index] = np.asarray(pixels, dtype=float).reshape(-1, 2)
+    return Detection(all_pixels, np.asarray(np.isfinite(all_pixels).all(axis=1)), None)
 
 
-def nothing_found(count: int, reason: str) -> Detection:
+def empty_detection(count: int, reason: str) -> Detection:
     """Return an empty detection.
 
     Args:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ..targets import Charuco, TagGrid
-from .detection import Detection, nothing_found, some_found
+from .detection import Detection, empty_detection, partial_detection
 
 
 def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
@@ -42,12 +42,13 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
     detector = cv2.aruco.CharucoDetector(charuco_board(target))
     corners, ids, _, marker_ids = detector.detectBoard(image)
     if ids is None or len(ids) == 0:
-        seen = 0 if marker_ids is None else len(marker_ids)
-        hint = ": try the legacy pattern" if seen and not target.legacy else ""
-        return nothing_found(
-            count, f"no ChArUco corner found ({seen} markers of {target.dictionary} seen){hint}"
+        marker_count = 0 if marker_ids is None else len(marker_ids)
+        hint = ": try the legacy pattern" if marker_count and not target.legacy else ""
+        return empty_detection(
+            count,
+            f"no ChArUco corner found ({marker_count} markers of {target.dictionary} seen){hint}",
         )
-    return some_found(count, ids.ravel(), corners)
+    return partial_detection(count, ids.ravel(), corners)
 
 
 def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
@@ -62,14 +63,18 @@ def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
     detector = cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
     corners, ids, _ = detector.detectMarkers(image)
     count = 4 * len(target.ids)
-    seen = [] if ids is None else [int(k) for k in ids.ravel()]
-    mine = [k for k, tag in enumerate(seen) if tag in target.ids]
-    if not mine:
-        others = f"; tags {sorted(seen)} seen" if seen else ""
-        return nothing_found(
+    detected_ids = [] if ids is None else [int(k) for k in ids.ravel()]
+    matching = [k for k, tag in enumerate(detected_ids) if tag in target.ids]
+    if not matching:
+        others = f"; tags {sorted(detected_ids)} seen" if detected_ids else ""
+        return empty_detection(
             count,
             f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found{others}",
         )
     # Corner k of the tag with number n is point 4 (n - first_id) + k of the target.
-    index = np.concatenate([4 * (seen[k] - target.first_id) + np.arange(4) for k in mine])
-    return some_found(count, index, np.concatenate([corners[k].reshape(4, 2) for k in mine]))
+    index = np.concatenate(
+        [4 * (detected_ids[k] - target.first_id) + np.arange(4) for k in matching]
+    )
+    return partial_detection(
+        count, index, np.concatenate([corners[k].reshape(4, 2) for k in matching])
+    )

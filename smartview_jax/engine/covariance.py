@@ -6,39 +6,43 @@ from jaxtyping import Array, Bool, Float
 
 from .problem import JointProblem
 
-NULL = 3e-7
+RANK_TOLERANCE = 3e-7
 """Singular value, of the Jacobian with unit columns, below which a direction is unobservable.
 
 Normal equations in double precision resolve singular values down to about 1e-8.
 """
 
 
-class UnitColumns:
+class ScaledJacobian:
     """The singular value decomposition of the shared parameters' Jacobian, scaled to unit columns.
 
     Attributes:
-        lengths: lengths of the columns before scaling; one where a column is zero.
-        singular: singular values, largest first; 1 is the best possible.
-        directions: right singular vectors, one per row.
+        column_norms: lengths of the columns before scaling; one where a column is zero.
+        singular_values: singular values, largest first; 1 is the best possible.
+        right_singular_vectors: right singular vectors, one per row.
     """
 
-    def __init__(self, reduced: Float[np.ndarray, "n n"], lengths: Float[np.ndarray, "n"]):
+    def __init__(
+        self, reduced_matrix: Float[np.ndarray, "n n"], column_norms: Float[np.ndarray, "n"]
+    ):
         """Decompose the reduced normal equations.
 
         Args:
-            reduced: `J^T J` with the views' own parameters eliminated.
-            lengths: lengths of the Jacobian's columns before that elimination.
+            reduced_matrix: `J^T J` with the views' own parameters eliminated.
+            column_norms: lengths of the Jacobian's columns before that elimination.
         """
-        self.lengths = np.where(lengths > 0.0, lengths, 1.0)
-        # D^-1 (J^T J) D^-1 = V diag(s^2) V^T, with D the lengths: s and V are the singular values
-        # and the right singular vectors of J D^-1.
-        values, vectors = np.linalg.eigh(reduced / np.outer(self.lengths, self.lengths))
-        self.singular = np.sqrt(np.maximum(values, 0.0))[::-1]
-        self.directions = vectors.T[::-1]
+        self.column_norms = np.where(column_norms > 0.0, column_norms, 1.0)
+        # D^-1 (J^T J) D^-1 = V diag(s^2) V^T, with D the column norms: s and V are the singular
+        # values and the right singular vectors of J D^-1. `eigh` sorts upwards, hence the reversal.
+        values, vectors = np.linalg.eigh(
+            reduced_matrix / np.outer(self.column_norms, self.column_norms)
+        )
+        self.singular_values = np.sqrt(np.maximum(values, 0.0))[::-1]
+        self.right_singular_vectors = vectors.T[::-1]
 
 
 def variance_factor(
-    problem: JointProblem, squares: Float[Array, "views points"]
+    problem: JointProblem, squared_residuals: Float[Array, "views points"]
 ) -> Float[Array, ""]:
     """Estimate the factor by which the assumed pixel variance is wrong, from all residuals.
 
@@ -48,20 +52,23 @@ def variance_factor(
     Args:
         problem: the problem; a free parameter with a prior takes no degree of freedom from the
             residuals.
-        squares: squared whitened residuals of the points, as `JointProblem.squares` returns them.
+        squared_residuals: squared whitened residuals of the points, as
+            `JointProblem.squared_residuals` returns them.
     """
     visible, weight = problem.observations.visible, problem.prior_weight
     if problem.loss is not None:
-        return robust_variance(squares, visible)
+        return robust_variance(squared_residuals, visible)
     # sum |r|^2 / (2 n - p), with n visible points and p free parameters without a prior.
-    shared = weight.shared[problem.chosen] == 0.0
-    own = problem.own_free & (weight.corrections == 0.0)
-    free = jnp.sum(shared.astype(float)) + jnp.sum(own.astype(float))
-    return jnp.sum(squares) / jnp.maximum(2.0 * jnp.sum(visible.astype(float)) - free, 1.0)
+    shared = weight.shared[problem.free_indices] == 0.0
+    per_view = problem.per_view_free & (weight.per_view == 0.0)
+    free = jnp.sum(shared.astype(float)) + jnp.sum(per_view.astype(float))
+    return jnp.sum(squared_residuals) / jnp.maximum(
+        2.0 * jnp.sum(visible.astype(float)) - free, 1.0
+    )
 
 
 def robust_variance(
-    squares: Float[Array, "views points"], visible: Bool[Array, "views points"]
+    squared_residuals: Float[Array, "views points"], visible: Bool[Array, "views points"]
 ) -> Float[Array, ""]:
     """Estimate the variance per component from the median of the squared residuals.
 
@@ -69,12 +76,12 @@ def robust_variance(
     """
     # |r|^2 / sigma^2 of a two-component residual is chi-square with 2 degrees of freedom, whose
     # median is 2 log 2: median |r|^2 = 2 log 2 sigma^2.
-    middle = jnp.nanmedian(jnp.where(visible, squares, jnp.nan)) / (2.0 * jnp.log(2.0))
-    return jnp.where(jnp.isnan(middle), 1.0, jnp.maximum(middle, 1e-24))
+    variance = jnp.nanmedian(jnp.where(visible, squared_residuals, jnp.nan)) / (2.0 * jnp.log(2.0))
+    return jnp.where(jnp.isnan(variance), 1.0, jnp.maximum(variance, 1e-24))
 
 
 def covariance(
-    columns: UnitColumns, variance_factor: float
+    jacobian: ScaledJacobian, variance_factor: float
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
     """Compute the covariance of the free shared parameters, and their standard deviations.
 
@@ -83,21 +90,24 @@ def covariance(
     computed from the observable directions.
 
     Args:
-        columns: decomposition of the Jacobian at the optimum.
+        jacobian: decomposition of the Jacobian at the optimum.
         variance_factor: factor by which the assumed variances are wrong: 1 where they are known.
     """
-    seen = columns.singular > NULL
-    inverse = np.where(seen, 1.0 / np.where(seen, columns.singular, 1.0), 0.0)
+    observable = jacobian.singular_values > RANK_TOLERANCE
+    inverse = np.where(observable, 1.0 / np.where(observable, jacobian.singular_values, 1.0), 0.0)
     # (J^T J)^-1 = R R^T with R = D^-1 V diag(1 / s), over the observable directions.
-    root = (columns.directions.T * inverse) * (1.0 / columns.lengths)[:, None]
+    root = (jacobian.right_singular_vectors.T * inverse) * (1.0 / jacobian.column_norms)[:, None]
     full = variance_factor * root @ root.T
     std = np.sqrt(np.diag(full))
-    open_part = np.abs(columns.directions[~seen]).max(axis=0, initial=0.0) > 1e-6
-    return full, np.where(open_part, np.inf, std)
+    # Right singular vectors have unit length: 1e-6 is rounding, and more is a real component.
+    has_null_component = (
+        np.abs(jacobian.right_singular_vectors[~observable]).max(axis=0, initial=0.0) > 1e-6
+    )
+    return full, np.where(has_null_component, np.inf, std)
 
 
-def own_std(
-    own_inverse: Float[np.ndarray, "views 6 6"],
+def per_view_std(
+    per_view_inverse: Float[np.ndarray, "views 6 6"],
     gain: Float[np.ndarray, "views 6 n"],
     shared_covariance: Float[np.ndarray, "n n"],
     variance_factor: float,
@@ -105,13 +115,13 @@ def own_std(
     """Compute the standard deviations of each view's own parameters.
 
     Args:
-        own_inverse: inverse of each view's own block of the normal equations.
+        per_view_inverse: inverse of each view's own block of the normal equations.
         gain: that inverse times the view's border block with the shared parameters.
         shared_covariance: covariance of the shared parameters, as `covariance` returns it.
         variance_factor: as in `covariance`.
     """
-    # Cov(own) = f D^-1 + K C K^T, with D the view's own block, K = D^-1 B its gain, C the
-    # covariance of the shared parameters and f the variance factor.
-    alone = variance_factor * np.diagonal(own_inverse, axis1=1, axis2=2)
-    through_shared = np.einsum("vki,ij,vkj->vk", gain, shared_covariance, gain)
-    return np.sqrt(alone + through_shared)
+    # Cov(y_v) = f D^-1 + K C K^T for the view's own parameters y_v, with D their block, K = D^-1 B
+    # the gain, C the covariance of the shared parameters and f the variance factor.
+    conditional_variance = variance_factor * np.diagonal(per_view_inverse, axis1=1, axis2=2)
+    shared_contribution = np.einsum("vki,ij,vkj->vk", gain, shared_covariance, gain)
+    return np.sqrt(conditional_variance + shared_contribution)

@@ -20,9 +20,9 @@ class AbstractLoss(eqx.Module):
 
     @abc.abstractmethod
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
-        """Return the loss of a squared whitened residual: `s` near zero, less far out."""
+        """Return the loss of a squared whitened residual: `s` near zero, less for large s."""
 
-    def whiten(self, residual: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
+    def robustify(self, residual: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
         """Scale a whitened residual so that its square is the loss."""
         s = jnp.sum(residual**2, axis=-1)
         tiny = s < 1e-12

@@ -34,17 +34,17 @@ class Noise:
     white_pixel: float | None = None
 
     def __post_init__(self):
-        # Only the sizes of pose errors may be infinite (nothing known of the poses): an infinite
-        # pixel sigma would give all observations zero weight.
-        named = [("translation", self.translation), ("rotation", self.rotation)]
-        finite = [("pixel", self.pixel), *(("field", value) for value in self.field)]
-        finite += [] if self.white_pixel is None else [("white_pixel", self.white_pixel)]
-        for name, value in named + finite:
-            if not (value > 0.0 and ((name, value) in named or value < math.inf)):
+        # Only the standard deviations of poses may be infinite (nothing known of the poses): an
+        # infinite pixel sigma would give all observations zero weight.
+        pose_sigmas = [("translation", self.translation), ("rotation", self.rotation)]
+        finite_sigmas = [("pixel", self.pixel), *(("field", value) for value in self.field)]
+        finite_sigmas += [] if self.white_pixel is None else [("white_pixel", self.white_pixel)]
+        for name, value in pose_sigmas + finite_sigmas:
+            if not (value > 0.0 and ((name, value) in pose_sigmas or value < math.inf)):
                 raise ValueError(f"Noise.{name}: expected a positive number, found {value}")
 
     @property
-    def bounds_poses(self) -> bool:
+    def has_pose_prior(self) -> bool:
         """Whether reported poses have a finite standard deviation, of translation or rotation.
 
         If not, only the residuals determine the pixel sigma.

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..calibration import Calibration
-from .covariance import NULL, UnitColumns
+from .covariance import RANK_TOLERANCE, ScaledJacobian
 
-WEAK = 1e-3
+WEAK_SINGULAR_VALUE = 1e-3
 """Singular value, of the Jacobian with unit columns, below which a direction is called weak."""
 
 
@@ -18,88 +18,96 @@ class Direction(NamedTuple):
         singular_value: singular value of the Jacobian with unit columns; 1 is the best possible.
         components: change of each parameter along the direction, in the parameter's own unit,
             largest effect first.
-        words: the same as a sentence.
+        description: the same as a sentence.
     """
 
     singular_value: float
     components: tuple[tuple[str, float], ...]
-    words: str
+    description: str
 
 
 class Observability(NamedTuple):
-    """The number of directions in parameter space that the data determine, and the others.
+    """The rank of a fit's Jacobian, and the directions that the data hardly determine, or not.
 
     Attributes:
         rank: rank of the scaled Jacobian.
-        size: number of free parameters.
-        null: unobservable directions.
-        weak: poorly observable directions.
-        smallest: the smallest singular value.
+        parameter_count: number of free parameters.
+        null_directions: unobservable directions.
+        weak_directions: poorly observable directions.
+        smallest_singular_value: the smallest singular value.
     """
 
     rank: int
-    size: int
-    null: tuple[Direction, ...]
-    weak: tuple[Direction, ...]
-    smallest: float
+    parameter_count: int
+    null_directions: tuple[Direction, ...]
+    weak_directions: tuple[Direction, ...]
+    smallest_singular_value: float
 
 
 def observability(
-    columns: UnitColumns, names: tuple[str, ...], calibration: Calibration
+    jacobian: ScaledJacobian, names: tuple[str, ...], calibration: Calibration
 ) -> Observability:
     """Compute the rank, the null directions and the weak directions of a fit.
 
     Args:
-        columns: singular values and directions of the Jacobian at the optimum.
+        jacobian: decomposition of the Jacobian at the optimum.
         names: names of the free parameters.
         calibration: the calibration at which the Jacobian was taken.
     """
-    singular, Vt = columns.singular, columns.directions
-    # With D the lengths of the columns, the decomposed Jacobian is J D^-1: a direction v of it is
-    # D^-1 v in the parameters' own units.
-    own = 1.0 / columns.lengths
+    singular_values, Vt = jacobian.singular_values, jacobian.right_singular_vectors
+    # With D the column norms, the decomposed Jacobian is J D^-1: a direction v of it is D^-1 v in
+    # the parameters' own units.
+    inverse_norms = 1.0 / jacobian.column_norms
 
     def direction(k: int) -> Direction:
         """Return the k-th right singular vector as a `Direction`."""
         order = np.argsort(-np.abs(Vt[k]))
         # At most eight components, and none below 5 % of the largest: more are unreadable.
-        strong = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
-        parts = tuple((names[i], float(Vt[k, i] * own[i])) for i in strong)
-        return Direction(float(singular[k]), parts, _words(parts, calibration))
+        largest = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
+        components = tuple((names[i], float(Vt[k, i] * inverse_norms[i])) for i in largest)
+        return Direction(float(singular_values[k]), components, _describe(components, calibration))
 
     return Observability(
-        int(np.sum(singular > NULL)),
+        int(np.sum(singular_values > RANK_TOLERANCE)),
         len(names),
-        tuple(direction(int(k)) for k in np.flatnonzero(singular <= NULL)),
-        tuple(direction(int(k)) for k in np.flatnonzero((singular > NULL) & (singular <= WEAK))),
-        float(singular[-1]) if len(singular) else 1.0,
+        tuple(direction(int(k)) for k in np.flatnonzero(singular_values <= RANK_TOLERANCE)),
+        tuple(
+            direction(int(k))
+            for k in np.flatnonzero(
+                (singular_values > RANK_TOLERANCE) & (singular_values <= WEAK_SINGULAR_VALUE)
+            )
+        ),
+        float(singular_values[-1]) if len(singular_values) else 1.0,
     )
 
 
-def _words(parts: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
+def _describe(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
     """Describe a direction as a sentence.
 
     A shift of the camera on its mount, alone or together with a shift of the target, is described
     in the frame of the mount; every other direction as a list of parameters.
     """
     camera_transform, world_transform = calibration.transform_names
-    blocks = {".".join(name.split(".")[:2]) for name, _ in parts}
-    moved = f"{camera_transform}.translation"
-    if moved in blocks and blocks <= {moved, f"{world_transform}.translation"}:
+    blocks = {".".join(name.split(".")[:2]) for name, _ in components}
+    camera_translation = f"{camera_transform}.translation"
+    if camera_translation in blocks and blocks <= {
+        camera_translation,
+        f"{world_transform}.translation",
+    }:
         mount = camera_transform.removeprefix("camera_from_")
-        step = np.zeros(3)
-        for name, value in parts:
-            if name.startswith(moved):
-                step["xyz".index(name[-1])] = value
+        displacement = np.zeros(3)
+        for name, value in components:
+            if name.startswith(camera_translation):
+                displacement["xyz".index(name[-1])] = value
         # t = translation of camera_from_mount is in camera axes; R^T t is in the axes of the mount.
         rotation = np.asarray(calibration.camera_from_mount.rotation().as_matrix())
-        axis = _axis(rotation.T @ step)
+        axis = _describe_axis(rotation.T @ displacement)
         return f"camera offset along the {mount}'s {axis}: all rotations share that axis"
-    listed = ", ".join(f"{name} ({value:+.2g})" for name, value in parts)
+    listed = ", ".join(f"{name} ({value:+.2g})" for name, value in components)
     return f"only together, not one by one: {listed}"
 
 
-def _axis(vector: np.ndarray) -> str:
+def _describe_axis(vector: np.ndarray) -> str:
     """Return a vector's axis as a letter if within ten degrees of it, otherwise as numbers."""
     unit = vector / max(float(np.linalg.norm(vector)), 1e-300)
     k = int(np.argmax(np.abs(unit)))

@@ -28,7 +28,7 @@ from ..calibration import Calibration
 from ..robot_errors import RobotError
 
 _AXES = ("x", "y", "z")
-CORRECTIONS = "pose_corrections"
+POSE_CORRECTIONS = "pose_corrections"
 """First part of the names of the views' pose corrections."""
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""
@@ -52,7 +52,7 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
         for axis in _AXES
     ]
     corrections = [
-        f"{CORRECTIONS}.{view}.{part}.{axis}"
+        f"{POSE_CORRECTIONS}.{view}.{part}.{axis}"
         for view in view_ids
         for part in ("translation", "rotation")
         for axis in _AXES
@@ -62,25 +62,25 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
     return (*camera, *transforms, "target_scale", *fields, *corrections)
 
 
-def select(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
+def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
     """Return a mask of the parameters that the paths select.
 
     Raises:
         ValueError: a path selects nothing; the message suggests similar names.
     """
-    chosen = np.zeros(len(names), dtype=bool)
+    selected = np.zeros(len(names), dtype=bool)
     for path in paths:
         matches = np.array([name == path or name.startswith(f"{path}.") for name in names])
         if not matches.any():
-            raise ValueError(_unknown(path, names))
-        chosen |= matches
-    return chosen
+            raise ValueError(_unknown_path_message(path, names))
+        selected |= matches
+    return selected
 
 
-def _unknown(path: str, names: Sequence[str]) -> str:
+def _unknown_path_message(path: str, names: Sequence[str]) -> str:
     """Return the error message for a path that selects nothing, with similar names."""
     prefixes = {".".join(name.split(".")[:k]) for name in names for k in range(1, 5)}
-    prefixes = sorted(name for name in prefixes if not name.startswith(f"{CORRECTIONS}."))
+    prefixes = sorted(name for name in prefixes if not name.startswith(f"{POSE_CORRECTIONS}."))
     close = difflib.get_close_matches(path, prefixes, n=3, cutoff=0.4)
     hint = f"did you mean {', '.join(close)}?" if close else f"there is {', '.join(prefixes)}"
     return f"no parameter is called {path!r}; {hint}"
@@ -91,11 +91,11 @@ class Step(NamedTuple):
 
     Attributes:
         shared: components of the parameters common to all views.
-        corrections: six components for each view's own correction; no views where there are none.
+        per_view: six components for each view's own correction; no views where there are none.
     """
 
     shared: Float[Array, "shared"]
-    corrections: Float[Array, "views 6"]
+    per_view: Float[Array, "views 6"]
 
 
 class Parameters(eqx.Module):
@@ -137,42 +137,44 @@ class Parameters(eqx.Module):
             ]
         )
 
-    def moved(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
+    def retract(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
         """Return the calibration and the pose corrections after a step from the start."""
         n, shared = self.camera_size, step.shared
         # Layout: camera (n), camera_from_mount (6), holder_from_world (6), target_scale, robot
         # error field.
-        numbers, rebuild = ravel_pytree(self.start.camera)
+        camera_values, rebuild = ravel_pytree(self.start.camera)
         error = self.start.robot_error
         if error is not None:
             error = RobotError(error.field, error.coefficients + shared[n + 13 :])
         calibration = Calibration(
-            rebuild(numbers + shared[:n]),
-            _moved_transform(self.start.camera_from_mount, shared[n : n + 6]),
-            _moved_transform(self.start.holder_from_world, shared[n + 6 : n + 12]),
+            rebuild(camera_values + shared[:n]),
+            _retract_transform(self.start.camera_from_mount, shared[n : n + 6]),
+            _retract_transform(self.start.holder_from_world, shared[n + 6 : n + 12]),
             self.start.mount,
             self.start.target_scale + shared[n + 12],
             error,
         )
-        return calibration, step.corrections
+        return calibration, step.per_view
 
     def step_to(self, other: Calibration) -> Float[Array, "shared"]:
         """Return the step from the start to another calibration with the same parameters."""
         start, n = self.start, self.camera_size
         # Differences of values are right for all parameters except rotations, whose values are
-        # zero.
+        # zero; these steps are the rotation vectors between the two.
         step = Parameters(other).values() - self.values()
-        step = step.at[n + 3 : n + 6].set(_turn(start.camera_from_mount, other.camera_from_mount))
-        turn = _turn(start.holder_from_world, other.holder_from_world)
-        return step.at[n + 9 : n + 12].set(turn)
+        step = step.at[n + 3 : n + 6].set(
+            _rotation_vector_between(start.camera_from_mount, other.camera_from_mount)
+        )
+        rotation_vector = _rotation_vector_between(start.holder_from_world, other.holder_from_world)
+        return step.at[n + 9 : n + 12].set(rotation_vector)
 
 
-def _turn(start: SE3, end: SE3) -> Float[Array, "3"]:
+def _rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
     """Return the rotation vector r with `exp(r) R_start = R_end`."""
     return (end.rotation() @ start.rotation().inverse()).log()
 
 
-def _moved_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
+def _retract_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
     """Apply a step, translation first, to a transform; both parts are changed independently."""
     rotation = SO3.exp(step[3:]) @ start.rotation()
     return SE3.from_rotation_and_translation(rotation, start.translation() + step[:3])

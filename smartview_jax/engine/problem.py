@@ -15,13 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration
 from ..compilation import compiled
 from ..dataset import Observations
-from .blocks import FAR_OFF, ViewBlocks, linearise_views
-from .chain import Chain, linearise_chain
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
+from .pose_jacobians import PoseJacobians, linearise_poses
 from .schur import BlockArrow
+from .view_normal_equations import INVALID_PROJECTION_RESIDUAL, ViewNormalEquations, linearise_views
 
-VIEWS = "views"
+VIEW_AXIS = "views"
 """Name of the mesh axis along which views are distributed over devices."""
 
 
@@ -41,15 +41,15 @@ class NormalEquations(eqx.Module):
 
 
 class JointProblem(eqx.Module):
-    """A least-squares problem: observations predicted through the whole chain, and priors.
+    """A least-squares problem: observations predicted through the chain of transforms, and priors.
 
     Attributes:
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
         pixel_sigma: standard deviation of u and of v, px.
         free: indices of the free shared parameters.
-        own_free: mask of the free parameters among each view's own six; no views where there are
-            none.
+        per_view_free: mask of the free parameters among each view's own six; no views where there
+            are none.
         prior_mean: prior mean of every parameter's value; NaN where it is the start's.
         prior_weight: one over the prior standard deviation of every parameter; zero is no prior.
         scale: length of one unit of step, for the free shared parameters and for each view's own;
@@ -62,7 +62,7 @@ class JointProblem(eqx.Module):
     observations: Observations
     pixel_sigma: Float[Array, ""]
     free: tuple[int, ...] = eqx.field(static=True)
-    own_free: Bool[Array, "corrected 6"]
+    per_view_free: Bool[Array, "corrected 6"]
     prior_mean: Step
     prior_weight: Step
     scale: Step
@@ -70,63 +70,68 @@ class JointProblem(eqx.Module):
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     @property
-    def chosen(self) -> Int[Array, "free"]:
+    def free_indices(self) -> Int[Array, "free"]:
         """The indices of the free shared parameters, as an array."""
         return jnp.array(self.free, dtype=int)
 
-    def start(self) -> Step:
+    def zero_step(self) -> Step:
         """Return the zero step."""
-        return Step(jnp.zeros(len(self.free)), jnp.zeros(self.own_free.shape))
+        return Step(jnp.zeros(len(self.free)), jnp.zeros(self.per_view_free.shape))
 
-    def step(self, z: Step) -> Step:
+    def unscaled_step(self, z: Step) -> Step:
         """Convert a scaled step of the free parameters to all parameters in their own units."""
         shared = jnp.zeros(self.parameters.shared_size)
-        shared = shared.at[self.chosen].set(z.shared * self.scale.shared)
-        own = jnp.where(self.own_free, z.corrections * self.scale.corrections, 0.0)
-        return Step(shared, own)
+        shared = shared.at[self.free_indices].set(z.shared * self.scale.shared)
+        per_view = jnp.where(self.per_view_free, z.per_view * self.scale.per_view, 0.0)
+        return Step(shared, per_view)
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Return the calibration and the pose corrections at a scaled step."""
-        return self.parameters.moved(self.step(z))
+        return self.parameters.retract(self.unscaled_step(z))
 
-    def whitened(self, z: Step) -> Float[Array, "views points 2"]:
+    def whitened_residuals(self, z: Step) -> Float[Array, "views points 2"]:
         """Compute the whitened residuals before any loss.
 
         They are measured minus predicted pixels over the pixel sigma, zero where a point is not
         visible.
         """
-        calibration, poses = self._chain(z)
-        return self._whitened(calibration, poses, self.observations)
+        calibration, poses = self._corrected_poses(z)
+        return self._whitened_residuals_at(calibration, poses, self.observations)
 
-    def _chain(self, z: Step) -> tuple[Calibration, SE3]:
+    def _corrected_poses(self, z: Step) -> tuple[Calibration, SE3]:
         """Return the calibration and the corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
         if error is not None:
-            poses = error.true_pose(self.observations.command)
+            poses = error.actual_pose(self.observations.command)
         return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
 
-    def _whitened(
-        self, calibration: Calibration, poses: SE3, seen: Observations
+    def _whitened_residuals_at(
+        self, calibration: Calibration, poses: SE3, observations: Observations
     ) -> Float[Array, "*views points 2"]:
-        """Compute whitened residuals for given robot poses; `FAR_OFF` where projection fails."""
-        predicted, valid = calibration.project(poses, seen.points, corrected=False)
-        residual = seen.residuals(predicted, valid) / self.pixel_sigma
-        lost = seen.visible & ~valid
-        return jnp.where(lost[..., None], FAR_OFF, residual)
+        """Compute whitened residuals for given robot poses.
 
-    def squares(self, z: Step) -> Float[Array, "views points"]:
+        They are `INVALID_PROJECTION_RESIDUAL` where a visible point cannot be projected.
+        """
+        predicted, valid = calibration.project(poses, observations.points, corrected=False)
+        residual = observations.residuals(predicted, valid) / self.pixel_sigma
+        unprojectable = observations.visible & ~valid
+        return jnp.where(unprojectable[..., None], INVALID_PROJECTION_RESIDUAL, residual)
+
+    def squared_residuals(self, z: Step) -> Float[Array, "views points"]:
         """Compute the squared length of every whitened residual.
 
         The views are processed one after the other, so that memory does not exceed that of the
         result.
         """
-        calibration, poses = self._chain(z)
+        calibration, poses = self._corrected_poses(z)
 
-        def view(part: tuple[SE3, Observations]) -> Float[Array, "points"]:
+        def view(pose_and_observations: tuple[SE3, Observations]) -> Float[Array, "points"]:
             """Compute the squared residuals of one view."""
-            pose, seen = part
-            return jnp.sum(self._whitened(calibration, pose, seen) ** 2, axis=-1)
+            pose, observations = pose_and_observations
+            return jnp.sum(
+                self._whitened_residuals_at(calibration, pose, observations) ** 2, axis=-1
+            )
 
         return jax.lax.map(view, (poses, self.observations))
 
@@ -135,107 +140,121 @@ class JointProblem(eqx.Module):
 
         Half their squared length is the cost.
         """
-        observed = self.whitened(z)
+        observation_residuals = self.whitened_residuals(z)
         if self.loss is not None:
-            observed = self.loss.whiten(observed)
-        return observed, *self._prior_residuals(self.step(z))
+            observation_residuals = self.loss.robustify(observation_residuals)
+        return observation_residuals, *self._prior_residuals(self.unscaled_step(z))
 
     def normal_equations(self, z: Step) -> NormalEquations:
         """Return the normal equations at a step; robust losses by iterative reweighting."""
-        return self._with_priors(self.step(z), self.observed(z))
+        return self._with_priors(self.unscaled_step(z), self.normal_equations_without_priors(z))
 
-    def observed(self, z: Step) -> NormalEquations:
+    def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
-        step = self.step(z)
-        chain = linearise_chain(self.parameters, step, self.observations.command)
-        views = self._linearised(chain)
-        return NormalEquations(jnp.sum(views.cost), *self._through_chain(chain, views))
+        step = self.unscaled_step(z)
+        pose_jacobians = linearise_poses(self.parameters, step, self.observations.command)
+        views = self._view_normal_equations(pose_jacobians)
+        return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
 
-    def _linearised(self, chain: Chain) -> ViewBlocks:
+    def _view_normal_equations(self, pose_jacobians: PoseJacobians) -> ViewNormalEquations:
         """Return every view's normal equations, each computed on the device that holds the view."""
 
-        def blocks(camera, poses, observations, target_scale, pixel_sigma):
+        def linearise_local_views(camera, poses, observations, target_scale, pixel_sigma):
             """Linearise the views of one device."""
             return linearise_views(
                 camera, poses, observations, target_scale, pixel_sigma, self.loss
             )
 
         if self.mesh is not None:
-            per_view = (P(), P(VIEWS), P(VIEWS), P(), P())
-            blocks = jax.shard_map(
-                blocks, mesh=self.mesh, in_specs=per_view, out_specs=P(VIEWS), check_vma=False
+            in_specs = (P(), P(VIEW_AXIS), P(VIEW_AXIS), P(), P())
+            linearise_local_views = jax.shard_map(
+                linearise_local_views,
+                mesh=self.mesh,
+                in_specs=in_specs,
+                out_specs=P(VIEW_AXIS),
+                check_vma=False,
             )
-        calibration = chain.calibration
-        return blocks(
+        calibration = pose_jacobians.calibration
+        return linearise_local_views(
             calibration.camera,
-            chain.camera_from_world,
+            pose_jacobians.camera_from_world,
             self.observations,
             calibration.target_scale,
             self.pixel_sigma,
         )
 
-    def _through_chain(self, chain: Chain, views: ViewBlocks) -> tuple[Step, BlockArrow]:
+    def _apply_chain_rule(
+        self, pose_jacobians: PoseJacobians, views: ViewNormalEquations
+    ) -> tuple[Step, BlockArrow]:
         """Transform the views' normal equations to the free parameters, in their units.
 
         The results are the gradient and the matrix of the observations alone.
         """
-        # shared = sum_v S_v^T G_v S_v,  border_v = O_v^T G_v S_v,  own_v = O_v^T G_v O_v,
-        # gradient = sum_v S_v^T g_v and O_v^T g_v,
-        # where G_v and g_v are a view's matrix and gradient by (camera, twist), S_v the derivative
-        # of these by the shared parameters, and O_v that of the twist (rows from n on) by the
-        # view's own.
-        shared, n, count = self._by_shared(chain), self.parameters.camera_size, len(views.cost)
-        gram_shared = views.gram @ shared
-        matrix = jnp.einsum("vki,vkj->ij", shared, gram_shared)
+        # matrix = sum_v S_v^T G_v S_v,   border_v = O_v^T G_v S_v,
+        # per_view_block_v = O_v^T G_v O_v,
+        # gradient = sum_v S_v^T g_v,     per_view_gradient_v = O_v^T g_v,
+        # where G_v and g_v are a view's matrix and gradient by (camera, twist), S_v = shared is the
+        # derivative of these by the shared parameters, and O_v = per_view that of the twist (rows
+        # from n on) by the view's own.
+        n, count = self.parameters.camera_size, len(views.cost)
+        shared = self._shared_jacobian(pose_jacobians)
+        matrix_shared = views.matrix @ shared
+        matrix = jnp.einsum("vki,vkj->ij", shared, matrix_shared)
         gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
 
-        own = self._by_own(chain)
-        seen = slice(count if len(own) else 0)
-        own_transposed = jnp.swapaxes(own, 1, 2)
-        border = own_transposed @ gram_shared[seen, n:]
-        corner = own_transposed @ views.gram[seen, n:, n:] @ own
-        own_gradient = jnp.einsum("vki,vk->vi", own, views.gradient[seen, n:])
-        return Step(gradient, own_gradient), BlockArrow(matrix, border, corner)
+        # Without a noise model no view has a correction: the slice and its arrays are then empty.
+        per_view = self._per_view_jacobian(pose_jacobians)
+        corrected_views = slice(count if len(per_view) else 0)
+        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
+        border = per_view_transposed @ matrix_shared[corrected_views, n:]
+        per_view_block = per_view_transposed @ views.matrix[corrected_views, n:, n:] @ per_view
+        per_view_gradient = jnp.einsum("vki,vk->vi", per_view, views.gradient[corrected_views, n:])
+        return Step(gradient, per_view_gradient), BlockArrow(matrix, border, per_view_block)
 
-    def _by_shared(self, chain: Chain) -> Float[Array, "views columns free"]:
+    def _shared_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "views columns free"]:
         """Return the derivative of camera and twist of each view by the shared parameters."""
+        # S_v = [[1, 0], [0, T_v]]: the camera's parameters are themselves, all others act through
+        # the twist of the view's pose, T_v = `PoseJacobians.shared_jacobian`.
         n, size = self.parameters.camera_size, self.parameters.shared_size
-        count = len(chain.by_shared)
+        count = len(pose_jacobians.shared_jacobian)
         camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
-        twist = jnp.pad(chain.by_shared, ((0, 0), (0, 0), (n, 0)))
-        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self.chosen]
+        twist = jnp.pad(pose_jacobians.shared_jacobian, ((0, 0), (0, 0), (n, 0)))
+        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self.free_indices]
         return shared * self.scale.shared[None, None]
 
-    def _by_own(self, chain: Chain) -> Float[Array, "corrected 6 6"]:
+    def _per_view_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "corrected 6 6"]:
         """Return the derivative of each view's twist by its own parameters.
 
-        Columns of held parameters are zero.
+        Columns of fixed parameters are zero.
         """
-        moves = jnp.where(self.own_free, self.scale.corrections, 0.0)
-        return chain.by_own * moves[:, None, :]
+        free_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
+        return pose_jacobians.per_view_jacobian * free_scale[:, None, :]
 
     @property
-    def _own_weight(self) -> Float[Array, "corrected 6"]:
+    def _per_view_weight(self) -> Float[Array, "corrected 6"]:
         """The inverse prior standard deviations of each view's own parameters, in their units."""
-        weight = jnp.where(self.own_free, self.prior_weight.corrections, 0.0)
-        return weight * self.scale.corrections
+        weight = jnp.where(self.per_view_free, self.prior_weight.per_view, 0.0)
+        return weight * self.scale.per_view
 
     @property
-    def _own_precision(self) -> Float[Array, "corrected 6"]:
-        """The prior precisions of each view's own parameters, with one for held parameters.
+    def _per_view_precision(self) -> Float[Array, "corrected 6"]:
+        """The prior precisions of each view's own parameters, with one for fixed parameters.
 
-        A held parameter has a zero column in the Jacobian; the one keeps its equation solvable.
+        A fixed parameter has a zero column in the Jacobian; the one keeps its equation solvable.
         """
-        return jnp.where(self.own_free, self._own_weight**2, 1.0)
+        return jnp.where(self.per_view_free, self._per_view_weight**2, 1.0)
 
-    def observed_by_view(
+    def normal_equations_by_view(
         self, z: Step
     ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
-        """Return every view's term of the shared parameters' gradient and matrix in `observed`."""
-        chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
-        views, shared = self._linearised(chain), self._by_shared(chain)
+        """Return every view's term of the shared parameters' gradient and matrix."""
+        pose_jacobians = linearise_poses(
+            self.parameters, self.unscaled_step(z), self.observations.command
+        )
+        views = self._view_normal_equations(pose_jacobians)
+        shared = self._shared_jacobian(pose_jacobians)
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
-        return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
+        return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
 
     def information_by_view(self, z: Step) -> Float[Array, "views free free"]:
         """Compute every view's information matrix of the shared parameters.
@@ -243,50 +262,53 @@ class JointProblem(eqx.Module):
         The view's own correction is marginalised. The matrices add up to the normal equations with
         the views' own parameters eliminated, except for the priors of the shared parameters.
         """
-        chain = linearise_chain(self.parameters, self.step(z), self.observations.command)
-        views, shared = self._linearised(chain), self._by_shared(chain)
-        told = jnp.einsum("vki,vkl,vlj->vij", shared, views.gram, shared)
-        if not len(self.own_free):
-            return told
+        pose_jacobians = linearise_poses(
+            self.parameters, self.unscaled_step(z), self.observations.command
+        )
+        views = self._view_normal_equations(pose_jacobians)
+        shared = self._shared_jacobian(pose_jacobians)
+        information = jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
+        if not len(self.per_view_free):
+            return information
         # I_v = S_v^T G_v S_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the
         # prior of the view's own parameters.
-        own, n = self._by_own(chain), self.parameters.camera_size
-        own_transposed = jnp.swapaxes(own, 1, 2)
-        border = own_transposed @ (views.gram[:, n:] @ shared)
-        corner = own_transposed @ views.gram[:, n:, n:] @ own
-        corner = corner + jnp.eye(6)[None] * self._own_precision[:, None]
-        return told - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(corner, border)
+        per_view, n = self._per_view_jacobian(pose_jacobians), self.parameters.camera_size
+        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
+        border = per_view_transposed @ (views.matrix[:, n:] @ shared)
+        per_view_block = per_view_transposed @ views.matrix[:, n:, n:] @ per_view
+        per_view_block = per_view_block + jnp.eye(6)[None] * self._per_view_precision[:, None]
+        return information - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(per_view_block, border)
 
-    def _with_priors(self, step: Step, observed: NormalEquations) -> NormalEquations:
+    def _with_priors(self, step: Step, equations: NormalEquations) -> NormalEquations:
         """Add the priors' cost, gradient and diagonal to the observations' normal equations."""
         # A prior is a residual w (x - mean) with w = 1 / std: it adds w^2 (x - mean)^2 / 2 to the
         # cost, w^2 (x - mean) to the gradient and w^2 to the diagonal.
-        chosen, gradient, matrix = self.chosen, observed.gradient, observed.matrix
-        residual, own_residual = self._prior_residuals(step)
-        weight = self.prior_weight.shared[chosen] * self.scale.shared
+        free_indices, gradient, matrix = self.free_indices, equations.gradient, equations.matrix
+        residual, per_view_residual = self._prior_residuals(step)
+        weight = self.prior_weight.shared[free_indices] * self.scale.shared
         return NormalEquations(
-            observed.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(own_residual**2)),
+            equations.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(per_view_residual**2)),
             Step(
-                gradient.shared + weight * residual[chosen],
-                gradient.corrections + self._own_weight * own_residual,
+                gradient.shared + weight * residual[free_indices],
+                gradient.per_view + self._per_view_weight * per_view_residual,
             ),
             BlockArrow(
                 matrix.shared + jnp.diag(weight**2),
                 matrix.border,
-                matrix.own + jnp.eye(6)[None] * self._own_precision[:, None],
+                matrix.per_view + jnp.eye(6)[None] * self._per_view_precision[:, None],
             ),
         )
 
-    def off_mean(self, step: Step) -> Step:
+    def offset_from_prior(self, step: Step) -> Step:
         """Return the difference of every parameter from its prior mean, in its own units."""
         values, mean = self.parameters.values(), self.prior_mean.shared
         shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
-        return Step(shared, step.corrections - jnp.nan_to_num(self.prior_mean.corrections))
+        return Step(shared, step.per_view - jnp.nan_to_num(self.prior_mean.per_view))
 
     def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
         """Return the whitened residuals of the priors, shared and of the views' own parameters."""
-        off, weight = self.off_mean(step), self.prior_weight
-        return off.shared * weight.shared, off.corrections * weight.corrections
+        offset, weight = self.offset_from_prior(step), self.prior_weight
+        return offset.shared * weight.shared, offset.per_view * weight.per_view
 
 
 @compiled
@@ -295,5 +317,5 @@ def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
     start = problem.parameters.start
     # One view after the other: projecting everything at once needs several times the data's memory.
     return jax.lax.map(
-        lambda seen: start.project(seen.command, seen.points)[1], problem.observations
+        lambda view: start.project(view.command, view.points)[1], problem.observations
     )

@@ -1,12 +1,12 @@
 """The normal equations of the joint fit as a block arrow matrix, and their solution.
 
     [ shared   border^T ]
-    [ border   own      ]
+    [ border   per_view ]
 
 The parameters of one view are coupled to the parameters that are common to all views, but not to
-those of another view. They are therefore eliminated view by view (Schur complement), which leaves
-one small system in the shared parameters. With A, B and D the blocks above and the right-hand side
-(a, b), the reduced system is
+those of another view: `per_view` is block diagonal, with one block per view. They are therefore
+eliminated view by view (Schur complement), which leaves one small system in the shared parameters.
+With A = shared, B = border, D = per_view and the right-hand side (a, b), the reduced system is
 
     (A - sum_v B_v^T D_v^-1 B_v) x = a - sum_v B_v^T D_v^-1 b_v,    y_v = D_v^-1 b_v - D_v^-1 B_v x
 
@@ -38,30 +38,31 @@ class BlockArrow(lx.AbstractLinearOperator):
     Attributes:
         shared: block of the parameters common to all views.
         border: blocks of each view's own parameters (rows) by the shared ones (columns).
-        own: diagonal block of each view's own parameters; no views where there are none.
+        per_view: diagonal block of each view's own parameters; no views where there are none.
     """
 
     shared: Float[Array, "shared shared"]
     border: Float[Array, "views 6 shared"]
-    own: Float[Array, "views 6 6"]
+    per_view: Float[Array, "views 6 6"]
 
     def mv(self, vector: Step) -> Step:
         """Multiply the matrix by a vector."""
-        shared, own = vector.shared, vector.corrections
+        shared, per_view = vector.shared, vector.per_view
         return Step(
-            self.shared @ shared + jnp.einsum("vki,vk->i", self.border, own),
-            jnp.einsum("vki,i->vk", self.border, shared) + jnp.einsum("vkl,vl->vk", self.own, own),
+            self.shared @ shared + jnp.einsum("vki,vk->i", self.border, per_view),
+            jnp.einsum("vki,i->vk", self.border, shared)
+            + jnp.einsum("vkl,vl->vk", self.per_view, per_view),
         )
 
     def as_matrix(self) -> Float[Array, "all all"]:
         """Return the dense matrix, the shared parameters first."""
-        n, views = len(self.shared), len(self.own)
+        n, views = len(self.shared), len(self.per_view)
         dense = jnp.zeros((n + 6 * views, n + 6 * views)).at[:n, :n].set(self.shared)
         border = self.border.reshape(6 * views, n)
         dense = dense.at[n:, :n].set(border).at[:n, n:].set(border.T)
         for k in range(views):
             i = n + 6 * k
-            dense = dense.at[i : i + 6, i : i + 6].set(self.own[k])
+            dense = dense.at[i : i + 6, i : i + 6].set(self.per_view[k])
         return dense
 
     def transpose(self) -> "BlockArrow":
@@ -78,15 +79,15 @@ class BlockArrow(lx.AbstractLinearOperator):
 
     def diagonal(self) -> Step:
         """Return the diagonal as a `Step`."""
-        return Step(jnp.diagonal(self.shared), jnp.diagonal(self.own, axis1=1, axis2=2))
+        return Step(jnp.diagonal(self.shared), jnp.diagonal(self.per_view, axis1=1, axis2=2))
 
     def scaled(self, scale: Step) -> "BlockArrow":
         """Return the matrix in other units, `diag(scale) @ self @ diag(scale)`."""
-        shared, own = scale.shared, scale.corrections
+        shared, per_view = scale.shared, scale.per_view
         return BlockArrow(
             self.shared * shared[:, None] * shared[None],
-            self.border * own[..., None] * shared[None, None],
-            self.own * own[..., None] * own[..., None, :],
+            self.border * per_view[..., None] * shared[None, None],
+            self.per_view * per_view[..., None] * per_view[..., None, :],
         )
 
     def damped(self, damping: Float[Array, ""]) -> "BlockArrow":
@@ -94,13 +95,13 @@ class BlockArrow(lx.AbstractLinearOperator):
         return BlockArrow(
             self.shared + damping * jnp.eye(len(self.shared)),
             self.border,
-            self.own + damping * jnp.eye(6)[None],
+            self.per_view + damping * jnp.eye(6)[None],
         )
 
 
 # Lineax asks for the properties of an operator by single dispatch; an operator of one's own has to
 # answer each question.
-for _asked, _answer in (
+for _predicate, _answer in (
     (lx.is_symmetric, True),
     (lx.is_positive_semidefinite, True),
     (lx.is_negative_semidefinite, False),
@@ -110,31 +111,31 @@ for _asked, _answer in (
     (lx.is_upper_triangular, False),
     (lx.has_unit_diagonal, False),
 ):
-    _asked.register(BlockArrow)(lambda _, answer=_answer: answer)
-for _same in (lx.linearise, lx.materialise, lx.conj):
-    _same.register(BlockArrow)(lambda operator: operator)
+    _predicate.register(BlockArrow)(lambda _, answer=_answer: answer)
+for _conversion in (lx.linearise, lx.materialise, lx.conj):
+    _conversion.register(BlockArrow)(lambda operator: operator)
 
 
 class Elimination(eqx.Module):
     """A `BlockArrow` from which every view's own parameters are eliminated.
 
     Attributes:
-        reduced: Schur complement, the normal equations of the shared parameters alone.
-        own_factor: Cholesky factor of each view's own block.
+        schur_complement: Schur complement, the normal equations of the shared parameters alone.
+        per_view_factor: Cholesky factor of each view's own block.
         gain: inverse of each view's own block times its border block.
     """
 
-    reduced: Float[Array, "shared shared"]
-    own_factor: Float[Array, "views 6 6"]
+    schur_complement: Float[Array, "shared shared"]
+    per_view_factor: Float[Array, "views 6 6"]
     gain: Float[Array, "views 6 shared"]
 
     @property
-    def own_inverse(self) -> Float[Array, "views 6 6"]:
+    def per_view_inverse(self) -> Float[Array, "views 6 6"]:
         """The inverse of each view's own block."""
-        each = jnp.broadcast_to(jnp.eye(6)[None], self.own_factor.shape)
-        return cho_solve((self.own_factor, False), each)
+        identities = jnp.broadcast_to(jnp.eye(6)[None], self.per_view_factor.shape)
+        return cho_solve((self.per_view_factor, False), identities)
 
-    def own_covariance(
+    def per_view_covariance(
         self, shared_covariance: Float[Array, "shared shared"]
     ) -> Float[Array, "views 6 6"]:
         """Compute the covariance of each view's own parameters.
@@ -143,8 +144,8 @@ class Elimination(eqx.Module):
         uncertainty.
         """
         # Cov(y_v) = D_v^-1 + K_v C K_v^T with the gain K_v = D_v^-1 B_v and C = Cov(x).
-        carried = self.gain @ shared_covariance
-        return self.own_inverse + jnp.einsum("vki,vli->vkl", carried, self.gain)
+        gain_covariance = self.gain @ shared_covariance
+        return self.per_view_inverse + jnp.einsum("vki,vli->vkl", gain_covariance, self.gain)
 
 
 def eliminate(operator: BlockArrow) -> Elimination:
@@ -153,10 +154,10 @@ def eliminate(operator: BlockArrow) -> Elimination:
     A block that is not positive definite gives NaN, not an error.
     """
     # K_v = D_v^-1 B_v,  S = A - sum_v B_v^T K_v
-    factor, _ = cho_factor(operator.own)
+    factor, _ = cho_factor(operator.per_view)
     gain = cho_solve((factor, False), operator.border)
-    reduced = operator.shared - jnp.einsum("vki,vkj->ij", operator.border, gain)
-    return Elimination(reduced, factor, gain)
+    schur_complement = operator.shared - jnp.einsum("vki,vkj->ij", operator.border, gain)
+    return Elimination(schur_complement, factor, gain)
 
 
 class _State(eqx.Module):
@@ -173,20 +174,21 @@ class SchurCholesky(lx.AbstractLinearSolver):
         """Factorise the matrix; runs once per value of the damping."""
         del options
         elimination = eliminate(_as_block_arrow(operator))
-        return _State(elimination, cho_factor(elimination.reduced)[0])
+        return _State(elimination, cho_factor(elimination.schur_complement)[0])
 
     def compute(
         self, state: _State, vector: Step, options: dict[str, Any]
     ) -> tuple[Step, lx.RESULTS, dict[str, Any]]:
         """Solve for one right-hand side with the factors of `init`."""
         del options
-        parts = state.elimination
+        elimination = state.elimination
         # S x = a - sum_v K_v^T b_v, then y_v = D_v^-1 b_v - K_v x
-        left = vector.shared - jnp.einsum("vki,vk->i", parts.gain, vector.corrections)
-        shared = cho_solve((state.factor, False), left)
-        own = cho_solve((parts.own_factor, False), vector.corrections[..., None])[..., 0]
-        own = own - jnp.einsum("vki,i->vk", parts.gain, shared)
-        return Step(shared, own), lx.RESULTS.successful, {}
+        reduced_rhs = vector.shared - jnp.einsum("vki,vk->i", elimination.gain, vector.per_view)
+        shared = cho_solve((state.factor, False), reduced_rhs)
+        factor = elimination.per_view_factor
+        per_view = cho_solve((factor, False), vector.per_view[..., None])[..., 0]
+        per_view = per_view - jnp.einsum("vki,i->vk", elimination.gain, shared)
+        return Step(shared, per_view), lx.RESULTS.successful, {}
 
     def transpose(self, state: _State, options: dict[str, Any]) -> tuple[_State, dict[str, Any]]:
         """Return the same factors, since the operator is symmetric."""

@@ -18,7 +18,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
 from .parameters import Step
-from .problem import VIEWS, JointProblem, NormalEquations
+from .problem import VIEW_AXIS, JointProblem, NormalEquations
 from .schur import BlockArrow
 from .solver import Solution, solve
 
@@ -34,44 +34,51 @@ def solve_on(
     process calls this function with the same problem and with all devices (`jax.devices()`), and
     every process gets the whole result.
     """
-    corrected = len(problem.own_free)
-    solution, equations = solve(deal_out(problem, devices), solver)
+    corrected_views = len(problem.per_view_free)
+    solution, equations = solve(shard(problem, devices), solver)
 
-    def here(x: Array) -> Array:
+    def to_default_device(x: Array) -> Array:
         """Copy an array to the default device."""
         return jnp.asarray(np.asarray(x))
 
-    def own(x: Array) -> Array:
+    def without_padding(x: Array) -> Array:
         """Copy an array of the views without the padding."""
-        return here(x)[:corrected]
+        return to_default_device(x)[:corrected_views]
 
     z, gradient, matrix = solution.z, equations.gradient, equations.matrix
     return (
-        solution._replace(z=Step(here(z.shared), own(z.corrections))),
+        solution._replace(z=Step(to_default_device(z.shared), without_padding(z.per_view))),
         NormalEquations(
-            here(equations.cost),
-            Step(here(gradient.shared), own(gradient.corrections)),
-            BlockArrow(here(matrix.shared), own(matrix.border), own(matrix.own)),
+            to_default_device(equations.cost),
+            Step(to_default_device(gradient.shared), without_padding(gradient.per_view)),
+            BlockArrow(
+                to_default_device(matrix.shared),
+                without_padding(matrix.border),
+                without_padding(matrix.per_view),
+            ),
         ),
     )
 
 
-def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
+def shard(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     """Distribute the views of a problem over several devices.
 
     The number of views is made divisible by that of the devices with views that show no points.
     """
     # JAX splits an axis only into equal parts, hence the padding.
-    mesh = Mesh(np.array(devices), (VIEWS,))
+    mesh = Mesh(np.array(devices), (VIEW_AXIS,))
     extra = -len(problem.observations.visible) % len(devices)
+    # Arrays of the views are split along their first axis; all others are replicated, P().
     arrays, rest = eqx.partition(problem, eqx.is_array)
-    arrays = eqx.tree_at(_per_view, arrays, _stretched(_per_view(arrays), extra))
+    arrays = eqx.tree_at(_view_arrays, arrays, _pad_views(_view_arrays(arrays), extra))
     specs = jax.tree.map(lambda _: P(), arrays)
     specs = eqx.tree_at(
-        _per_view, specs, jax.tree.map(lambda x: P(VIEWS) if len(x) else P(), _per_view(arrays))
+        _view_arrays,
+        specs,
+        jax.tree.map(lambda x: P(VIEW_AXIS) if len(x) else P(), _view_arrays(arrays)),
     )
 
-    def place(x: Array, spec: P) -> Array:
+    def to_devices(x: Array, spec: P) -> Array:
         """Put an array on the devices."""
         whole = np.asarray(x)
         # Every process holds the whole array, and hands over only the parts of its own devices.
@@ -79,36 +86,36 @@ def deal_out(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
             whole.shape, NamedSharding(mesh, spec), lambda index: whole[index]
         )
 
-    placed = jax.tree.map(place, arrays, specs)
-    return dataclasses.replace(eqx.combine(placed, rest), mesh=mesh)
+    sharded = jax.tree.map(to_devices, arrays, specs)
+    return dataclasses.replace(eqx.combine(sharded, rest), mesh=mesh)
 
 
-def _per_view(problem: JointProblem) -> tuple[Any, ...]:
+def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
     """Return the arrays whose first axis is the views."""
     return (
         problem.observations,
-        problem.own_free,
-        problem.prior_mean.corrections,
-        problem.prior_weight.corrections,
-        problem.scale.corrections,
+        problem.per_view_free,
+        problem.prior_mean.per_view,
+        problem.prior_weight.per_view,
+        problem.scale.per_view,
     )
 
 
-def last_repeated(parts: Any, extra: int) -> Any:
+def pad_with_last(arrays: Any, copies: int) -> Any:
     """Append copies of the last entry to arrays, to fill up the last device.
 
     Args:
-        parts: pytree of arrays.
-        extra: number of copies.
+        arrays: pytree of arrays.
+        copies: number of copies.
     """
-    return jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(extra, axis=0)]), parts)
+    return jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(copies, axis=0)]), arrays)
 
 
-def _stretched(parts: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
+def _pad_views(arrays: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
     """Repeat the last view; in the copies no point is visible and no parameter is free."""
-    observations, own_free, *rest = last_repeated(parts, extra)
+    observations, per_view_free, *rest = pad_with_last(arrays, extra)
     views = len(observations.visible) - extra
     observations = eqx.tree_at(
         lambda o: o.visible, observations, observations.visible.at[views:].set(False)
     )
-    return observations, own_free.at[views:].set(False), *rest
+    return observations, per_view_free.at[views:].set(False), *rest

@@ -24,23 +24,23 @@ from .parameters import Step
 from .problem import JointProblem, NormalEquations
 from .schur import BlockArrow, SchurCholesky
 
-RECORD = 64
+MAX_RECORDED_COSTS = 64
 """Largest number of costs recorded along the steps of a fit."""
 
-UNIT = 1e4
+SCALED_COLUMN_NORM = 1e4
 """Length to which the Jacobian's columns at the start are scaled.
 
 The diagonal of the normal equations is then 1e8. Optimistix's damping starts at 1, which is a
 hundred-millionth of that.
 """
 
-MOST_REJECTIONS = 25
+MAX_CONSECUTIVE_REJECTIONS = 25
 """Largest number of rejected steps in a row before a fit is given up."""
 
 MAXIMUM_STEPS = 200
 """Largest number of solver steps of a fit."""
 
-Info = optx.FunctionInfo.EvalGradHessian
+QuadraticModel = optx.FunctionInfo.EvalGradHessian
 """Cost, gradient and Gauss-Newton matrix in the form that optimistix expects."""
 
 
@@ -51,7 +51,7 @@ class _State(eqx.Module):
     y_eval: Step
     scale: Step
     search_state: Any
-    f_info: Info
+    f_info: QuadraticModel
     descent_state: Any
     steps: Int[Array, ""]
     rejections: Int[Array, ""]
@@ -65,7 +65,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
 
     The function to minimise must be that problem's `residuals`; it is linearised by
     `normal_equations`. Internally the parameters are in units in which the columns of the Jacobian
-    at the start have length `UNIT`, so that one damping suits all of them.
+    at the start have length `SCALED_COLUMN_NORM`, so that one damping suits all of them.
 
     Attributes:
         rtol: relative tolerance: converged if an undamped step predicts a decrease of the cost by
@@ -85,9 +85,19 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
     )
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        """Return the state before the first step."""
-        del fn, options, f_struct, aux_struct, tags
-        struct = jax.eval_shape(_info, args, y)
+        """Return the state before the first step.
+
+        Raises:
+            ValueError: the function to minimise is not the residuals of a `JointProblem`.
+        """
+        expected = jax.eval_shape(_residuals, y, args) if isinstance(args, JointProblem) else None
+        if f_struct != expected:
+            raise ValueError(
+                "StructuredLM minimises the residuals of the JointProblem that is given as args, "
+                "and no other function; for others take optimistix.LevenbergMarquardt"
+            )
+        del fn, options, aux_struct, tags
+        struct = jax.eval_shape(_quadratic_model, args, y)
         return _State(
             first_step=jnp.array(True),
             y_eval=y,
@@ -97,7 +107,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
             descent_state=self.descent.init(y, struct),
             steps=jnp.array(0),
             rejections=jnp.array(0),
-            costs=jnp.full(RECORD, jnp.nan),
+            costs=jnp.full(MAX_RECORDED_COSTS, jnp.nan),
             terminate=jnp.array(False),
             result=optx.RESULTS.successful,
         )
@@ -106,9 +116,11 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         """Evaluate the step proposed last, accept or reject it, and propose the next one."""
         del fn, options, tags
         # Once per step tried, accepted or not: cost, gradient g and matrix H at the new parameters.
-        found = _info(args, state.y_eval)
-        scale = _where(state.first_step, unit_scale(_matrix(found)), state.scale)
-        found = _in_units(found, scale)
+        trial = _quadratic_model(args, state.y_eval)
+        scale = _tree_where(
+            state.first_step, jacobi_scale(_gauss_newton_matrix(trial)), state.scale
+        )
+        trial = _rescale(trial, scale)
         # rho = actual decrease / predicted decrease. Accepted if rho > 0.01; the damping is divided
         # by 10 if rho > 0.75, and multiplied by 20 if the step is rejected.
         step_size, accept, _, search_state = self.search.step(
@@ -116,38 +128,42 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
             jax.tree.map(jnp.divide, y, scale),
             jax.tree.map(jnp.divide, state.y_eval, scale),
             state.f_info,
-            found,
+            trial,
             state.search_state,
         )
         # After a rejection the last accepted linearisation is used again, with more damping.
-        y, f_info = _where(accept, (state.y_eval, found), (y, state.f_info))
+        y, f_info = _tree_where(accept, (state.y_eval, trial), (y, state.f_info))
         descent_state = self.descent.query(y, f_info, state.descent_state)
         # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur
         # elimination, one solve.
-        move, result = self.descent.step(step_size, descent_state)
+        scaled_step, result = self.descent.step(step_size, descent_state)
         # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d. It is computed
         # only if the damped step predicts so little too, since it costs another elimination.
-        enough = self.rtol * f_info.f + self.atol
-        little = _promise(f_info, move) <= enough
-        done = jax.lax.cond(
-            little, lambda: _promise(f_info, _newton(f_info)) <= enough, lambda: jnp.array(False)
+        tolerance = self.rtol * f_info.f + self.atol
+        is_negligible = _predicted_decrease(f_info, scaled_step) <= tolerance
+        converged = jax.lax.cond(
+            is_negligible,
+            lambda: _predicted_decrease(f_info, _gauss_newton_step(f_info)) <= tolerance,
+            lambda: jnp.array(False),
         )
         rejections = jnp.where(accept, 0, state.rejections + 1)
-        stuck = (rejections > MOST_REJECTIONS) | ~jnp.isfinite(f_info.f)
-        result = optx.RESULTS.where(stuck & ~done, optx.RESULTS.nonlinear_divergence, result)
+        failed = (rejections > MAX_CONSECUTIVE_REJECTIONS) | ~jnp.isfinite(f_info.f)
+        result = optx.RESULTS.where(failed & ~converged, optx.RESULTS.nonlinear_divergence, result)
         return (
             y,
             _State(
                 first_step=jnp.array(False),
-                y_eval=jax.tree.map(lambda y, m, s: y + m * s, y, move, scale),
+                y_eval=jax.tree.map(lambda y, d, s: y + d * s, y, scaled_step, scale),
                 scale=scale,
                 search_state=search_state,
                 f_info=f_info,
                 descent_state=descent_state,
                 steps=state.steps + 1,
                 rejections=rejections,
-                costs=state.costs.at[jnp.minimum(state.steps, RECORD - 1)].set(f_info.f),
-                terminate=done | stuck,
+                costs=state.costs.at[jnp.minimum(state.steps, MAX_RECORDED_COSTS - 1)].set(
+                    f_info.f
+                ),
+                terminate=converged | failed,
                 result=result,
             ),
             None,
@@ -164,48 +180,58 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         return y, aux, {"costs": state.costs}
 
 
-def _info(problem: JointProblem, z: Step) -> Info:
+def _quadratic_model(problem: JointProblem, z: Step) -> QuadraticModel:
     """Linearise the problem at a scaled step."""
     equations = problem.normal_equations(z)
-    return Info(equations.cost, equations.gradient, equations.matrix)
+    return QuadraticModel(equations.cost, equations.gradient, equations.matrix)
 
 
-def _where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
+def _tree_where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
     """Choose between two pytrees by a scalar condition."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
-def _matrix(info: Info) -> BlockArrow:
+def _gauss_newton_matrix(model: QuadraticModel) -> BlockArrow:
     """Return the Gauss-Newton matrix as a `BlockArrow`."""
-    assert isinstance(info.hessian, BlockArrow)
-    return info.hessian
+    assert isinstance(model.hessian, BlockArrow)
+    return model.hessian
 
 
-def unit_scale(matrix: BlockArrow) -> Step:
-    """Return the unit of each parameter in which the columns of the Jacobian have length `UNIT`."""
-    return jax.tree.map(lambda s: UNIT / jnp.sqrt(jnp.where(s > 0.0, s, 1.0)), matrix.diagonal())
+def jacobi_scale(matrix: BlockArrow) -> Step:
+    """Return the unit of each parameter in which all columns of the Jacobian have the same length.
+
+    The length is `SCALED_COLUMN_NORM`; a zero column is left as it is.
+    """
+    # The diagonal of J^T J holds the squared lengths of the columns.
+    return jax.tree.map(
+        lambda s: SCALED_COLUMN_NORM / jnp.sqrt(jnp.where(s > 0.0, s, 1.0)), matrix.diagonal()
+    )
 
 
-def _in_units(info: Info, scale: Step) -> Info:
+def _rescale(model: QuadraticModel, scale: Step) -> QuadraticModel:
     """Convert a linearisation to other units: `diag(scale) g`, `diag(scale) H diag(scale)`."""
-    gradient = jax.tree.map(jnp.multiply, info.grad, scale)
-    return Info(info.f, gradient, _matrix(info).scaled(scale))
+    gradient = jax.tree.map(jnp.multiply, model.grad, scale)
+    return QuadraticModel(model.f, gradient, _gauss_newton_matrix(model).scaled(scale))
 
 
-def _promise(info: Info, move: Step) -> Float[Array, ""]:
+def _predicted_decrease(model: QuadraticModel, step: Step) -> Float[Array, ""]:
     """Compute the decrease of the linearised problem's cost along a step."""
-    # cost(0) - cost(d) = -g.d - d.H d / 2
-    curved = _matrix(info).mv(move)
-    parts = jax.tree.map(lambda m, g, c: -jnp.sum(m * (g + 0.5 * c)), move, info.grad, curved)
-    return parts.shared + parts.corrections
+    # cost(0) - cost(d) = -g.d - d.H d / 2, with d the step and h = H d
+    hessian_step = _gauss_newton_matrix(model).mv(step)
+    decreases = jax.tree.map(
+        lambda d, g, h: -jnp.sum(d * (g + 0.5 * h)), step, model.grad, hessian_step
+    )
+    return decreases.shared + decreases.per_view
 
 
-def _newton(info: Info) -> Step:
+def _gauss_newton_step(model: QuadraticModel) -> Step:
     """Compute the Gauss-Newton step to the linearised optimum, with negligible damping."""
     solver = SchurCholesky()
     # Damping of 1e-12 of the diagonal: a singular matrix still has a Cholesky factor.
-    damped = solver.init(_matrix(info).damped(jnp.asarray(1e-12 * UNIT**2)), {})
-    return jax.tree.map(jnp.negative, solver.compute(damped, info.grad, {})[0])
+    factors = solver.init(
+        _gauss_newton_matrix(model).damped(jnp.asarray(1e-12 * SCALED_COLUMN_NORM**2)), {}
+    )
+    return jax.tree.map(jnp.negative, solver.compute(factors, model.grad, {})[0])
 
 
 class Solution(NamedTuple):
@@ -216,21 +242,21 @@ class Solution(NamedTuple):
         costs: half the sum of squared residuals at the start and after every step, as far as
             recorded.
         steps: number of solver steps.
-        decrease: decrease of the cost that one more Gauss-Newton step predicts, as a fraction of
-            it.
+        relative_decrease: decrease of the cost that one more Gauss-Newton step predicts, as a
+            fraction of the cost.
         converged: whether that decrease is negligible.
     """
 
     z: Step
     costs: tuple[float, ...]
     steps: int
-    decrease: float
+    relative_decrease: float
     converged: bool
 
 
-def next_to_nothing(gain: ScalarLike, cost: ScalarLike) -> Bool[Array, ""]:
-    """Return whether the predicted gain of a further step is so small that a fit has converged."""
-    return (jnp.abs(gain) < 1e-8 * cost) | (jnp.abs(gain) < 1e-12)
+def is_converged(predicted_decrease: ScalarLike, cost: ScalarLike) -> Bool[Array, ""]:
+    """Return whether a fit has converged: a further step predicts a negligible decrease."""
+    return (jnp.abs(predicted_decrease) < 1e-8 * cost) | (jnp.abs(predicted_decrease) < 1e-12)
 
 
 def solve(
@@ -253,24 +279,31 @@ def solve(
     if solver is None:
         solver = StructuredLM()
     elif not isinstance(solver, StructuredLM):
-        problem = _scaled(problem)
+        problem = _with_jacobi_scale(problem)
     # z is in units of `problem.scale`, a start that is passed in is in the parameters' own units.
-    first = problem.start() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
-    z, steps, record, equations, gain = _run_alone(problem, solver, maximum_steps, first)
-    cost, gain, record = float(equations.cost), float(gain), np.asarray(record)
-    share, converged = gain / max(cost, 1e-300), bool(next_to_nothing(gain, cost))
-    costs = (*record[np.isfinite(record)].tolist(), cost)
-    return Solution(z, costs, int(steps), share, converged), equations
+    initial = (
+        problem.zero_step() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
+    )
+    z, steps, recorded_costs, equations, predicted_decrease = _compiled_minimise(
+        problem, solver, maximum_steps, initial
+    )
+    cost, predicted_decrease = float(equations.cost), float(predicted_decrease)
+    relative_decrease = predicted_decrease / max(cost, 1e-300)
+    converged = bool(is_converged(predicted_decrease, cost))
+    # Entries that were never reached are NaN.
+    recorded_costs = np.asarray(recorded_costs)
+    costs = (*recorded_costs[np.isfinite(recorded_costs)].tolist(), cost)
+    return Solution(z, costs, int(steps), relative_decrease, converged), equations
 
 
 @compiled
-def _scaled(problem: JointProblem) -> JointProblem:
+def _with_jacobi_scale(problem: JointProblem) -> JointProblem:
     """Return the problem in units that suit solvers that treat all parameters alike."""
-    matrix = jax.lax.stop_gradient(problem).normal_equations(problem.start()).matrix
-    return eqx.tree_at(lambda p: p.scale, problem, unit_scale(matrix))
+    matrix = jax.lax.stop_gradient(problem).normal_equations(problem.zero_step()).matrix
+    return eqx.tree_at(lambda p: p.scale, problem, jacobi_scale(matrix))
 
 
-def run(
+def minimise(
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver,
     maximum_steps: int,
@@ -282,27 +315,33 @@ def run(
         The step, the number of solver steps, the recorded costs, the normal equations at the
         result, and the decrease of the cost that one more Gauss-Newton step predicts.
     """
-    found = optx.least_squares(
+    solution = optx.least_squares(
         _residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
     )
-    z = jax.tree.map(jnp.multiply, found.value, problem.scale)
+    z = jax.tree.map(jnp.multiply, solution.value, problem.scale)
     if isinstance(solver, StructuredLM):
-        info, scale = found.state.f_info, found.state.scale
+        model, scale = solution.state.f_info, solution.state.scale
     else:
-        info, scale = _info(problem, found.value), jax.tree.map(jnp.ones_like, z)
-    # `back` converts the normal equations from scaled units to the parameters' own.
-    gain = _promise(info, _newton(info))
-    back = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
-    natural = _in_units(info, back)
-    equations = NormalEquations(natural.f, natural.grad, _matrix(natural))
-    answer = (z, found.stats["num_steps"], found.stats.get("costs", jnp.zeros(0)), equations, gain)
+        model, scale = _quadratic_model(problem, solution.value), jax.tree.map(jnp.ones_like, z)
+    predicted_decrease = _predicted_decrease(model, _gauss_newton_step(model))
+    # `unscale` converts the normal equations from scaled units to the parameters' own.
+    unscale = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
+    unscaled = _rescale(model, unscale)
+    equations = NormalEquations(unscaled.f, unscaled.grad, _gauss_newton_matrix(unscaled))
+    outputs = (
+        z,
+        solution.stats["num_steps"],
+        solution.stats.get("costs", jnp.zeros(0)),
+        equations,
+        predicted_decrease,
+    )
     if problem.mesh is not None:
         # Replicated over the mesh, so that every process can read the whole result.
-        answer = jax.lax.with_sharding_constraint(answer, NamedSharding(problem.mesh, P()))
-    return answer
+        outputs = jax.lax.with_sharding_constraint(outputs, NamedSharding(problem.mesh, P()))
+    return outputs
 
 
-_run_alone = compiled(run)
+_compiled_minimise = compiled(minimise)
 
 
 def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
@@ -323,15 +362,17 @@ def optimum(
     array in `problem`: pixels, poses, priors, and the start's own values.
     """
     # The derivatives need a linear solve at the optimum, which these units keep well conditioned.
-    scaled = _scaled(problem)
-    units = scaled.scale
-    first = problem.start() if start is None else jax.tree.map(jnp.divide, start, units)
-    found = optx.least_squares(
+    scaled = _with_jacobi_scale(problem)
+    jacobi_units = scaled.scale
+    initial = (
+        problem.zero_step() if start is None else jax.tree.map(jnp.divide, start, jacobi_units)
+    )
+    result = optx.least_squares(
         _residuals,
         StructuredLM() if solver is None else solver,
-        first,
+        initial,
         args=scaled,
         max_steps=maximum_steps,
         throw=False,
     )
-    return jax.tree.map(jnp.multiply, found.value, units)
+    return jax.tree.map(jnp.multiply, result.value, jacobi_units)

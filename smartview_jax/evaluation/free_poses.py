@@ -16,20 +16,22 @@ from ..cameras import Camera
 from ..compilation import compiled
 from ..dataset import Dataset
 from ..geometry import transform_points
-from .measures import Deviations, measured
+from .measures import ReprojectionErrors, errors_of_predictions
 
-STEPS = 50
+MAX_STEPS = 50
 """The largest number of Levenberg-Marquardt steps; the chain's poses are close, so few suffice."""
 
 
-def free_pose_deviations(calibration: Calibration, data: Dataset) -> Deviations:
+def free_pose_errors(calibration: Calibration, data: Dataset) -> ReprojectionErrors:
     """Return reprojection errors with every view's pose fitted to its own pixels, the camera held.
 
     Args:
         calibration: its camera and target scale are held; its chain gives the initial poses.
         data: views with at least four visible points are fitted, others keep the chain's pose.
     """
-    return measured(calibration.camera, data, *free_pose_predictions(calibration, data))
+    return errors_of_predictions(
+        calibration.camera, data, *free_pose_predictions(calibration, data)
+    )
 
 
 def free_pose_predictions(
@@ -38,12 +40,13 @@ def free_pose_predictions(
     Float[Array, "views points 2"], Bool[Array, "views points"], Float[Array, "views points"]
 ]:
     """Return pixels, their validity and depths (m) of all points under the fitted free poses."""
-    started = calibration.camera_from_world(data.command)
+    initial_poses = calibration.camera_from_world(data.command)
     points = calibration.target_scale * data.points
-    enough = data.visible.sum(axis=1, keepdims=True) >= 4
-    # NaN of unseen pixels would spread through the derivatives of the masked residuals.
+    # Four points determine a pose; with fewer, the start stays because all residuals are zero.
+    determined = data.visible.sum(axis=1, keepdims=True) >= 4
+    # NaN of unseen pixels would propagate through the derivatives of the masked residuals.
     pixels = jnp.where(data.visible[..., None], data.pixels, 0.0)
-    poses = _fit_poses(calibration.camera, started, points, pixels, data.visible & enough)
+    poses = _fit_poses(calibration.camera, initial_poses, points, pixels, data.visible & determined)
     in_camera = transform_points(poses, points)
     return *calibration.camera.project(in_camera), in_camera[..., 2]
 
@@ -66,7 +69,9 @@ def _fit_poses(
             predicted, valid = camera.project((SE3.exp(twist) @ SE3(pose)) @ points)
             return jnp.where((used & valid)[:, None], pixels - predicted, 0.0)
 
-        fitted = optx.least_squares(residuals, solver, jnp.zeros(6), max_steps=STEPS, throw=False)
+        fitted = optx.least_squares(
+            residuals, solver, jnp.zeros(6), max_steps=MAX_STEPS, throw=False
+        )
         return (SE3.exp(fitted.value) @ SE3(pose)).wxyz_xyz
 
     return SE3(jax.vmap(fit)(start.wxyz_xyz, points, pixels, used))

@@ -24,7 +24,7 @@ class Predictor(Protocol):
     def project(self, base_from_tool: CommandLike, points: Array) -> tuple[Array, Array]: ...
 
 
-class Deviations(NamedTuple):
+class ReprojectionErrors(NamedTuple):
     """The reprojection errors of points: distances between measured and predicted pixels.
 
     NaN where a point was not seen, infinite where one was seen but cannot be predicted (behind the
@@ -33,11 +33,11 @@ class Deviations(NamedTuple):
 
     Attributes:
         px: distance in the image.
-        m: distance at the target: pixel distance x depth / focal length.
+        metres: distance at the target: pixel distance x depth / focal length.
     """
 
     px: Float[np.ndarray, "views points"]
-    m: Float[np.ndarray, "views points"]
+    metres: Float[np.ndarray, "views points"]
 
     @property
     def mean(self) -> float:
@@ -59,10 +59,10 @@ class Deviations(NamedTuple):
     @property
     def rms_mm(self) -> float:
         """The root mean square error over points, mm at the target."""
-        return 1e3 * _rms(self.m)
+        return 1e3 * _rms(self.metres)
 
     @property
-    def per_view(self) -> Float[np.ndarray, "views"]:
+    def rms_per_view(self) -> Float[np.ndarray, "views"]:
         """The RMS error of each view, px; NaN for a view without points."""
         return np.array([_rms(row) for row in self.px])
 
@@ -72,47 +72,47 @@ class Deviations(NamedTuple):
         return self.px[np.isfinite(self.px)]
 
     @property
-    def unpredicted(self) -> int:
+    def unpredicted_count(self) -> int:
         """The number of points that were seen but cannot be predicted."""
         return int(np.count_nonzero(np.isinf(self.px)))
 
 
 def _rms(values: np.ndarray) -> float:
     """Return the root mean square of the finite values; NaN if there are none."""
-    found = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(found**2))) if found.size else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
-def deviations(predictor: Predictor, data: Dataset) -> Deviations:
+def reprojection_errors(predictor: Predictor, data: Dataset) -> ReprojectionErrors:
     """Return the reprojection errors of all visible points; infinite without a prediction."""
     predicted, valid, depth = predict(predictor, data.command, data.points)
-    return measured(predictor.camera, data, predicted, valid, depth)
+    return errors_of_predictions(predictor.camera, data, predicted, valid, depth)
 
 
-def measured(
+def errors_of_predictions(
     camera: Camera,
     data: Dataset,
     predicted: Float[Array, "views points 2"],
     valid: Bool[Array, "views points"],
     depth: Float[Array, "views points"],
-) -> Deviations:
+) -> ReprojectionErrors:
     """Return the reprojection errors of predicted pixels whose points have the given depths (m)."""
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
     visible = np.asarray(data.visible)
     # Unseen points are NaN and unpredicted ones infinite, so that neither passes for a small error.
     px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
-    return at_target(camera, px, depth)
+    return errors_at_target(camera, px, depth)
 
 
-def at_target(
+def errors_at_target(
     camera: Camera, px: Float[np.ndarray, "views points"], depth: Float[Array, "views points"]
-) -> Deviations:
+) -> ReprojectionErrors:
     """Return reprojection errors (px) with the distances at the target, at the given depths (m)."""
     # Pixel distance x depth / focal length, with the geometric mean of the two focal lengths.
     focal = float(jnp.sqrt(jnp.abs(camera.alpha_u * camera.alpha_v)))
     # A depth of exactly zero would make an unpredicted point's infinity a NaN.
     distance = np.maximum(np.abs(np.asarray(depth)), np.finfo(float).tiny)
-    return Deviations(px, px * distance / focal)
+    return ReprojectionErrors(px, px * distance / focal)
 
 
 @compiled

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..calibrate_data import CalibrationFit
+from ..calibration_pipeline import CalibrationFit
 from ..dataset import Dataset
 from ..fit_result import Rejection
 from ..joint import JointFit
@@ -31,11 +31,12 @@ def without_rejected_views(data: Dataset, fit: JointFit | CalibrationFit) -> Dat
     predictor. Points that were left out one by one stay: new data will have similar outliers.
     """
     used = np.asarray(fit.problem.observations.visible).any(axis=1)
-    return data.without(np.flatnonzero(~used))
+    return data.mask_views(np.flatnonzero(~used))
 
 
 def count_rejected(rejected: Sequence[Rejection]) -> RejectionCount:
     """Return how many points were rejected one by one, and how many whole views."""
+    # A rejection without a point is that of a whole view, in which its points are included.
     views = {item.view for item in rejected if item.point is None}
     points = sum(item.point is not None and item.view not in views for item in rejected)
     return RejectionCount(points, len(views))

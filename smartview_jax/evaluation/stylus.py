@@ -12,24 +12,26 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 
 
-def touching(
-    tip: Float[np.ndarray, "3"], world_from_tool: SO3, place: Float[np.ndarray, "3"] | None = None
+def touching_pose(
+    tip: Float[np.ndarray, "3"], world_from_tool: SO3, point: Float[np.ndarray, "3"] | None = None
 ) -> SE3:
     """Return `world_from_tool` at which the tip of a stylus is at a point of the world.
 
     Args:
         tip: position in the tool's frame, m.
         world_from_tool: `(*touches)` orientations of the tool.
-        place: point to touch, m; by default the origin.
+        point: point to touch, m; by default the origin.
     """
-    # place = R tip + t, so t = place - R tip.
-    wanted = jnp.zeros(3) if place is None else jnp.asarray(place)
-    reach = world_from_tool.apply(jnp.broadcast_to(tip, (*world_from_tool.get_batch_axes(), 3)))
-    shift = jnp.broadcast_to(wanted, reach.shape) - reach
-    return SE3.from_rotation_and_translation(world_from_tool, shift)
+    # touched_point = R tip + t, so t = touched_point - R tip.
+    touched_point = jnp.zeros(3) if point is None else jnp.asarray(point)
+    rotated_tip = world_from_tool.apply(
+        jnp.broadcast_to(tip, (*world_from_tool.get_batch_axes(), 3))
+    )
+    translation = jnp.broadcast_to(touched_point, rotated_tip.shape) - rotated_tip
+    return SE3.from_rotation_and_translation(world_from_tool, translation)
 
 
-def stylus_miss(
+def stylus_error(
     calibration: Calibration,
     truth: Calibration,
     tip: Float[np.ndarray, "3"],
@@ -52,8 +54,8 @@ def stylus_miss(
     # Eq. 20: the pose to command has the camera at camera_from_tool tool_from_world.
     command = calibration.command_for(calibration.camera_from_tool @ tool_from_world)
     # tool_from_world = tool_from_camera camera_from_world, by the true transforms.
-    reached = truth.camera_from_tool.inverse() @ truth.camera_from_world(command)
+    tool_from_world_reached = truth.camera_from_tool.inverse() @ truth.camera_from_world(command)
     if robot_noise is not None:
-        reached = SE3.exp(jnp.asarray(robot_noise)) @ reached
+        tool_from_world_reached = SE3.exp(jnp.asarray(robot_noise)) @ tool_from_world_reached
     tips = jnp.broadcast_to(jnp.asarray(tip), (*world_from_tool.get_batch_axes(), 3))
-    return reached.inverse().apply(tips) - world_from_tool.apply(tips)
+    return tool_from_world_reached.inverse().apply(tips) - world_from_tool.apply(tips)

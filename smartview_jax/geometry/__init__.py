@@ -1,5 +1,11 @@
 """Rigid transforms, angle conventions, pose formats, camera viewpoints and images of circles."""
 
+from ..deprecation import deprecated_names as _deprecated_names
+from .camera_poses import FIVE_VIEWPOINT_PATTERNS as FIVE_VIEWPOINT_PATTERNS
+from .camera_poses import FIVE_VIEWPOINT_STEP as FIVE_VIEWPOINT_STEP
+from .camera_poses import five_viewpoints as five_viewpoints
+from .camera_poses import look_at as look_at
+from .camera_poses import viewing_direction as viewing_direction
 from .conics import circle_dual_conic as circle_dual_conic
 from .conics import conic_centre as conic_centre
 from .conics import region_centroid as region_centroid
@@ -15,21 +21,18 @@ from .pose_codecs import LENGTH_UNITS as LENGTH_UNITS
 from .pose_codecs import POSE_CODECS as POSE_CODECS
 from .pose_codecs import PoseCodec as PoseCodec
 from .pose_codecs import pose_codec as pose_codec
-from .rigid import PoseLike as PoseLike
-from .rigid import as_se3 as as_se3
-from .rigid import check_rigid as check_rigid
-from .rigid import exp_jacobian as exp_jacobian
-from .rigid import mean_pose as mean_pose
-from .rigid import nearest_rotation as nearest_rotation
-from .rigid import rotation_angle as rotation_angle
-from .rigid import transform_points as transform_points
+from .rigid_transforms import PoseLike as PoseLike
+from .rigid_transforms import as_se3 as as_se3
+from .rigid_transforms import check_rigid as check_rigid
+from .rigid_transforms import mean_pose as mean_pose
+from .rigid_transforms import nearest_rotation as nearest_rotation
+from .rigid_transforms import rotation_angle as rotation_angle
+from .rigid_transforms import se3_left_jacobian as se3_left_jacobian
+from .rigid_transforms import transform_points as transform_points
 from .serialization import transform_from_dict as transform_from_dict
 from .serialization import transform_to_dict as transform_to_dict
 from .viewed_region import ViewedRegion as ViewedRegion
 from .viewed_region import region_from_dict as region_from_dict
 from .viewed_region import region_to_dict as region_to_dict
-from .viewing import FIVE_PATTERNS as FIVE_PATTERNS
-from .viewing import FIVE_STEP as FIVE_STEP
-from .viewing import direction_of as direction_of
-from .viewing import five_viewpoints as five_viewpoints
-from .viewing import look_at as look_at
+
+__getattr__ = _deprecated_names(__name__)

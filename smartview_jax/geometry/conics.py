@@ -24,10 +24,10 @@ def circle_dual_conic(
     # H = [r1 r2 t],   dual conic of the image = H diag(r^2, r^2, -1) H^T.
     # The dual is used because the conic itself needs the inverse of H, which does not exist where
     # the circle is seen edge on.
-    turn, t = camera_from_circle.rotation().as_matrix(), camera_from_circle.translation()
-    H = jnp.concatenate([turn[..., :, :2], t[..., None]], axis=-1)
-    weights = jnp.stack([radius**2, radius**2, -jnp.ones_like(radius)], axis=-1)
-    return (H * weights[..., None, :]) @ jnp.swapaxes(H, -1, -2)
+    rotation, t = camera_from_circle.rotation().as_matrix(), camera_from_circle.translation()
+    H = jnp.concatenate([rotation[..., :, :2], t[..., None]], axis=-1)
+    diagonal = jnp.stack([radius**2, radius**2, -jnp.ones_like(radius)], axis=-1)
+    return (H * diagonal[..., None, :]) @ jnp.swapaxes(H, -1, -2)
 
 
 def conic_centre(dual: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 2"]:
@@ -59,8 +59,9 @@ def region_centroid(
     #   centroid c = m + 1/A integral 2/3 p 1/2 (p x p') dt
     # because p dt sweeps a triangle from m, whose centroid is at 2/3 p.
     # Without m, the digits of a small region far from the origin would cancel.
-    middle = jnp.mean(boundary, axis=-2, keepdims=True)
-    p = boundary - middle
-    swept = p[..., 0] * velocity[..., 1] - p[..., 1] * velocity[..., 0]
-    moment = 2.0 / 3.0 * jnp.sum(swept[..., None] * p, axis=-2)
-    return middle[..., 0, :] + moment / jnp.sum(swept, axis=-1)[..., None]
+    mean = jnp.mean(boundary, axis=-2, keepdims=True)
+    p = boundary - mean
+    # The factors 1/2 and the step dt are in both integrals and cancel in their ratio.
+    cross_product = p[..., 0] * velocity[..., 1] - p[..., 1] * velocity[..., 0]
+    moment = 2.0 / 3.0 * jnp.sum(cross_product[..., None] * p, axis=-2)
+    return mean[..., 0, :] + moment / jnp.sum(cross_product, axis=-1)[..., None]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxlie import SO3
 from jaxtyping import Array, Float
 
-GIMBAL = 1e-10
+GIMBAL_LOCK_TOLERANCE = 1e-10
 """Limit on the cosine (or sine) of the middle angle, below which a pose is at gimbal lock.
 
 At gimbal lock only the sum or difference of the outer angles is defined. The limit is far above
@@ -38,7 +38,7 @@ def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     # and with roll = 0 also R_12 = -sin yaw, R_22 = cos yaw, which are used at gimbal lock.
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 0], R[..., 1, 0])
-    gimbal = cosine < GIMBAL
+    gimbal = cosine < GIMBAL_LOCK_TOLERANCE
     pitch = jnp.arctan2(-R[..., 2, 0], cosine)
     yaw = jnp.arctan2(
         jnp.where(gimbal, -R[..., 0, 1], R[..., 1, 0]),
@@ -72,7 +72,7 @@ def zyz_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     #   (cos first sin second, sin first sin second, cos second).
     R = rotation.as_matrix()
     sine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
-    gimbal = sine < GIMBAL
+    gimbal = sine < GIMBAL_LOCK_TOLERANCE
     second = jnp.arctan2(sine, R[..., 2, 2])
     # The inner `where` keeps the derivative of the unused branch finite: JAX differentiates both.
     first = jnp.arctan2(R[..., 1, 2], jnp.where(gimbal, 1.0, R[..., 0, 2]))

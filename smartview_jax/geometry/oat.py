@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from .euler import GIMBAL
-from .rigid import PoseLike, as_se3
+from .euler import GIMBAL_LOCK_TOLERANCE
+from .rigid_transforms import PoseLike, as_se3
 
 _M0 = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
 
@@ -27,8 +27,8 @@ def rotation_from_oat(oat: Float[Array, "*batch 3"]) -> SO3:
     """Return the rotation of the angles O, A, T in rad (Eq. 18)."""
     # R = Rz(O) M0 Ry(A) Rz(T)
     O, A, T = oat[..., 0], oat[..., 1], oat[..., 2]
-    middle = SO3.from_matrix(jnp.broadcast_to(jnp.array(_M0), (*O.shape, 3, 3)))
-    return SO3.from_z_radians(O) @ middle @ SO3.from_y_radians(A) @ SO3.from_z_radians(T)
+    M0 = SO3.from_matrix(jnp.broadcast_to(jnp.array(_M0), (*O.shape, 3, 3)))
+    return SO3.from_z_radians(O) @ M0 @ SO3.from_y_radians(A) @ SO3.from_z_radians(T)
 
 
 def oat_from_rotation(
@@ -48,7 +48,7 @@ def oat_from_rotation(
     # R = Rz(O) M0 Ry(A) Rz(T) has the last column (sin O cos A, -cos O cos A, -sin A).
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
-    gimbal = cosine < GIMBAL
+    gimbal = cosine < GIMBAL_LOCK_TOLERANCE
     A = jnp.arctan2(-R[..., 2, 2], cosine)
     # The inner `where` keeps the derivative of the unused branch finite: JAX differentiates both.
     O = jnp.arctan2(jnp.where(gimbal, 1.0, R[..., 0, 2]), -R[..., 1, 2])
@@ -58,7 +58,7 @@ def oat_from_rotation(
     s, c = jnp.sin(O), jnp.cos(O)
     T = jnp.arctan2(c * R[..., 0, 0] + s * R[..., 1, 0], c * R[..., 0, 1] + s * R[..., 1, 1])
     if other_branch:
-        O, A, T = _wrapped(O + jnp.pi), jnp.pi - A, _wrapped(T + jnp.pi)
+        O, A, T = _wrap_to_pi(O + jnp.pi), jnp.pi - A, _wrap_to_pi(T + jnp.pi)
     return jnp.stack([O, A, T], axis=-1)
 
 
@@ -83,6 +83,6 @@ def se3_from_xyzoat(numbers: Float[Array, "*batch 6"]) -> SE3:
     return SE3.from_rotation_and_translation(rotation, numbers[..., :3])
 
 
-def _wrapped(angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def _wrap_to_pi(angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Return the same angle in [-pi, pi], rad."""
     return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))

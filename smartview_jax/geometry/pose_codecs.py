@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 
 from .euler import rotation_from_ypr, rotation_from_zyz, ypr_from_rotation, zyz_from_rotation
 from .oat import oat_from_rotation, rotation_from_oat
-from .rigid import as_se3, check_rigid
+from .rigid_transforms import as_se3, check_rigid
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Size of each known unit of length, m."""
@@ -38,15 +38,14 @@ LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 """Size of each known unit of angle, rad."""
 
-_UNIT_TOLERANCE = 1e-3
+_QUATERNION_NORM_TOLERANCE = 1e-3
 """Largest accepted difference of a quaternion's length from 1, because files have few digits."""
 
-_MOST_RADIANS = 4.0 * np.pi
+_MAX_RADIANS = 4.0 * np.pi
 """Largest accepted angle, rad. A larger number where radians are stated must be in degrees."""
 
-_NAMED = 5
+_MAX_NAMED_ROWS = 5
 """Largest number of bad rows that a message names; in a wrong unit or format all rows are bad."""
-
 
 _SI, _MM_DEG = ("m", "rad"), ("mm", "deg")
 
@@ -58,8 +57,8 @@ class PoseCodec:
     Attributes:
         name: name of the format.
         columns: name of each number.
-        lengths: indices of the columns that are lengths.
-        angles: indices of the columns that are angles.
+        length_columns: indices of the columns that are lengths.
+        angle_columns: indices of the columns that are angles.
         to_se3: converts rows `(*batch, columns)` in m and rad to transforms `(*batch)`; pure JAX.
         from_se3: the inverse of `to_se3`.
         check: returns an error text for each of the labelled rows `(n, columns)` that is not a
@@ -69,8 +68,8 @@ class PoseCodec:
 
     name: str
     columns: tuple[str, ...]
-    lengths: tuple[int, ...]
-    angles: tuple[int, ...]
+    length_columns: tuple[int, ...]
+    angle_columns: tuple[int, ...]
     to_se3: Callable[[Array], SE3]
     from_se3: Callable[[SE3], Array]
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]]
@@ -102,18 +101,19 @@ class PoseCodec:
                 f"{self.name}: expected rows of {len(self.columns)} numbers "
                 f"({', '.join(self.columns)}), found shape {numbers.shape}"
             )
-        turns = np.abs(numbers[..., list(self.angles)])
-        if angle_unit == "rad" and (turns[np.isfinite(turns)] > _MOST_RADIANS).any():
+        magnitudes = np.abs(numbers[..., list(self.angle_columns)])
+        if angle_unit == "rad" and (magnitudes[np.isfinite(magnitudes)] > _MAX_RADIANS).any():
             raise ValueError(
-                f"{self.name}: angles up to {np.nanmax(turns):.4g} where radians are stated: "
+                f"{self.name}: angles up to {np.nanmax(magnitudes):.4g} where radians are stated: "
                 "degrees? (angle_unit: deg)"
             )
-        numbers = numbers * self._units(length_unit, angle_unit)
+        numbers = numbers * self._unit_factors(length_unit, angle_unit)
+        # The checks need a flat list of rows, with one label for each.
         flat = numbers.reshape(-1, len(self.columns))
         names = tuple(map(str, range(len(flat)) if labels is None else labels))
         if len(names) != len(flat):
             raise ValueError(f"{self.name}: {len(flat)} rows, but {len(names)} labels")
-        self._refuse(flat, names)
+        self._require_rigid(flat, names)
         return self.to_se3(jnp.asarray(numbers))
 
     def encode(
@@ -124,9 +124,9 @@ class PoseCodec:
         Raises:
             ValueError: an unknown unit.
         """
-        return np.asarray(self.from_se3(poses)) / self._units(length_unit, angle_unit)
+        return np.asarray(self.from_se3(poses)) / self._unit_factors(length_unit, angle_unit)
 
-    def _refuse(self, rows: np.ndarray, names: tuple[str, ...]) -> None:
+    def _require_rigid(self, rows: np.ndarray, names: tuple[str, ...]) -> None:
         """Raise a ValueError that names the rows that are not rigid transforms, if any."""
         problems = [
             f"row {name} contains NaN or infinity"
@@ -135,29 +135,29 @@ class PoseCodec:
         ]
         problems = problems or self.check(rows, names)
         if problems:
-            more = len(problems) - _NAMED
+            more = len(problems) - _MAX_NAMED_ROWS
             rest = f"; and {more} more of {len(rows)} rows" if more > 0 else ""
-            raise ValueError(f"{self.name}: {'; '.join(problems[:_NAMED])}{rest}")
+            raise ValueError(f"{self.name}: {'; '.join(problems[:_MAX_NAMED_ROWS])}{rest}")
 
-    def _units(self, length_unit: str, angle_unit: str) -> np.ndarray:
+    def _unit_factors(self, length_unit: str, angle_unit: str) -> np.ndarray:
         """Return the factor of each column that converts it to m or rad.
 
         Raises:
             ValueError: an unknown unit.
         """
-        for unit, known, what in (
+        for unit, known, option in (
             (length_unit, LENGTH_UNITS, "length_unit"),
             (angle_unit, ANGLE_UNITS, "angle_unit"),
         ):
             if unit not in known:
-                raise ValueError(f"{what} is one of {', '.join(known)}; found {unit!r}")
-        units = np.ones(len(self.columns))
-        units[list(self.lengths)] = LENGTH_UNITS[length_unit]
-        units[list(self.angles)] = ANGLE_UNITS[angle_unit]
-        return units
+                raise ValueError(f"{option} is one of {', '.join(known)}; found {unit!r}")
+        factors = np.ones(len(self.columns))
+        factors[list(self.length_columns)] = LENGTH_UNITS[length_unit]
+        factors[list(self.angle_columns)] = ANGLE_UNITS[angle_unit]
+        return factors
 
 
-def _matrix() -> PoseCodec:
+def _matrix_codec() -> PoseCodec:
     """Return the codec of 4x4 matrices, written row by row."""
 
     def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
@@ -168,15 +168,15 @@ def _matrix() -> PoseCodec:
     return PoseCodec(
         name="matrix",
         columns=tuple(f"m{i}{j}" for i in range(4) for j in range(4)),
-        lengths=(3, 7, 11),
-        angles=(),
+        length_columns=(3, 7, 11),
+        angle_columns=(),
         to_se3=lambda rows: as_se3(rows.reshape(*rows.shape[:-1], 4, 4)),
         from_se3=lambda poses: poses.as_matrix().reshape(*poses.get_batch_axes(), 16),
         check=check,
     )
 
 
-def _quaternion(
+def _quaternion_codec(
     name: str, columns: tuple[str, ...], wxyz: tuple[int, ...], units: tuple[str, str] = _SI
 ) -> PoseCodec:
     """Return a codec of x, y, z and a unit quaternion.
@@ -188,7 +188,7 @@ def _quaternion(
         units: units of length and angle of the format.
     """
     # (w, x, y, z) = row[wxyz], so that row = (w, x, y, z)[argsort(wxyz)], the inverse permutation.
-    written = tuple(int(k) for k in np.argsort(wxyz))
+    inverse_permutation = tuple(int(k) for k in np.argsort(wxyz))
 
     def check(rows: np.ndarray, names: tuple[str, ...]) -> list[str]:
         """Return an error text for each row whose quaternion does not have length 1."""
@@ -196,21 +196,21 @@ def _quaternion(
         return [
             f"row {label} has a quaternion of length {length:.6g}, not 1"
             for label, length in zip(names, lengths, strict=True)
-            if abs(length - 1.0) > _UNIT_TOLERANCE
+            if abs(length - 1.0) > _QUATERNION_NORM_TOLERANCE
         ]
 
-    return _three_and(
+    return _position_rotation_codec(
         name,
         columns,
-        angles=(),
+        angle_columns=(),
         to_rotation=lambda numbers: SO3(numbers[..., jnp.array(wxyz)]).normalize(),
-        from_rotation=lambda rotation: rotation.wxyz[..., jnp.array(written)],
+        from_rotation=lambda rotation: rotation.wxyz[..., jnp.array(inverse_permutation)],
         check=check,
         units=units,
     )
 
 
-def _angles(
+def _angle_codec(
     name: str,
     columns: tuple[str, str, str],
     to_rotation: Callable[[Array], SO3],
@@ -218,15 +218,15 @@ def _angles(
     units: tuple[str, str] = _SI,
 ) -> PoseCodec:
     """Return a codec of x, y, z and three numbers in units of angle."""
-    return _three_and(
+    return _position_rotation_codec(
         name, columns, (3, 4, 5), to_rotation, from_rotation, lambda rows, names: [], units
     )
 
 
-def _three_and(
+def _position_rotation_codec(
     name: str,
     columns: tuple[str, ...],
-    angles: tuple[int, ...],
+    angle_columns: tuple[int, ...],
     to_rotation: Callable[[Array], SO3],
     from_rotation: Callable[[SO3], Array],
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
@@ -237,7 +237,7 @@ def _three_and(
     Args:
         name: name of the format.
         columns: names of the rotation's columns.
-        angles: indices, in the whole row, of the columns that are angles.
+        angle_columns: indices, in the whole row, of the columns that are angles.
         to_rotation: converts the rotation's columns to a rotation.
         from_rotation: the inverse of `to_rotation`.
         check: as in `PoseCodec`.
@@ -246,8 +246,8 @@ def _three_and(
     return PoseCodec(
         name=name,
         columns=("x", "y", "z", *columns),
-        lengths=(0, 1, 2),
-        angles=angles,
+        length_columns=(0, 1, 2),
+        angle_columns=angle_columns,
         to_se3=lambda rows: SE3.from_rotation_and_translation(
             to_rotation(rows[..., 3:]), rows[..., :3]
         ),
@@ -264,23 +264,25 @@ _RXYZ, _OAT = ("rx", "ry", "rz"), ("O", "A", "T")
 POSE_CODECS: dict[str, PoseCodec] = {
     codec.name: codec
     for codec in (
-        _matrix(),
-        _quaternion("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
-        _quaternion("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
-        _angles("rotation_vector", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
-        _angles("yaw_pitch_roll", ("yaw", "pitch", "roll"), rotation_from_ypr, ypr_from_rotation),
-        _angles("val_oat", _OAT, rotation_from_oat, oat_from_rotation, _MM_DEG),
-        _angles("kawasaki_oat", _OAT, rotation_from_zyz, zyz_from_rotation, _MM_DEG),
-        _angles("kuka_abc", ("A", "B", "C"), rotation_from_ypr, ypr_from_rotation, _MM_DEG),
-        _angles("ur", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
-        _angles(
+        _matrix_codec(),
+        _quaternion_codec("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
+        _quaternion_codec("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
+        _angle_codec("rotation_vector", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
+        _angle_codec(
+            "yaw_pitch_roll", ("yaw", "pitch", "roll"), rotation_from_ypr, ypr_from_rotation
+        ),
+        _angle_codec("val_oat", _OAT, rotation_from_oat, oat_from_rotation, _MM_DEG),
+        _angle_codec("kawasaki_oat", _OAT, rotation_from_zyz, zyz_from_rotation, _MM_DEG),
+        _angle_codec("kuka_abc", ("A", "B", "C"), rotation_from_ypr, ypr_from_rotation, _MM_DEG),
+        _angle_codec("ur", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
+        _angle_codec(
             "fanuc_wpr",
             ("W", "P", "R"),
             lambda wpr: rotation_from_ypr(wpr[..., ::-1]),
             lambda rotation: ypr_from_rotation(rotation)[..., ::-1],
             _MM_DEG,
         ),
-        _quaternion("abb", ("q1", "q2", "q3", "q4"), (0, 1, 2, 3), ("mm", "rad")),
+        _quaternion_codec("abb", ("q1", "q2", "q3", "q4"), (0, 1, 2, 3), ("mm", "rad")),
     )
 }
 """Codec of every known pose format, by name."""

@@ -15,14 +15,14 @@ from jaxtyping import Array, Float
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 """Value of `ViewedRegion.side` for each name that a file may contain."""
 
-LEAST_REACH = 0.1
-"""Smallest reach of a region, as a fraction of the mean distance to the target.
+MIN_RADIUS_FRACTION = 0.1
+"""Smallest radius of a region, as a fraction of the mean distance to the target.
 
-Views that were all taken from one position would otherwise have a region of size zero.
+Views that were all taken from one position would otherwise have a region of radius zero.
 """
 
 
-def _number(value: object) -> Float[Array, "..."]:
+def _as_float_array(value: object) -> Float[Array, "..."]:
     """Return a value as a float array."""
     return jnp.asarray(value, dtype=float)
 
@@ -33,24 +33,26 @@ class ViewedRegion(eqx.Module):
     Attributes:
         side: 1 if all cameras were on the +z side of the target, -1 if all were on the -z side,
             0 otherwise.
-        plane: z of the target's plane, m; for points at several heights, z of those farthest from
+        plane_z: z of the target's plane, m; for points at several heights, z of those farthest from
             the cameras.
-        middle: mean of the camera centres, m.
-        reach: distance of the farthest camera from that mean, m.
-        distance: smallest and largest distance from the cameras to the middle of the target, m.
-        lowest_tool: smallest height of the tool's origin over the target's plane, on the side of
-            the cameras, m; infinite if the target is on the tool, or was seen from both sides.
+        centroid: mean of the camera centres, m.
+        radius: distance of the farthest camera from the centroid, m, but not less than the fraction
+            `MIN_RADIUS_FRACTION` of the mean distance to the target.
+        distance_range: smallest and largest distance from the cameras to the mean of the target's
+            points, m.
+        min_tool_height: smallest height of the tool's origin over the target's plane, on the side
+            of the cameras, m; infinite if the target is on the tool, or was seen from both sides.
     """
 
-    side: Float[Array, ""] = eqx.field(converter=_number)
-    plane: Float[Array, ""] = eqx.field(converter=_number)
-    middle: Float[Array, "3"] = eqx.field(converter=_number)
-    reach: Float[Array, ""] = eqx.field(converter=_number)
-    distance: Float[Array, "2"] = eqx.field(converter=_number)
-    lowest_tool: Float[Array, ""] = eqx.field(converter=_number)
+    side: Float[Array, ""] = eqx.field(converter=_as_float_array)
+    plane_z: Float[Array, ""] = eqx.field(converter=_as_float_array)
+    centroid: Float[Array, "3"] = eqx.field(converter=_as_float_array)
+    radius: Float[Array, ""] = eqx.field(converter=_as_float_array)
+    distance_range: Float[Array, "2"] = eqx.field(converter=_as_float_array)
+    min_tool_height: Float[Array, ""] = eqx.field(converter=_as_float_array)
 
     @classmethod
-    def of(
+    def from_positions(
         cls,
         cameras: Float[np.ndarray, "views 3"],
         points: Float[np.ndarray, "points 3"],
@@ -63,22 +65,24 @@ class ViewedRegion(eqx.Module):
             points: points of the target in its own frame, in true size, m.
             tools: origins of the tool in the target's frame, m; None if the target is on the tool.
         """
-        height, low, high = cameras[:, 2], points[:, 2].min(), points[:, 2].max()
-        side = 1.0 if (height > high).all() else -1.0 if (height < low).all() else 0.0
-        middle = cameras.mean(axis=0)
-        away = np.linalg.norm(cameras - points.mean(axis=0), axis=1)
-        reach = np.linalg.norm(cameras - middle, axis=1).max()
-        plane = low if side > 0.0 else high
-        lowest = np.inf
+        height, lower, upper = cameras[:, 2], points[:, 2].min(), points[:, 2].max()
+        # A target with points at several heights has cameras on one side only if every camera is
+        # beyond all of its points. The plane is at the points that are farthest from the cameras.
+        side = 1.0 if (height > upper).all() else -1.0 if (height < lower).all() else 0.0
+        centroid = cameras.mean(axis=0)
+        distances = np.linalg.norm(cameras - points.mean(axis=0), axis=1)
+        radius = np.linalg.norm(cameras - centroid, axis=1).max()
+        plane_z = lower if side > 0.0 else upper
+        min_tool_height = np.inf
         if tools is not None and side != 0.0:
-            lowest = float((side * (tools[:, 2] - plane)).min())
+            min_tool_height = float((side * (tools[:, 2] - plane_z)).min())
         return cls(
             side,
-            plane,
-            middle,
-            max(float(reach), LEAST_REACH * float(away.mean())),
-            np.array([away.min(), away.max()]),
-            lowest,
+            plane_z,
+            centroid,
+            max(float(radius), MIN_RADIUS_FRACTION * float(distances.mean())),
+            np.array([distances.min(), distances.max()]),
+            min_tool_height,
         )
 
     @property
@@ -86,38 +90,41 @@ class ViewedRegion(eqx.Module):
         """Whether the cameras were on the +z side of the target; None if on both sides."""
         return None if float(self.side) == 0.0 else float(self.side) > 0.0
 
-    def height(self, place: Float[Array, "*views 3"] | np.ndarray) -> Float[Array, "*views"]:
+    def height(self, positions: Float[Array, "*views 3"] | np.ndarray) -> Float[Array, "*views"]:
         """Return the height of positions over the target's plane, m, positive on the viewed side.
 
         It is zero for a target that was seen from both sides.
 
         Args:
-            place: positions in the target's frame, m.
+            positions: positions in the target's frame, m.
         """
-        return self.side * (place[..., 2] - self.plane)
+        return self.side * (positions[..., 2] - self.plane_z)
 
-    def extent(self, cameras: Float[Array, "*views 3"] | np.ndarray) -> Float[Array, "*views"]:
-        """Return the distance of cameras from the middle, as a multiple of `reach`.
+    def normalised_distance(
+        self, cameras: Float[Array, "*views 3"] | np.ndarray
+    ) -> Float[Array, "*views"]:
+        """Return the distance of cameras from the centroid, as a multiple of `radius`.
 
         Args:
             cameras: camera centres in the target's frame, m.
         """
-        offset = cameras - jnp.broadcast_to(self.middle, cameras.shape)
-        return jnp.linalg.norm(offset, axis=-1) / self.reach
+        offset = cameras - jnp.broadcast_to(self.centroid, cameras.shape)
+        return jnp.linalg.norm(offset, axis=-1) / self.radius
 
 
 def region_to_dict(region: ViewedRegion) -> dict[str, Any]:
     """Return a region as plain numbers in metres by name, as in `calibration.yaml`."""
+    # The keys are those of the file format, which are older than the names of the attributes.
     side = next(name for name, sign in _SIDES.items() if sign == float(region.side))
     content: dict[str, Any] = {
         "side": side,
-        "plane": float(region.plane),
-        "middle": np.asarray(region.middle).tolist(),
-        "reach": float(region.reach),
-        "distance": np.asarray(region.distance).tolist(),
+        "plane": float(region.plane_z),
+        "middle": np.asarray(region.centroid).tolist(),
+        "reach": float(region.radius),
+        "distance": np.asarray(region.distance_range).tolist(),
     }
-    if np.isfinite(float(region.lowest_tool)):
-        content["lowest_tool"] = float(region.lowest_tool)
+    if np.isfinite(float(region.min_tool_height)):
+        content["lowest_tool"] = float(region.min_tool_height)
     return content
 
 
@@ -127,12 +134,12 @@ def region_from_dict(content: dict[str, Any]) -> ViewedRegion:
     Args:
         content: the mapping, already checked by `schemas.calibration`.
     """
-    lowest = content.get("lowest_tool")
+    min_tool_height = content.get("lowest_tool")
     return ViewedRegion(
         side=_SIDES[content["side"]],
-        plane=content["plane"],
-        middle=content["middle"],
-        reach=content["reach"],
-        distance=content["distance"],
-        lowest_tool=np.inf if lowest is None else lowest,
+        plane_z=content["plane"],
+        centroid=content["middle"],
+        radius=content["reach"],
+        distance_range=content["distance"],
+        min_tool_height=np.inf if min_tool_height is None else min_tool_height,
     )

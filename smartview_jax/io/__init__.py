@@ -1,7 +1,9 @@
 """Read and write data sets and calibrations: folders, importers, exporters."""
 
+from ..deprecation import deprecated_names as _deprecated_names
+from .correspondences import import_correspondences as import_correspondences
 from .dataset_folder import save_dataset as save_dataset
-from .dataset_folder import write_folder as write_folder
+from .dataset_folder import write_dataset_folder as write_dataset_folder
 from .easy_handeye import PoseSamples as PoseSamples
 from .easy_handeye import read_easy_handeye as read_easy_handeye
 from .easy_handeye import write_easy_handeye as write_easy_handeye
@@ -15,8 +17,7 @@ from .matrix_rows import import_matrix_rows as import_matrix_rows
 from .matrix_rows import read_matrix_rows as read_matrix_rows
 from .matrix_rows import write_matrix_rows as write_matrix_rows
 from .opencv_camera import read_opencv_camera as read_opencv_camera
-from .pairs import import_pairs as import_pairs
-from .pictures import from_pictures as from_pictures
+from .pictures import dataset_from_pictures as dataset_from_pictures
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .rough_pose import parse_rough_pose as parse_rough_pose
@@ -31,3 +32,5 @@ from .visp import import_visp as import_visp
 from .visp import read_visp_camera as read_visp_camera
 from .visp import read_visp_pose as read_visp_pose
 from .visp import write_visp_pose as write_visp_pose
+
+__getattr__ = _deprecated_names(__name__)

@@ -33,21 +33,21 @@ from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike, pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
-from .commands import Commands, read_commands
-from .detections import DETECTIONS, read_detections, write_detections
+from .csv_tables import write_table
+from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
-from .pictures import from_pictures, refuse_strays
+from .pictures import dataset_from_pictures, refuse_unmatched_pictures
+from .robot_readings import RobotReadings, read_robot_readings
 from .rough_pose import rough_pose
-from .tables import write_table
 
 FORMAT_VERSION = 1
 """Version of the format of `dataset.yaml`."""
 
-DESCRIPTION = "dataset.yaml"
+DESCRIPTION_FILE = "dataset.yaml"
 """Name of the file that describes the folder."""
 
 
-def load_folder(
+def load_dataset_folder(
     folder: Path,
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
@@ -56,71 +56,75 @@ def load_folder(
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
     # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
-    from ..schemas.dataset import DATASET
-    from ..schemas.reading import checked
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import validate_content
 
-    where = folder / DESCRIPTION
-    read = read_yaml(where)
-    description = checked(read, DATASET, where)
+    description_path = folder / DESCRIPTION_FILE
+    raw_content = read_yaml(description_path)
+    description = validate_content(raw_content, DATASET_SCHEMA, description_path)
     # An entry that is null counts as absent.
-    content = {key: value for key, value in read.items() if value is not None}
+    content = {key: value for key, value in raw_content.items() if value is not None}
     mount = description.mount
     width, height = description.camera.image_size
     image_size = (width, height)
     try:
         target = target_from_dict(content["target"])
-        rough = rough_pose(description)
+        rough_holder_from_world = rough_pose(description)
     except ValueError as error:
-        raise ValueError(f"{where}: {error}") from error
-    commands = read_commands(folder, content, where, bad_views)
+        raise ValueError(f"{description_path}: {error}") from error
+    readings = read_robot_readings(folder, content, description_path, bad_views)
     if "pictures" in content:
-        table = folder / content["poses" if "poses" in content else "joints"]["file"]
-        files = _picture_files(folder, content["pictures"], commands.views, target, table, where)
-        data = from_pictures(
-            files,
-            commands.poses,
+        table_path = folder / content["poses" if "poses" in content else "joints"]["file"]
+        picture_files = _picture_files(
+            folder, content["pictures"], readings.view_ids, target, table_path, description_path
+        )
+        data = dataset_from_pictures(
+            picture_files,
+            readings.poses,
             target,
             mount,
             image_size,
             bad_views,
-            commands.masked,
+            readings.masked_views,
             progress,
-            folder / DETECTIONS if keep_detections else None,
-            rough if holder_from_world is None else holder_from_world,
+            folder / DETECTIONS_FILE if keep_detections else None,
+            rough_holder_from_world if holder_from_world is None else holder_from_world,
         )
-        return _with_joints(commands, data, where)
-    if not (folder / DETECTIONS).is_file():
-        raise ValueError(f"{where}: entry 'pictures' is missing, and there is no {DETECTIONS}")
+        return _with_joints(readings, data, description_path)
+    if not (folder / DETECTIONS_FILE).is_file():
+        raise ValueError(
+            f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
+        )
     try:
         data = Dataset.from_arrays(
             target.points,
             read_detections(
-                folder / DETECTIONS,
-                commands.views,
+                folder / DETECTIONS_FILE,
+                readings.view_ids,
                 len(target.points),
                 None if description.detections is None else description.detections.rows,
             ),
-            commands.poses,
+            readings.poses,
             image_size,
-            view_ids=commands.views,
+            view_ids=readings.view_ids,
             mount=mount,
             bad_views=bad_views,
-            masked_views=list(commands.masked.items()),
+            masked_views=list(readings.masked_views.items()),
             target=target,
         )
     except ValueError as error:
         # Messages of `read_detections` name the file already; those of `Dataset` do not.
-        place = "" if str(folder) in str(error) else f"{folder / DETECTIONS}: "
-        raise ValueError(f"{place}{error}") from error
-    return _with_joints(commands, data, where)
+        prefix = "" if str(folder) in str(error) else f"{folder / DETECTIONS_FILE}: "
+        raise ValueError(f"{prefix}{error}") from error
+    return _with_joints(readings, data, description_path)
 
 
-def _with_joints(commands: Commands, data: Dataset, where: Path) -> Dataset:
+def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path) -> Dataset:
     """Return the data set with the joint readings; an error names the description file."""
     try:
-        return commands.with_joints(data)
+        return readings.with_joints(data)
     except ValueError as error:
-        raise ValueError(f"{where}: joints: {error}") from error
+        raise ValueError(f"{description_path}: joints: {error}") from error
 
 
 def save_dataset(data: Dataset, folder: str | Path) -> None:
@@ -132,23 +136,31 @@ def save_dataset(data: Dataset, folder: str | Path) -> None:
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    rows = write_detections(folder / DETECTIONS, data.view_ids, np.asarray(data.pixels))
-    more: dict[str, Any] = {"detections": {"rows": rows}}
+    rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, np.asarray(data.pixels))
+    extra_entries: dict[str, Any] = {"detections": {"rows": rows}}
     if data.arm is not None and data.joints is not None:
-        more["joints"] = write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
-    write_folder(
-        folder, data.view_ids, data.base_from_tool, data.image_size, target, data.mount, more
+        extra_entries["joints"] = write_joints(
+            folder, data.view_ids, np.asarray(data.joints), data.arm
+        )
+    write_dataset_folder(
+        folder,
+        data.view_ids,
+        data.base_from_tool,
+        data.image_size,
+        target,
+        data.mount,
+        extra_entries,
     )
 
 
-def write_folder(
+def write_dataset_folder(
     folder: Path,
     view_ids: Sequence[str],
     base_from_tool: SE3,
     image_size: tuple[int, int],
     target: AbstractTarget,
     mount: str,
-    more: dict[str, Any] | None = None,
+    extra_entries: dict[str, Any] | None = None,
 ) -> None:
     """Write `poses.csv` and then `dataset.yaml`, the file by which a data set is recognised.
 
@@ -159,7 +171,7 @@ def write_folder(
         image_size: width and height, px.
         target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        more: further entries of the description, such as `pictures` or `joints`.
+        extra_entries: further entries of the description, such as `pictures` or `joints`.
     """
     codec = pose_codec("matrix")
     rows = codec.encode(base_from_tool)
@@ -184,37 +196,39 @@ def write_folder(
             "direction": "base_from_tool",
             "rows": len(rows),
         },
-        **(more or {}),
+        **(extra_entries or {}),
         "end": "smartview_dataset",
     }
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
-    write_atomically(folder / DESCRIPTION, dump_yaml(description))
+    write_atomically(folder / DESCRIPTION_FILE, dump_yaml(description))
 
 
 def _picture_files(
     folder: Path,
     content: dict[str, Any],
-    views: Sequence[str],
+    view_ids: Sequence[str],
     target: AbstractTarget,
-    poses: Path,
-    where: Path,
+    poses_path: Path,
+    description_path: Path,
 ) -> dict[str, list[Path]]:
     """Return the picture files of each view: one, or one for each height of a `StackedTarget`."""
     pattern = content["pattern"]
     heights = len(target.heights) if isinstance(target, StackedTarget) else 1
     if heights > 1 and "{height}" not in pattern:
-        raise ValueError(f"{where}: pictures.pattern: {heights} heights need {{height}} in it")
+        raise ValueError(
+            f"{description_path}: pictures.pattern: {heights} heights need {{height}} in it"
+        )
     files = {
         view: [folder / pattern.format(view=view, height=k) for k in range(heights)]
-        for view in views
+        for view in view_ids
     }
     # A glob over the same names finds pictures without a pose. Adjacent placeholders become one
     # "*", because "**" has a meaning of its own in a glob.
-    known = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escaped(pattern)))
-    refuse_strays(files, folder / known, poses)
+    glob_pattern = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escape_glob(pattern)))
+    refuse_unmatched_pictures(files, folder / glob_pattern, poses_path)
     return files
 
 
-def _escaped(pattern: str) -> str:
+def _escape_glob(pattern: str) -> str:
     """Return the pattern with `*`, `?` and `[` escaped, so that a glob takes them literally."""
     return re.sub(r"([*?[])", r"[\1]", pattern)

@@ -11,10 +11,12 @@ from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
 
 if TYPE_CHECKING:
-    from ..schemas.imported import TransformMessage
+    from ..schemas.external_formats import TransformMessage
 
 _CODEC = pose_codec("quaternion_xyzw")
-_NUMBERS = tuple(("translation", k) for k in "xyz") + tuple(("rotation", k) for k in "xyzw")
+_TRANSFORM_COMPONENTS = tuple(("translation", k) for k in "xyz") + tuple(
+    ("rotation", k) for k in "xyzw"
+)
 
 
 class PoseSamples(NamedTuple):
@@ -52,13 +54,13 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
         FileNotFoundError: the file is missing.
         ValueError: no samples, or one without its transforms; named by its number from 0.
     """
-    from ..schemas.imported import SAMPLES
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import SAMPLES_SCHEMA
+    from ..schemas.validation import validate_content
 
     mount_frames(mount)
-    samples = checked(read_yaml(path), SAMPLES, path).samples
-    robot = _decoded(path, "robot", [sample.robot for sample in samples])
-    tracking = _decoded(path, "tracking", [sample.tracking for sample in samples])
+    samples = validate_content(read_yaml(path), SAMPLES_SCHEMA, path).samples
+    robot = _decode_transforms(path, "robot", [sample.robot for sample in samples])
+    tracking = _decode_transforms(path, "tracking", [sample.tracking for sample in samples])
     # The file has holder_from_mount: base_from_tool for eye-in-hand, tool_from_base otherwise.
     return PoseSamples(mount_from_holder(mount, robot.inverse()), tracking, mount)
 
@@ -67,22 +69,27 @@ def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
     """Write samples in the format of easy_handeye2, which `read_easy_handeye` reads."""
     robot = samples.mount_from_holder.inverse()
     pairs = zip(_CODEC.encode(robot), _CODEC.encode(samples.camera_from_world), strict=True)
-    content = [{"robot": _message(r), "tracking": _message(t)} for r, t in pairs]
+    content = [
+        {"robot": _transform_message(r), "tracking": _transform_message(t)} for r, t in pairs
+    ]
     write_atomically(path, dump_yaml({"samples": content}))
 
 
-def _decoded(path: str | Path, which: str, transforms: "list[TransformMessage]") -> SE3:
+def _decode_transforms(path: str | Path, entry: str, transforms: "list[TransformMessage]") -> SE3:
     """Return the messages as poses; an error names the file and the entry."""
-    rows = [[getattr(getattr(one, part), k) for part, k in _NUMBERS] for one in transforms]
+    rows = [
+        [getattr(getattr(transform, part), k) for part, k in _TRANSFORM_COMPONENTS]
+        for transform in transforms
+    ]
     try:
         return _CODEC.decode(np.array(rows))
     except ValueError as error:
-        raise ValueError(f"{path}: {which}: {error}") from error
+        raise ValueError(f"{path}: {entry}: {error}") from error
 
 
-def _message(row: np.ndarray) -> dict[str, dict[str, float]]:
+def _transform_message(row: np.ndarray) -> dict[str, dict[str, float]]:
     """Return one row of translation and quaternion as a ROS transform message."""
     message: dict[str, dict[str, float]] = {"translation": {}, "rotation": {}}
-    for (part, k), number in zip(_NUMBERS, row, strict=True):
+    for (part, k), number in zip(_TRANSFORM_COMPONENTS, row, strict=True):
         message[part][k] = float(number)
     return message

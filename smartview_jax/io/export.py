@@ -16,27 +16,27 @@ from jaxlie import SE3, SO3
 from ..calibration import Calibration
 from ..cameras import AbstractOpenCVLens, Camera, Fisheye, OpenCV8, Pinhole
 from ..files import dump_yaml
-from ..schemas.words import shown
+from ..schemas.messages import shortened_repr
 
-_FRAME = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
+_FRAME_NAME_PATTERN = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
 
 
-class Coefficients(NamedTuple):
+class OpenCVDistortion(NamedTuple):
     """A lens as one of OpenCV's distortion models.
 
     Attributes:
         model: ROS's name: `plumb_bob`, `rational_polynomial` or `equidistant`.
-        values: distortion coefficients in OpenCV's order.
-        deviation: largest distance to the fitted lens over the picture, px; 0 where OpenCV has
+        coefficients: distortion coefficients in OpenCV's order.
+        max_deviation: largest distance to the fitted lens over the picture, px; 0 where OpenCV has
             the same model.
     """
 
     model: str
-    values: tuple[float, ...]
-    deviation: float
+    coefficients: tuple[float, ...]
+    max_deviation: float
 
 
-def opencv_coefficients(camera: Camera) -> Coefficients:
+def opencv_coefficients(camera: Camera) -> OpenCVDistortion:
     """Return the lens as an OpenCV model: the same one, or the nearest k1, k2, p1, p2, k3.
 
     The lens models of the paper and of Weng map distorted to undistorted coordinates, the opposite
@@ -45,13 +45,13 @@ def opencv_coefficients(camera: Camera) -> Coefficients:
     """
     lens = camera.lens
     if isinstance(lens, Fisheye):
-        return Coefficients("equidistant", tuple(float(k) for k in vars(lens).values()), 0.0)
+        return OpenCVDistortion("equidistant", tuple(float(k) for k in vars(lens).values()), 0.0)
     if isinstance(lens, OpenCV8):
-        return Coefficients("rational_polynomial", _floats(lens.coefficients), 0.0)
+        return OpenCVDistortion("rational_polynomial", _floats(lens.coefficients), 0.0)
     if isinstance(lens, AbstractOpenCVLens):
-        return Coefficients("plumb_bob", _floats(lens.coefficients[:5]), 0.0)
+        return OpenCVDistortion("plumb_bob", _floats(lens.coefficients[:5]), 0.0)
     if isinstance(lens, Pinhole):
-        return Coefficients("plumb_bob", (0.0,) * 5, 0.0)
+        return OpenCVDistortion("plumb_bob", (0.0,) * 5, 0.0)
     return _nearest_plumb_bob(camera)
 
 
@@ -59,7 +59,7 @@ def _floats(values: object) -> tuple[float, ...]:
     return tuple(float(value) for value in np.asarray(values))
 
 
-def _nearest_plumb_bob(camera: Camera) -> Coefficients:
+def _nearest_plumb_bob(camera: Camera) -> OpenCVDistortion:
     """Fit OpenCV's five-coefficient lens to the camera by linear least squares over the picture."""
     width, height = camera.image_size
     u, v = np.meshgrid(np.linspace(0, width - 1, 41), np.linspace(0, height - 1, 31))
@@ -73,20 +73,21 @@ def _nearest_plumb_bob(camera: Camera) -> Coefficients:
     # With s = x^2 + y^2 of the undistorted point (x, y), OpenCV's model is
     #   x' = x (1 + k1 s + k2 s^2 + k3 s^3) + 2 p1 x y + p2 (s + 2 x^2)
     #   y' = y (1 + k1 s + k2 s^2 + k3 s^3) + p1 (s + 2 y^2) + 2 p2 x y
-    # It is linear in (k1, k2, p1, p2, k3), the order of the columns, so that one least-squares
-    # solve of columns @ values = (x' - x, y' - y) fits them.
-    columns = np.stack(
+    # It is linear in (k1, k2, p1, p2, k3), the order of the columns of `monomials`, so that one
+    # linear least-squares solution of monomials @ coefficients = (x' - x, y' - y) fits them.
+    monomials = np.stack(
         [
             np.stack([x * s, x * s**2, 2 * x * y, s + 2 * x * x, x * s**3], axis=1),
             np.stack([y * s, y * s**2, s + 2 * y * y, 2 * x * y, y * s**3], axis=1),
         ]
     )
-    wanted = distorted.T - np.stack([x, y])
+    distortion = distorted.T - np.stack([x, y])
     # Scaled by the focal length the least-squares residual is in pixels.
-    rows = (columns * focal[:, None, None]).reshape(-1, 5)
-    values = np.linalg.lstsq(rows, (wanted * focal[:, None]).ravel())[0]
-    gap = (columns @ values - wanted) * focal[:, None]
-    return Coefficients("plumb_bob", _floats(values), float(np.hypot(*gap).max()))
+    design_matrix = (monomials * focal[:, None, None]).reshape(-1, 5)
+    coefficients = np.linalg.lstsq(design_matrix, (distortion * focal[:, None]).ravel())[0]
+    residuals = (monomials @ coefficients - distortion) * focal[:, None]
+    max_deviation = float(np.hypot(*residuals).max())
+    return OpenCVDistortion("plumb_bob", _floats(coefficients), max_deviation)
 
 
 def mount_from_camera(calibration: Calibration, optical: bool = True) -> SE3:
@@ -109,7 +110,7 @@ def ros_static_transform(
         ValueError: a frame's name that ROS does not accept. A shell runs the line, so names are
             checked and quoted.
     """
-    parent, child = _frame(parent), _frame(child)
+    parent, child = _quoted_frame_name(parent), _quoted_frame_name(child)
     pose = mount_from_camera(calibration, optical)
     x, y, z = _floats(pose.translation())
     qw, qx, qy, qz = _floats(pose.rotation().wxyz)
@@ -120,12 +121,12 @@ def ros_static_transform(
     )
 
 
-def _frame(name: str) -> str:
+def _quoted_frame_name(name: str) -> str:
     """Return a frame's name quoted for a shell; raise a ValueError where ROS does not accept it."""
-    if not _FRAME.fullmatch(name):
+    if not _FRAME_NAME_PATTERN.fullmatch(name):
         raise ValueError(
             "frame: expected a name of letters, digits, '_', '/', '~', '.' and '-', beginning "
-            f"with none of the last two; found {shown(name)}"
+            f"with none of the last two; found {shortened_repr(name)}"
         )
     return shlex.quote(name)
 
@@ -134,20 +135,20 @@ def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:
     """Return a camera_info file in the format that ROS's camera_calibration writes."""
     camera = calibration.camera
     lens = opencv_coefficients(camera)
-    K = _matrix(camera)
+    K = _camera_matrix(camera)
     content = {
         "image_width": camera.image_size[0],
         "image_height": camera.image_size[1],
         "camera_name": name,
-        "camera_matrix": _rows(K),
+        "camera_matrix": _matrix_entry(K),
         "distortion_model": lens.model,
-        "distortion_coefficients": _rows(np.array([lens.values])),
-        "rectification_matrix": _rows(np.eye(3)),
-        "projection_matrix": _rows(np.concatenate([K, np.zeros((3, 1))], axis=1)),
+        "distortion_coefficients": _matrix_entry(np.array([lens.coefficients])),
+        "rectification_matrix": _matrix_entry(np.eye(3)),
+        "projection_matrix": _matrix_entry(np.concatenate([K, np.zeros((3, 1))], axis=1)),
     }
     note = ""
-    if lens.deviation:
-        note = f"# nearest plumb_bob to the fitted lens: up to {lens.deviation:.3g} px off\n"
+    if lens.max_deviation:
+        note = f"# nearest plumb_bob to the fitted lens: up to {lens.max_deviation:.3g} px off\n"
     return note + dump_yaml(content)
 
 
@@ -164,16 +165,20 @@ def opencv_yaml(calibration: Calibration) -> str:
     lens = opencv_coefficients(calibration.camera)
     first, second = calibration.transform_names
     matrices = {
-        "camera_matrix": _matrix(calibration.camera),
-        "distortion_coefficients": np.array([lens.values]),
+        "camera_matrix": _camera_matrix(calibration.camera),
+        "distortion_coefficients": np.array([lens.coefficients]),
         first: np.asarray(calibration.camera_from_mount.as_matrix()),
         second: np.asarray(calibration.holder_from_world.as_matrix()),
     }
     width, height = calibration.camera.image_size
     # Written line by line: `dump_yaml` knows neither OpenCV's first line nor its matrix tag.
     lines = ["%YAML:1.0", "---", f"image_width: {width}", f"image_height: {height}"]
-    lines += [f'distortion_model: "{lens.model}"', f"distortion_deviation_px: {lens.deviation!r}"]
+    lines += [
+        f'distortion_model: "{lens.model}"',
+        f"distortion_deviation_px: {lens.max_deviation!r}",
+    ]
     for name, matrix in matrices.items():
+        # Seventeen decimals keep every digit of a float64.
         numbers = ", ".join(f"{value:.17e}" for value in matrix.ravel())
         lines += [
             f"{name}: !!opencv-matrix",
@@ -185,12 +190,12 @@ def opencv_yaml(calibration: Calibration) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _matrix(camera: Camera) -> np.ndarray:
+def _camera_matrix(camera: Camera) -> np.ndarray:
     """Return the camera matrix [fx 0 cx; 0 fy cy; 0 0 1], px."""
     fx, fy, cx, cy = _floats(jnp.stack([camera.alpha_u, camera.alpha_v, camera.u0, camera.v0]))
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _rows(matrix: np.ndarray) -> dict[str, object]:
+def _matrix_entry(matrix: np.ndarray) -> dict[str, object]:
     """Return a matrix as the mapping of rows, cols and data that ROS uses in YAML."""
     return {"rows": len(matrix), "cols": matrix.shape[1], "data": matrix.ravel().tolist()}

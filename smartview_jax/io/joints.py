@@ -17,64 +17,71 @@ from jaxtyping import Float
 
 from ..geometry import ANGLE_UNITS, LENGTH_UNITS
 from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
-from .tables import duplicates, numbers, read_table, refuse_cut, write_table
+from .csv_tables import duplicates, parse_numbers, read_table, refuse_truncated, write_table
 
-JOINTS = "joints.csv"
+JOINTS_FILE = "joints.csv"
 """Name of the file that `write_joints` writes."""
 
-LARGEST = 100.0
+MAX_JOINT_READING = 100.0
 """Largest magnitude of a joint reading, rad or m; no real joint reaches it."""
 
 
 def read_joints(
-    folder: Path, content: dict[str, Any], where: Path, views: Sequence[str] | None
+    folder: Path, content: dict[str, Any], description_path: Path, view_ids: Sequence[str] | None
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "views joints"], SerialArm]:
     """Read view ids, joint readings (rad, m) and arm from the entry `joints` of a description.
 
     Args:
         folder: of the data set.
         content: the entry, as `schemas.dataset` defines it.
-        where: path of the description, for error messages.
-        views: view ids in the order wanted; None keeps the order of the file.
+        description_path: path of the description, for error messages.
+        view_ids: view ids in the order wanted; None keeps the order of the file.
 
     Raises:
         ValueError: naming the file and the entry or view that is wrong.
         FileNotFoundError: the table is missing.
     """
-    arm = _arm(content.get("arm"), where)
-    path, columns = folder / content["file"], _columns(arm)
+    arm = _arm_from_entry(content.get("arm"), description_path)
+    path, columns = folder / content["file"], _joint_columns(arm)
     rows = read_table(path, ("view", *columns))
-    refuse_cut(path, rows, content.get("rows"))
+    refuse_truncated(path, rows, content.get("rows"))
     table = {row["view"]: row for row in rows}
     if repeated := duplicates([row["view"] for row in rows]):
         raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
-    wanted = tuple(table) if views is None else tuple(views)
-    if set(wanted) != set(table) or not table:
-        other = sorted(set(wanted) ^ set(table))
-        raise ValueError(f"{path}: poses and joints are not of the same views: {', '.join(other)}")
+    ordered_views = tuple(table) if view_ids is None else tuple(view_ids)
+    if set(ordered_views) != set(table) or not table:
+        # The symmetric difference: the views that only one of the two tables has.
+        unmatched = sorted(set(ordered_views) ^ set(table))
+        raise ValueError(
+            f"{path}: poses and joints are not of the same views: {', '.join(unmatched)}"
+        )
+    # A prismatic joint reads a length, a revolute one an angle.
     length, angle = LENGTH_UNITS[content["length_unit"]], ANGLE_UNITS[content["angle_unit"]]
-    units = np.where(arm.prismatic, length, angle)
-    readings = np.stack([units * numbers(path, table[view], columns, view) for view in wanted])
-    for view, row in zip(wanted, readings, strict=True):
-        if (np.abs(row) > LARGEST).any():
-            k = int(np.argmax(np.abs(row) > LARGEST))
+    unit_factors = np.where(arm.prismatic, length, angle)
+    readings = np.stack(
+        [unit_factors * parse_numbers(path, table[view], columns, view) for view in ordered_views]
+    )
+    for view, row in zip(ordered_views, readings, strict=True):
+        if (np.abs(row) > MAX_JOINT_READING).any():
+            k = int(np.argmax(np.abs(row) > MAX_JOINT_READING))
             raise ValueError(
-                f"{path}: view {view}: {columns[k]} is {row[k]:.6g} rad or m, more than {LARGEST:g}"
+                f"{path}: view {view}: {columns[k]} is {row[k]:.6g} rad or m, "
+                f"more than {MAX_JOINT_READING:g}"
             )
-    return wanted, readings, arm
+    return ordered_views, readings, arm
 
 
 def write_joints(
     folder: Path,
-    views: Sequence[str],
+    view_ids: Sequence[str],
     joints: Float[np.ndarray, "views joints"],
     arm: SerialArm,
 ) -> dict[str, Any]:
     """Write `joints.csv`, and return the entry `joints` of the description."""
-    rows = [(view, *map(float, row)) for view, row in zip(views, joints, strict=True)]
-    write_table(folder / JOINTS, ("view", *_columns(arm)), rows)
+    rows = [(view, *map(float, row)) for view, row in zip(view_ids, joints, strict=True)]
+    write_table(folder / JOINTS_FILE, ("view", *_joint_columns(arm)), rows)
     return {
-        "file": JOINTS,
+        "file": JOINTS_FILE,
         "angle_unit": "rad",
         "length_unit": "m",
         "arm": arm_to_dict(arm),
@@ -82,14 +89,14 @@ def write_joints(
     }
 
 
-def _columns(arm: SerialArm) -> tuple[str, ...]:
+def _joint_columns(arm: SerialArm) -> tuple[str, ...]:
     """Return the names of the columns of readings: q1, q2, ..."""
-    return tuple(f"q{1 + k}" for k in range(arm.size))
+    return tuple(f"q{1 + k}" for k in range(arm.joint_count))
 
 
-def _arm(content: Any, where: Path) -> SerialArm:
+def _arm_from_entry(content: Any, description_path: Path) -> SerialArm:
     """Return the arm of an entry `arm`: a name or a mapping of Denavit-Hartenberg parameters."""
     try:
         return arm_from_dict(content) if isinstance(content, dict) else arm_by_name(content)
     except ValueError as error:
-        raise ValueError(f"{where}: joints.arm: {error}") from error
+        raise ValueError(f"{description_path}: joints.arm: {error}") from error

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..dataset import Dataset
 from ..geometry import PoseLike
-from .dataset_folder import DESCRIPTION, load_folder
+from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
 
 
@@ -41,10 +41,11 @@ def load_dataset(
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
-    if (folder / DESCRIPTION).is_file():
-        return load_folder(folder, bad_views, progress, keep_detections, holder_from_world)
+    if (folder / DESCRIPTION_FILE).is_file():
+        return load_dataset_folder(folder, bad_views, progress, keep_detections, holder_from_world)
     if (folder / DATA_FILE).is_file():
         return import_robot_cal_tools(folder, bad_views=bad_views, progress=progress)
     raise FileNotFoundError(
-        f"{folder}: neither {DESCRIPTION} nor {DATA_FILE} here: not a data set this library knows"
+        f"{folder}: neither {DESCRIPTION_FILE} nor {DATA_FILE} here: "
+        "not a data set this library knows"
     )

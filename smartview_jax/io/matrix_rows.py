@@ -11,8 +11,8 @@ from ..dataset import Dataset
 from ..files import read_text, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
-from .pictures import from_pictures, numbered_pictures
-from .tables import is_number, refuse_far
+from .csv_tables import is_number, refuse_out_of_range
+from .pictures import dataset_from_pictures, numbered_pictures
 
 
 def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
@@ -45,7 +45,7 @@ def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
         poses = pose_codec("matrix").decode(np.array(rows), length_unit, labels=names)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    refuse_far(path, np.asarray(poses.translation()), names)
+    refuse_out_of_range(path, np.asarray(poses.translation()), names)
     return poses
 
 
@@ -88,4 +88,6 @@ def import_matrix_rows(
     poses = read_matrix_rows(path, length_unit)
     numbers = range(first, first + len(poses.wxyz_xyz))
     files = numbered_pictures(path.parent, pictures, numbers, path)
-    return from_pictures(files, poses, target, mount, bad_views=bad_views, progress=progress)
+    return dataset_from_pictures(
+        files, poses, target, mount, bad_views=bad_views, progress=progress
+    )

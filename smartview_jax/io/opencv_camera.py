@@ -9,10 +9,10 @@ import numpy as np
 import yaml
 
 from ..cameras import AbstractLens, Camera, OpenCV4, OpenCV5, OpenCV8
-from ..files import PlainLoader, parse_yaml, read_text
+from ..files import StrictYamlLoader, parse_yaml, read_text
 
 if TYPE_CHECKING:
-    from ..schemas.imported import OpenCVMatrix
+    from ..schemas.external_formats import OpenCVMatrix
 
 
 def read_opencv_camera(path: str | Path) -> Camera:
@@ -21,22 +21,24 @@ def read_opencv_camera(path: str | Path) -> Camera:
     Raises:
         ValueError: an entry is missing, or there are coefficients of no known model.
     """
-    from ..schemas.calibration import CAMERA_NUMBERS
-    from ..schemas.imported import OPENCV_CAMERA
-    from ..schemas.reading import checked
+    from ..schemas.calibration import PINHOLE_SCHEMA
+    from ..schemas.external_formats import OPENCV_CAMERA_SCHEMA
+    from ..schemas.validation import validate_content
 
-    found = checked(_read_opencv_yaml(Path(path)), OPENCV_CAMERA, path)
-    K = _array(found.camera_matrix, "camera_matrix", path)
+    content = validate_content(_read_opencv_yaml(Path(path)), OPENCV_CAMERA_SCHEMA, path)
+    K = _array(content.camera_matrix, "camera_matrix", path)
     if K.shape != (3, 3) or K[1, 0] or K[0, 1] or K[2].tolist() != [0.0, 0.0, 1.0]:
         raise ValueError(
             f"{path}: camera_matrix: expected [fx 0 cx; 0 fy cy; 0 0 1], found {K.tolist()}"
         )
     # The limits are those of a calibration.yaml: positive focal lengths, and a plausible centre.
-    numbers = {"alpha_u": K[0, 0], "alpha_v": K[1, 1], "u0": K[0, 2], "v0": K[1, 2]}
-    checked({key: float(x) for key, x in numbers.items()}, CAMERA_NUMBERS, f"{path}: camera_matrix")
-    coefficients = _array(found.distortion_coefficients, "distortion_coefficients", path).ravel()
+    intrinsics = {"alpha_u": K[0, 0], "alpha_v": K[1, 1], "u0": K[0, 2], "v0": K[1, 2]}
+    validate_content(
+        {key: float(x) for key, x in intrinsics.items()}, PINHOLE_SCHEMA, f"{path}: camera_matrix"
+    )
+    coefficients = _array(content.distortion_coefficients, "distortion_coefficients", path).ravel()
     lens = _opencv_lens(coefficients, str(path))
-    return Camera(**numbers, lens=lens, image_size=(found.image_width, found.image_height))
+    return Camera(**intrinsics, lens=lens, image_size=(content.image_width, content.image_height))
 
 
 def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
@@ -48,9 +50,9 @@ def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
     return np.array(matrix.data).reshape(matrix.rows, matrix.cols)
 
 
-def _opencv_lens(numbers: np.ndarray, path: str) -> AbstractLens:
+def _opencv_lens(coefficients: np.ndarray, path: str) -> AbstractLens:
     """Return the lens model that has as many coefficients: 4, 5 or 8."""
-    k = [jnp.asarray(x) for x in numbers]
+    k = [jnp.asarray(x) for x in coefficients]
     if len(k) == 4:
         return OpenCV4(k[0], k[1], k[2], k[3])
     if len(k) == 5:
@@ -60,20 +62,20 @@ def _opencv_lens(numbers: np.ndarray, path: str) -> AbstractLens:
     raise ValueError(f"{path}: distortion_coefficients: expected 4, 5 or 8, found {len(k)}")
 
 
-class _OpenCVLoader(PlainLoader):
+class _OpenCVYamlLoader(StrictYamlLoader):
     """A plain YAML loader that also reads the tag `!!opencv-matrix`, as a mapping."""
 
 
-def _matrix(loader: PlainLoader, node: yaml.Node) -> dict[Any, Any]:
+def _construct_matrix(loader: StrictYamlLoader, node: yaml.Node) -> dict[Any, Any]:
     if not isinstance(node, yaml.MappingNode):
         raise yaml.YAMLError("an opencv-matrix is a mapping")
     return loader.construct_mapping(node, deep=True)
 
 
-_OpenCVLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+_OpenCVYamlLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _construct_matrix)
 
 
 def _read_opencv_yaml(path: Path) -> Any:
     # OpenCV's first line, %YAML:1.0, is not a valid YAML directive, which has a blank: %YAML 1.0.
     text = re.sub(r"\A%YAML:1\.0\s*", "", read_text(path))
-    return parse_yaml(text, path, _OpenCVLoader)
+    return parse_yaml(text, path, _OpenCVYamlLoader)

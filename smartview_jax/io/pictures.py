@@ -11,20 +11,20 @@ from jaxtyping import Float
 
 from ..calibration import mount_frames, mount_from_holder
 from ..dataset import Dataset
-from ..detection import Detection, consistent_ordering, detect, nothing_found, read_picture
+from ..detection import Detection, consistent_ordering, detect, empty_detection, read_picture
 from ..geometry import PoseLike, as_se3
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
-from .detections import read_stamped, write_detections
+from .detections import read_cached_detections, write_detections
 
 
-def from_pictures(
+def dataset_from_pictures(
     pictures: Mapping[str, Sequence[Path]],
     base_from_tool: PoseLike,
     target: AbstractTarget,
     mount: str = "eye_in_hand",
     image_size: tuple[int, int] | None = None,
     bad_views: str = "raise",
-    masked: Mapping[str, str] | None = None,
+    masked_views: Mapping[str, str] | None = None,
     progress: Callable[[str], None] | None = None,
     cache: Path | None = None,
     holder_from_world: PoseLike | None = None,
@@ -38,7 +38,7 @@ def from_pictures(
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height that every picture must have, px; by default the first one's.
         bad_views: `"raise"` an error for a picture that cannot be read, or `"mask"` its view.
-        masked: reason by view id, for views already known to be unusable.
+        masked_views: reason by view id, for views already known to be unusable.
         progress: called with a line of text for each step of the work.
         cache: a `detections.csv` to read if it belongs to these pictures, or else to write.
         holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
@@ -53,40 +53,42 @@ def from_pictures(
     views, poses = list(pictures), as_se3(base_from_tool)
     mount_frames(mount)
     if image_size is None:
-        image_size = _size_of_first(pictures)
-    found = _find(pictures, target, image_size, bad_views, progress, cache)
-    unseen = {
+        image_size = _first_picture_size(pictures)
+    detections = _detect_views(pictures, target, image_size, bad_views, progress, cache)
+    undetected = {
         view: detection.reason or "no point of the target was seen"
-        for view, detection in found.items()
+        for view, detection in detections.items()
         if not detection.visible.any()
     }
-    if len(unseen) == len(views):
+    if len(undetected) == len(views):
         raise ValueError(
             f"{next(iter(pictures.values()))[0].parent}: the target was found in none of "
-            f"{len(views)} views ({next(iter(unseen.values()))}): is it a {target!r}?"
+            f"{len(views)} views ({next(iter(undetected.values()))}): is it a {target!r}?"
         )
-    pixels = np.stack([found[view].pixels for view in views])
-    _refuse_unseen_rows(pixels, target, next(iter(pictures.values()))[0].parent)
-    ordered, words = _in_one_order(pixels, target, poses, mount, image_size, holder_from_world)
-    if words and progress is not None:
-        progress(words)
+    pixels = np.stack([detections[view].pixels for view in views])
+    _refuse_undetected_rows(pixels, target, next(iter(pictures.values()))[0].parent)
+    consistent_pixels, note = _consistent_numbering(
+        pixels, target, poses, mount, image_size, holder_from_world
+    )
+    if note and progress is not None:
+        progress(note)
     return Dataset.from_arrays(
         target.points,
-        ordered,
+        consistent_pixels,
         poses,
         image_size,
         view_ids=views,
         mount=mount,
         bad_views=bad_views,
-        masked_views=list({**unseen, **(masked or {})}.items()),
+        masked_views=list({**undetected, **(masked_views or {})}.items()),
         pictures=[pictures[view][0] for view in views],
         target=target,
-        notes=(words,) if words else (),
+        notes=(note,) if note else (),
     )
 
 
 def numbered_pictures(
-    folder: Path, pattern: str, numbers: Sequence[int], poses: Path
+    folder: Path, pattern: str, numbers: Sequence[int], poses_path: Path
 ) -> dict[str, list[Path]]:
     """Return the picture of each numbered view, by view id.
 
@@ -94,7 +96,7 @@ def numbered_pictures(
         folder: folder that the pattern is relative to.
         pattern: file name with `{view}`, formatted by the number.
         numbers: numbers of the views.
-        poses: file of the poses, for the error message.
+        poses_path: file of the poses, for the error message.
 
     Raises:
         ValueError: a pattern without `{view}`, or pictures without a pose.
@@ -102,35 +104,37 @@ def numbered_pictures(
     if "{view" not in pattern:
         raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
     files = {str(number): [folder / pattern.format(view=number)] for number in numbers}
-    refuse_strays(files, folder / re.sub(r"{view[^}]*}", "*", pattern), poses)
+    refuse_unmatched_pictures(files, folder / re.sub(r"{view[^}]*}", "*", pattern), poses_path)
     return files
 
 
-def refuse_strays(pictures: Mapping[str, Sequence[Path]], pattern: Path, poses: Path) -> None:
+def refuse_unmatched_pictures(
+    pictures: Mapping[str, Sequence[Path]], pattern: Path, poses_path: Path
+) -> None:
     """Raise a ValueError that names the pictures that match a pattern but have no pose."""
-    known = {path for paths in pictures.values() for path in paths}
+    matched = {path for paths in pictures.values() for path in paths}
     parent = pattern.parent
-    strays = sorted(p.name for p in parent.glob(pattern.name) if p not in known)
-    if strays:
+    unmatched = sorted(p.name for p in parent.glob(pattern.name) if p not in matched)
+    if unmatched:
         raise ValueError(
-            f"{poses}: no pose for the picture {', '.join(strays[:5])} of {parent}: "
+            f"{poses_path}: no pose for the picture {', '.join(unmatched[:5])} of {parent}: "
             f"a row is missing, or a picture too many"
         )
 
 
-def _size_of_first(pictures: Mapping[str, Sequence[Path]]) -> tuple[int, int]:
+def _first_picture_size(pictures: Mapping[str, Sequence[Path]]) -> tuple[int, int]:
     """Return width and height, px, of the first readable picture; raise an error if none is."""
-    problem: Exception | None = None
+    first_error: Exception | None = None
     for path in (path for paths in pictures.values() for path in paths):
         try:
             rows, columns = read_picture(path).shape
             return columns, rows
         except (FileNotFoundError, ValueError) as error:
-            problem = problem or error
-    raise problem or ValueError("pictures: expected at least one view")
+            first_error = first_error or error
+    raise first_error or ValueError("pictures: expected at least one view")
 
 
-def _find(
+def _detect_views(
     pictures: Mapping[str, Sequence[Path]],
     target: AbstractTarget,
     image_size: tuple[int, int],
@@ -139,33 +143,33 @@ def _find(
     cache: Path | None,
 ) -> dict[str, Detection]:
     """Detect the target in every view, or read the detections from the cache if it is valid."""
-    say = progress or (lambda _: None)
-    stamp = "" if cache is None else _fingerprint(pictures, target)
+    report_progress = progress or (lambda _: None)
+    fingerprint = "" if cache is None else _fingerprint(pictures, target)
     if cache is not None:
-        known = read_stamped(cache, stamp, list(pictures), len(target.points))
-        if known is not None:
-            say(f"detections of {len(pictures)} views from {cache.name}")
+        cached = read_cached_detections(cache, fingerprint, list(pictures), len(target.points))
+        if cached is not None:
+            report_progress(f"detections of {len(pictures)} views from {cache.name}")
             return {
-                view: Detection(where, np.asarray(np.isfinite(where).all(axis=1)), None)
-                for view, where in zip(pictures, known, strict=True)
+                view: Detection(view_pixels, np.asarray(np.isfinite(view_pixels).all(axis=1)), None)
+                for view, view_pixels in zip(pictures, cached, strict=True)
             }
-    found = {}
+    detections = {}
     for number, (view, paths) in enumerate(pictures.items(), start=1):
-        say(f"looking for the target: view {view} ({number} of {len(pictures)})")
+        report_progress(f"looking for the target: view {view} ({number} of {len(pictures)})")
         try:
-            found[view] = _detect_view(paths, target, image_size)
+            detections[view] = _detect_view(paths, target, image_size)
         except (FileNotFoundError, ValueError) as error:
             if bad_views != "mask":
                 raise
-            found[view] = nothing_found(len(target.points), str(error))
+            detections[view] = empty_detection(len(target.points), str(error))
     if cache is not None:
         try:
-            pixels = np.stack([detection.pixels for detection in found.values()])
-            write_detections(cache, list(found), pixels, stamp)
+            pixels = np.stack([detection.pixels for detection in detections.values()])
+            write_detections(cache, list(detections), pixels, fingerprint)
         # The cache only saves time: a folder that cannot be written to is no reason to fail.
         except OSError as error:
-            say(f"detections are not kept: {error}")
-    return found
+            report_progress(f"detections are not kept: {error}")
+    return detections
 
 
 def _detect_view(
@@ -182,7 +186,7 @@ def _detect_view(
     )
 
 
-def _refuse_unseen_rows(
+def _refuse_undetected_rows(
     pixels: Float[np.ndarray, "views points 2"], target: AbstractTarget, folder: Path
 ) -> None:
     """Raise a ValueError if no view shows some rows or columns of a circle grid.
@@ -193,8 +197,9 @@ def _refuse_unseen_rows(
     grid = target.board if isinstance(target, StackedTarget) else target
     if not isinstance(grid, CircleGrid):
         return
-    seen = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns).any(axis=0)
-    rows, columns = (len(np.unique(places)) for places in np.nonzero(seen))
+    # Whether any view, at any height, shows the circle at each row and column.
+    visible = np.isfinite(pixels).all(axis=-1).reshape(-1, grid.rows, grid.columns).any(axis=0)
+    rows, columns = (len(np.unique(indices)) for indices in np.nonzero(visible))
     if (rows, columns) != (grid.rows, grid.columns):
         raise ValueError(
             f"{folder}: of {grid.rows} rows and {grid.columns} columns of circles, {rows} and "
@@ -202,7 +207,7 @@ def _refuse_unseen_rows(
         )
 
 
-def _in_one_order(
+def _consistent_numbering(
     pixels: Float[np.ndarray, "views points 2"],
     target: AbstractTarget,
     poses: SE3,
@@ -220,29 +225,32 @@ def _in_one_order(
     symmetries = board.symmetries
     if len(symmetries) == 1:
         return pixels, ""
-    rough = None
+    rough_rotation = None
     if holder_from_world is not None:
-        rough = np.asarray(as_se3(holder_from_world).rotation().as_matrix())
+        rough_rotation = np.asarray(as_se3(holder_from_world).rotation().as_matrix())
         if stacked and not board.y_up:
             # The order refers to the board's own frame, which differs from the stack's frame by a
             # half rotation about x: diag(1, -1, -1).
-            rough = rough @ np.diag([1.0, -1.0, -1.0])
+            rough_rotation = rough_rotation @ np.diag([1.0, -1.0, -1.0])
     # Each picture has an order of its own: at another height the detector may start at another
     # corner. So the heights of a view are separate rows here, `(views * heights, points, 2)`.
-    flat = pixels.reshape(-1, len(board.points), 2)
-    turns = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
-    chosen = consistent_ordering(
-        flat,
-        np.asarray(np.isfinite(flat).all(axis=-1)),
+    board_pixels = pixels.reshape(-1, len(board.points), 2)
+    rotations = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
+    ordering = consistent_ordering(
+        board_pixels,
+        np.asarray(np.isfinite(board_pixels).all(axis=-1)),
         board.points,
         symmetries,
-        np.repeat(turns, len(flat) // len(pixels), axis=0),
+        np.repeat(rotations, len(board_pixels) // len(pixels), axis=0),
         image_size,
         mount_frames(mount)[1],
-        rough,
+        rough_rotation,
     )
-    ordered = [where[symmetries[k]] for where, k in zip(flat, chosen.symmetry, strict=True)]
-    return np.stack(ordered).reshape(pixels.shape), chosen.words
+    renumbered = [
+        row_pixels[symmetries[k]]
+        for row_pixels, k in zip(board_pixels, ordering.symmetry, strict=True)
+    ]
+    return np.stack(renumbered).reshape(pixels.shape), ordering.message
 
 
 def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:

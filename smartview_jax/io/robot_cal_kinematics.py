@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ..files import read_yaml
 from ..geometry import pose_codec
 
-_FIELDS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_POSE_KEYS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "views joints"], SE3]:
@@ -22,21 +22,21 @@ def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "view
         ValueError: an entry that lacks a number, or a camera that moves.
         FileNotFoundError: the file is missing.
     """
-    from ..schemas.imported import MEASURED
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import KINEMATIC_MEASUREMENTS_SCHEMA
+    from ..schemas.validation import validate_content
 
     path = Path(path)
-    measured = checked(read_yaml(path), MEASURED, path)
-    for name, entry in measured.items():
+    measurements = validate_content(read_yaml(path), KINEMATIC_MEASUREMENTS_SCHEMA, path)
+    for name, entry in measurements.items():
         if entry.camera_joints:
             raise ValueError(f"{path}: entry {name}: the camera has joints; only the target may")
-    joints = [entry.target_joints for entry in measured.values()]
+    joints = [entry.target_joints for entry in measurements.values()]
     if len({len(row) for row in joints}) != 1:
         raise ValueError(f"{path}: target_joints: expected entries with equally many joints")
-    rows = [[getattr(entry.pose, key) for key in _FIELDS] for entry in measured.values()]
+    rows = [[getattr(entry.pose, key) for key in _POSE_KEYS] for entry in measurements.values()]
     try:
         poses = pose_codec("quaternion_wxyz").decode(
-            np.array(rows), labels=list(map(str, measured))
+            np.array(rows), labels=list(map(str, measurements))
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

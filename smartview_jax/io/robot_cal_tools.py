@@ -9,8 +9,8 @@ from ..dataset import Dataset
 from ..files import parse_yaml, read_text, read_yaml
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
-from .pictures import from_pictures
-from .tables import duplicates
+from .csv_tables import duplicates
+from .pictures import dataset_from_pictures
 
 DATA_FILE = "cal_data.yaml"
 """Name of the file that lists the picture and the pose file of every view."""
@@ -40,29 +40,29 @@ def import_robot_cal_tools(
         ValueError: a wrong value; the message names the file.
     """
     folder = Path(folder)
-    entries = _entries(folder / DATA_FILE)
+    entries = _read_entries(folder / DATA_FILE)
     views = [Path(image).stem for image, _ in entries]
-    rows = np.stack([_pose(folder / pose) for _, pose in entries])
+    rows = np.stack([_read_pose(folder / pose) for _, pose in entries])
     try:
         poses = pose_codec("quaternion_xyzw").decode(rows, labels=views)
     except ValueError as error:
         raise ValueError(f"{folder / DATA_FILE}: {error}") from error
-    return from_pictures(
+    return dataset_from_pictures(
         {view: [folder / image] for view, (image, _) in zip(views, entries, strict=True)},
         poses,
-        _target(folder / "target.yaml"),
+        _read_target(folder / "target.yaml"),
         mount,
         bad_views=bad_views,
         progress=progress,
     )
 
 
-def _entries(path: Path) -> list[tuple[str, str]]:
-    """Return the picture file and pose file of every view, in the order of the pictures' names."""
-    from ..schemas.imported import CAL_DATA
-    from ..schemas.reading import checked
+def _read_entries(path: Path) -> list[tuple[str, str]]:
+    """Read the picture file and pose file of every view, in the order of the pictures' names."""
+    from ..schemas.external_formats import CAL_DATA_SCHEMA
+    from ..schemas.validation import validate_content
 
-    entries = checked(parse_yaml(read_text(path), path), CAL_DATA, path)
+    entries = validate_content(parse_yaml(read_text(path), path), CAL_DATA_SCHEMA, path)
     views = duplicates([Path(entry.image).stem for entry in entries])
     if views:
         raise ValueError(f"{path}: view {', '.join(views)} has more than one entry")
@@ -73,21 +73,21 @@ def _entries(path: Path) -> list[tuple[str, str]]:
     )
 
 
-def _pose(path: Path) -> np.ndarray:
+def _read_pose(path: Path) -> np.ndarray:
     """Read a pose file as x, y, z (m) and the quaternion qx, qy, qz, qw."""
-    from ..schemas.imported import POSE
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import POSE_SCHEMA
+    from ..schemas.validation import validate_content
 
-    pose = checked(read_yaml(path), POSE, path)
+    pose = validate_content(read_yaml(path), POSE_SCHEMA, path)
     return np.array([getattr(pose, key) for key in _POSE_KEYS])
 
 
-def _target(path: Path) -> AbstractTarget:
+def _read_target(path: Path) -> AbstractTarget:
     """Read `target.yaml`; raise a ValueError where it is not a modified circle grid."""
-    from ..schemas.imported import TARGET
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import TARGET_SCHEMA
+    from ..schemas.validation import validate_content
 
-    finder = checked(read_yaml(path), TARGET, path).target_finder
+    finder = validate_content(read_yaml(path), TARGET_SCHEMA, path).target_finder
     if "ModifiedCircleGrid" not in finder.type:
         raise ValueError(f"{path}: expected a modified circle grid, found {finder.type!r}")
     # A modified circle grid has one larger circle, at the origin.

@@ -25,31 +25,31 @@ def rough_pose(description: "DatasetFile") -> SE3 | None:
     content = entry.model_dump()
     if "quaternion_wxyz" in content:
         return transform_from_dict("the target's rough pose", content)
-    return _decoded(
+    return _decode_pose(
         "the target's rough pose", [*content["translation"], *content["yaw_pitch_roll_deg"]]
     )
 
 
-def parse_rough_pose(option: str, words: str) -> SE3:
+def parse_rough_pose(option: str, text: str) -> SE3:
     """Read an approximate pose from six numbers separated by commas.
 
     Args:
         option: name of the command-line option, for the error message.
-        words: the text given: x, y, z (m), yaw, pitch, roll (degrees).
+        text: the text given: x, y, z (m), yaw, pitch, roll (degrees).
 
     Raises:
         ValueError: not six finite numbers.
     """
     try:
-        return _decoded(option, [float(word) for word in words.split(",")])
+        return _decode_pose(option, [float(word) for word in text.split(",")])
     except ValueError as error:
         raise ValueError(
             f"{option}: expected six numbers between commas, x,y,z (m),yaw,pitch,roll (degrees), "
-            f"found {words!r}"
+            f"found {text!r}"
         ) from error
 
 
-def _decoded(name: str, numbers: list[float]) -> SE3:
+def _decode_pose(name: str, numbers: list[float]) -> SE3:
     """Return the pose of x, y, z (m), yaw, pitch, roll (degrees); an error begins with the name."""
     row = np.array(numbers, dtype=float)
     if row.shape != (6,) or not np.isfinite(row).all():

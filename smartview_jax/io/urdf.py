@@ -17,12 +17,12 @@ from jaxtyping import Float
 from ..files import read_text
 from ..geometry import rotation_from_ypr
 from ..robots import SerialArm, arm_from_axes
-from ..schemas.words import shown
+from ..schemas.messages import shortened_repr
 
-LARGEST = 100.0
+MAX_MAGNITUDE = 100.0
 """Largest magnitude of an offset (m), an angle (rad) or a component of an axis."""
 
-_MOVING = ("revolute", "continuous", "prismatic")
+_MOVABLE_JOINT_TYPES = ("revolute", "continuous", "prismatic")
 
 
 def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None) -> SerialArm:
@@ -41,45 +41,48 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
     """
     path = Path(path)
     text = read_text(path)
+    # Nested entities can expand a small file to one that fills the memory.
     if "<!ENTITY" in text:
         raise ValueError(f"{path}: entity declarations are not accepted")
-    robot = _parsed(text.encode("utf-8"), path)
-    chain = _chain(robot, base, tip, path)
+    robot = _parse_urdf(text.encode("utf-8"), path)
+    chain = _joint_chain(robot, base, tip, path)
     # At zero readings a joint adds no motion of its own, so the product of the origins is the pose
     # of the joint's frame in the base. The axis is the line through its origin, along its axis.
-    pose, points, directions, slides, limits = np.eye(4), [], [], [], []
+    pose, points, directions, prismatic, limits = np.eye(4), [], [], [], []
     for joint in chain:
         pose = pose @ _origin(joint, path)
         if joint.type == "fixed":
             continue
-        if joint.type not in _MOVING:
-            raise ValueError(f"{path}: joint {joint.name} is {joint.type}; an arm's turn or slide")
+        if joint.type not in _MOVABLE_JOINT_TYPES:
+            raise ValueError(
+                f"{path}: joint {joint.name} is {joint.type}; an arm's are revolute or prismatic"
+            )
         if joint.mimic is not None:
             raise ValueError(f"{path}: joint {joint.name} mimics {joint.mimic.joint}")
         # The URDF format defines x as the axis of a joint that states none.
         axis = (1.0, 0.0, 0.0) if joint.axis is None else joint.axis
         points.append(pose[:3, 3])
-        directions.append(pose[:3, :3] @ _vector(axis, joint, "axis", path))
-        slides.append(joint.type == "prismatic")
+        directions.append(pose[:3, :3] @ _parse_vector(axis, joint, "axis", path))
+        prismatic.append(joint.type == "prismatic")
         limits.append(_limits(joint, path))
     if not points:
         raise ValueError(f"{path}: no joint moves between the base and the tip")
     try:
         return arm_from_axes(
-            np.stack(points), np.stack(directions), pose, slides, np.array(limits, dtype=float)
+            np.stack(points), np.stack(directions), pose, prismatic, np.array(limits, dtype=float)
         )
     except ValueError as error:
         names = ", ".join(joint.name for joint in chain if joint.type != "fixed")
         raise ValueError(f"{path}: joints {names}: {error}") from error
 
 
-def _parsed(content: bytes, path: Path) -> Any:
+def _parse_urdf(content: bytes, path: Path) -> Any:
     try:
         from urdf_parser_py.urdf import URDF  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ImportError("reading URDF needs urdf-parser-py: smartview-jax[urdf]") from error
     # The parser prints every tag that it does not know, such as those of simulators.
-    with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere):
+    with open(os.devnull, "w") as devnull, contextlib.redirect_stderr(devnull):
         # The parser raises errors of many unrelated types for a malformed file.
         try:
             return URDF.from_xml_string(content)
@@ -87,37 +90,42 @@ def _parsed(content: bytes, path: Path) -> Any:
             raise ValueError(f"{path}: not a URDF file: {error}") from error
 
 
-def _chain(robot: Any, base: str | None, tip: str | None, path: Path) -> list[Any]:
+def _joint_chain(robot: Any, base: str | None, tip: str | None, path: Path) -> list[Any]:
     """Return the joints from the base link to the tip link, in order."""
+    # Links are the nodes of a tree and joints its edges: a root is no joint's child, and a leaf is
+    # no joint's parent.
     links = {link.name for link in robot.links}
-    above = {joint.child: joint for joint in robot.joints}
-    roots, ends = sorted(links - set(above)), sorted(links - {j.parent for j in robot.joints})
+    joint_by_child = {joint.child: joint for joint in robot.joints}
+    roots = sorted(links - set(joint_by_child))
+    leaves = sorted(links - {joint.parent for joint in robot.joints})
     for name, link in (("base", base), ("tip", tip)):
         if link is not None and link not in links:
             raise ValueError(f"{path}: no link is called {link!r}, as {name}")
     if base is None and len(roots) != 1:
         raise ValueError(f"{path}: not one root but {len(roots)}: give base=, one of {roots}")
-    first = roots[0] if base is None else base
+    base_link = roots[0] if base is None else base
     if tip is None:
-        ends = [end for end in ends if _path(above, first, end) is not None]
-        if len(ends) != 1:
-            raise ValueError(f"{path}: the chain branches: give tip=, such as one of {ends}")
-    last = ends[0] if tip is None else tip
-    found = _path(above, first, last)
-    if found is None:
-        raise ValueError(f"{path}: link {last} does not hang on link {first}")
-    return found
+        leaves = [
+            end for end in leaves if _joints_between(joint_by_child, base_link, end) is not None
+        ]
+        if len(leaves) != 1:
+            raise ValueError(f"{path}: the chain branches: give tip=, such as one of {leaves}")
+    tip_link = leaves[0] if tip is None else tip
+    chain = _joints_between(joint_by_child, base_link, tip_link)
+    if chain is None:
+        raise ValueError(f"{path}: link {tip_link} does not hang on link {base_link}")
+    return chain
 
 
-def _path(above: dict[str, Any], base: str, tip: str) -> list[Any] | None:
+def _joints_between(joint_by_child: dict[str, Any], base: str, tip: str) -> list[Any] | None:
     """Return the joints between two links, in order; None if the tip is not below the base."""
     chain, link = [], tip
     while link != base:
         # A chain longer than the number of joints is a cycle of a malformed file.
-        if link not in above or len(chain) > len(above):
+        if link not in joint_by_child or len(chain) > len(joint_by_child):
             return None
-        chain.append(above[link])
-        link = above[link].parent
+        chain.append(joint_by_child[link])
+        link = joint_by_child[link].parent
     return chain[::-1]
 
 
@@ -125,25 +133,25 @@ def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
     """Return the pose of a joint's frame in the frame of its parent link, m."""
     pose = np.eye(4)
     if joint.origin is not None:
-        nothing = (0.0, 0.0, 0.0)
+        zeros = (0.0, 0.0, 0.0)
         # rpy about fixed axes is R = Rz(yaw) Ry(pitch) Rx(roll): yaw, pitch, roll in reverse order.
-        angles = _vector(joint.origin.rpy or nothing, joint, "origin rpy", path)[::-1]
+        angles = _parse_vector(joint.origin.rpy or zeros, joint, "origin rpy", path)[::-1]
         pose[:3, :3] = np.asarray(rotation_from_ypr(jnp.asarray(angles)).as_matrix())
-        pose[:3, 3] = _vector(joint.origin.xyz or nothing, joint, "origin xyz", path)
+        pose[:3, 3] = _parse_vector(joint.origin.xyz or zeros, joint, "origin xyz", path)
     return pose
 
 
-def _vector(values: Any, joint: Any, what: str, path: Path) -> np.ndarray:
-    """Return three numbers, m or rad; raise a ValueError where one is larger than `LARGEST`."""
+def _parse_vector(values: Any, joint: Any, label: str, path: Path) -> np.ndarray:
+    """Return three numbers, m or rad; raise a ValueError where one is over `MAX_MAGNITUDE`."""
     try:
         numbers = np.array([float(value) for value in values])
     except (TypeError, ValueError):
         numbers = np.zeros(0)
     # Written as "not all within the limit" so that NaN, for which every comparison is false, fails.
-    if numbers.shape != (3,) or not (np.abs(numbers) <= LARGEST).all():
+    if numbers.shape != (3,) or not (np.abs(numbers) <= MAX_MAGNITUDE).all():
         raise ValueError(
-            f"{path}: joint {joint.name}: {what}: expected three numbers from -{LARGEST:g} to "
-            f"{LARGEST:g}, found {shown(values)}"
+            f"{path}: joint {joint.name}: {label}: expected three numbers from "
+            f"-{MAX_MAGNITUDE:g} to {MAX_MAGNITUDE:g}, found {shortened_repr(values)}"
         )
     return numbers
 

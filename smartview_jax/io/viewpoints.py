@@ -18,13 +18,13 @@ from jaxtyping import Float
 
 from ..files import read_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
-from ..robots import FARTHEST
-from .tables import duplicates, numbers, read_table, write_table
+from ..robots import MAX_TOOL_COORDINATE
+from .csv_tables import duplicates, parse_numbers, read_table, write_table
 
 FORMAT_VERSION = 1
 """Version of the JSON format."""
 
-VAL = "val_oat"
+VAL_CODEC = "val_oat"
 """Name of the pose format of VAL II: x, y, z in mm, and the angles O, A, T in degrees."""
 
 _JOINT_UNITS = {"joint_that_turns": "rad", "joint_that_slides": "m"}
@@ -50,7 +50,7 @@ def write_viewpoints(
     base_from_tool: SE3,
     names: Sequence[str] | None = None,
     joints: np.ndarray | None = None,
-    pose_format: str = VAL,
+    pose_format: str = VAL_CODEC,
 ) -> None:
     """Write commands in the format given by the file's ending, completely or not at all.
 
@@ -70,21 +70,34 @@ def write_viewpoints(
     if path.suffix not in (".val", ".v2", ".csv", ".json"):
         raise ValueError(f"{path}: expected a file ending in .val, .v2, .csv or .json")
     if path.suffix == ".csv":
-        views = _checked(base_from_tool, names, joints)
-        readings = np.zeros((len(views.names), 0)) if views.joints is None else views.joints
+        viewpoints = _validated_viewpoints(base_from_tool, names, joints)
+        readings = (
+            np.zeros((len(viewpoints.names), 0)) if viewpoints.joints is None else viewpoints.joints
+        )
         joint_columns = (f"joint_{1 + k}" for k in range(readings.shape[1]))
         # A column `format` is only written for other formats than VAL's: VAL is the default, and
         # its files have been without that column from the first version on.
-        form = [] if pose_format == VAL else [codec.name]
-        header = ["view", *(["format"] if form else []), *pose_columns(codec), *joint_columns]
-        rows = np.concatenate([_rows(views, codec), readings], axis=1).tolist()
+        format_cell = [] if pose_format == VAL_CODEC else [codec.name]
+        header = [
+            "view",
+            *(["format"] if format_cell else []),
+            *pose_columns(codec),
+            *joint_columns,
+        ]
+        rows = np.concatenate([_encoded_poses(viewpoints, codec), readings], axis=1).tolist()
         write_table(
-            path, header, [[n, *form, *row] for n, row in zip(views.names, rows, strict=True)]
+            path,
+            header,
+            [[n, *format_cell, *row] for n, row in zip(viewpoints.names, rows, strict=True)],
         )
     elif path.suffix == ".json":
-        write_atomically(path, _as_json(_checked(base_from_tool, names, joints), codec))
-    elif pose_format != VAL:
-        raise ValueError(f"{path}: a VAL program has {VAL} poses, not {pose_format}: .csv or .json")
+        write_atomically(
+            path, _json_text(_validated_viewpoints(base_from_tool, names, joints), codec)
+        )
+    elif pose_format != VAL_CODEC:
+        raise ValueError(
+            f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: .csv or .json"
+        )
     else:
         write_atomically(path, val_program(base_from_tool, names))
 
@@ -94,9 +107,9 @@ def pose_columns(codec: PoseCodec) -> tuple[str, ...]:
     length, angle = codec.units
     return tuple(
         f"{name}_{length}".lower()
-        if k in codec.lengths
+        if k in codec.length_columns
         else f"{name}_{angle}".lower()
-        if k in codec.angles
+        if k in codec.angle_columns
         else name
         for k, name in enumerate(codec.columns)
     )
@@ -111,9 +124,9 @@ def read_viewpoints(path: str | Path) -> Viewpoints:
     """
     path = Path(path)
     if path.suffix == ".csv":
-        return _from_csv(path)
+        return _read_csv(path)
     if path.suffix == ".json":
-        return _from_json(path)
+        return _read_json(path)
     raise ValueError(f"{path}: expected a file ending in .csv or .json")
 
 
@@ -123,9 +136,11 @@ def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
     Raises:
         ValueError: as in `write_viewpoints`; also a name that VAL does not accept.
     """
-    views = _checked(base_from_tool, names, None)
+    viewpoints = _validated_viewpoints(base_from_tool, names, None)
     lines = []
-    for name, row in zip(views.names, _rows(views, pose_codec(VAL)), strict=True):
+    for name, row in zip(
+        viewpoints.names, _encoded_poses(viewpoints, pose_codec(VAL_CODEC)), strict=True
+    ):
         if not _VAL_NAME.fullmatch(name):
             raise ValueError(
                 f"view {name!r}: VAL names a location by a letter and up to 14 letters, digits, "
@@ -133,12 +148,12 @@ def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
             )
         # Four decimals are 0.1 micrometre and 0.0001 degree, finer than a controller resolves.
         # Adding 0.0 turns a rounded -0.0 into 0.0.
-        written = ", ".join(f"{value + 0.0:.4f}" for value in np.round(row, 4))
-        lines += [f"SET {name} = TRANS({written})", f"MOVE {name}"]
+        components = ", ".join(f"{value + 0.0:.4f}" for value in np.round(row, 4))
+        lines += [f"SET {name} = TRANS({components})", f"MOVE {name}"]
     return "\n".join(lines) + "\n"
 
 
-def _checked(
+def _validated_viewpoints(
     base_from_tool: SE3, names: Sequence[str] | None, joints: np.ndarray | None
 ) -> Viewpoints:
     """Return the commands as arrays; raise a ValueError for one that no robot can execute."""
@@ -146,38 +161,42 @@ def _checked(
     joints = None if joints is None else np.atleast_2d(joints)
     if poses.ndim != 2:
         raise ValueError(f"viewpoints: expected one pose a view, found shape {poses.shape[:-1]}")
-    known = tuple(names) if names is not None else tuple(f"v{1 + k}" for k in range(len(poses)))
-    if len(known) != len(poses):
-        raise ValueError(f"viewpoints: {len(poses)} poses, but {len(known)} names")
-    twice = duplicates(known)
-    if twice:
-        raise ValueError(f"view {', '.join(twice)}: named more than once")
-    for name, pose in zip(known, poses, strict=True):
-        for what, value in zip(("qw", "qx", "qy", "qz", "x", "y", "z"), pose, strict=True):
+    view_names = (
+        tuple(names) if names is not None else tuple(f"v{1 + k}" for k in range(len(poses)))
+    )
+    if len(view_names) != len(poses):
+        raise ValueError(f"viewpoints: {len(poses)} poses, but {len(view_names)} names")
+    repeated = duplicates(view_names)
+    if repeated:
+        raise ValueError(f"view {', '.join(repeated)}: named more than once")
+    # The components of a unit quaternion are at most 1, so that one limit serves all seven numbers.
+    for name, pose in zip(view_names, poses, strict=True):
+        for component, value in zip(("qw", "qx", "qy", "qz", "x", "y", "z"), pose, strict=True):
             if not np.isfinite(value):
-                raise ValueError(f"view {name}: {what} is {value}")
-            if abs(value) > FARTHEST:
+                raise ValueError(f"view {name}: {component} is {value}")
+            if abs(value) > MAX_TOOL_COORDINATE:
                 raise ValueError(
-                    f"view {name}: {what} is {value:.6g} m, more than {FARTHEST:.0f} m from the "
-                    "base: millimetres given as metres?"
+                    f"view {name}: {component} is {value:.6g} m, more than "
+                    f"{MAX_TOOL_COORDINATE:.0f} m from the base: millimetres given as metres?"
                 )
     if joints is None:
-        return Viewpoints(SE3(jnp.asarray(poses)), known)
+        return Viewpoints(SE3(jnp.asarray(poses)), view_names)
     readings = np.asarray(joints, dtype=float)
-    if readings.ndim != 2 or len(readings) != len(known):
+    if readings.ndim != 2 or len(readings) != len(view_names):
         raise ValueError(
-            f"joints: expected a row for each of {len(known)} views, found shape {readings.shape}"
+            f"joints: expected a row for each of {len(view_names)} views, "
+            f"found shape {readings.shape}"
         )
-    for name, row in zip(known, readings, strict=True):
+    for name, row in zip(view_names, readings, strict=True):
         if not np.isfinite(row).all():
             k = int(np.flatnonzero(~np.isfinite(row))[0])
             raise ValueError(f"view {name}: joint {1 + k} is {row[k]}")
-    return Viewpoints(SE3(jnp.asarray(poses)), known, readings)
+    return Viewpoints(SE3(jnp.asarray(poses)), view_names, readings)
 
 
-def _rows(views: Viewpoints, codec: PoseCodec) -> Float[np.ndarray, "views columns"]:
+def _encoded_poses(viewpoints: Viewpoints, codec: PoseCodec) -> Float[np.ndarray, "views columns"]:
     """Return the poses as rows of a manufacturer's format, in its units."""
-    return np.array(codec.encode(views.base_from_tool, *codec.units))
+    return np.array(codec.encode(viewpoints.base_from_tool, *codec.units))
 
 
 def _units(codec: PoseCodec) -> dict[str, str]:
@@ -185,19 +204,21 @@ def _units(codec: PoseCodec) -> dict[str, str]:
     return {"length": codec.units[0], "angle": codec.units[1], **_JOINT_UNITS}
 
 
-def _key(codec: PoseCodec) -> str:
+def _pose_key(codec: PoseCodec) -> str:
     """Return the key of a pose in JSON: `xyzoat` for VAL's format, else `pose`."""
-    return "xyzoat" if codec.name == VAL else "pose"
+    return "xyzoat" if codec.name == VAL_CODEC else "pose"
 
 
-def _as_json(views: Viewpoints, codec: PoseCodec) -> str:
+def _json_text(viewpoints: Viewpoints, codec: PoseCodec) -> str:
     """Return the commands as JSON text."""
     entries = [
-        {"name": name, _key(codec): row, **({} if joints is None else {"joints": joints})}
+        {"name": name, _pose_key(codec): row, **({} if joints is None else {"joints": joints})}
         for name, row, joints in zip(
-            views.names,
-            _rows(views, codec).tolist(),
-            [None] * len(views.names) if views.joints is None else views.joints.tolist(),
+            viewpoints.names,
+            _encoded_poses(viewpoints, codec).tolist(),
+            [None] * len(viewpoints.names)
+            if viewpoints.joints is None
+            else viewpoints.joints.tolist(),
             strict=True,
         )
     ]
@@ -211,32 +232,34 @@ def _as_json(views: Viewpoints, codec: PoseCodec) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def _from_csv(path: Path) -> Viewpoints:
+def _read_csv(path: Path) -> Viewpoints:
     """Read commands from a CSV file; without a column `format` the poses are VAL's."""
     rows = read_table(path, ("view",))
-    formats = sorted({row.get("format", VAL) for row in rows})
+    formats = sorted({row.get("format", VAL_CODEC) for row in rows})
     if len(formats) > 1:
         raise ValueError(f"{path}: format: expected one for all views, found {', '.join(formats)}")
     try:
-        codec = pose_codec(formats[0] if formats else VAL)
+        codec = pose_codec(formats[0] if formats else VAL_CODEC)
     except ValueError as error:
         raise ValueError(f"{path}: format: {error}") from error
     columns = pose_columns(codec)
     # Read again, because the required columns are known only now that the format is.
     rows = read_table(path, ("view", *columns))
     names = [row["view"] for row in rows]
-    poses = np.array([numbers(path, row, columns, row["view"], False) for row in rows])
-    named = [name for name in (rows[0] if rows else ()) if name.startswith("joint_")]
-    joints = np.array([numbers(path, row, named, row["view"], False) for row in rows])
-    return _read(path, codec, poses.reshape(-1, len(columns)), names, joints if named else None)
+    poses = np.array([parse_numbers(path, row, columns, row["view"], False) for row in rows])
+    joint_columns = [name for name in (rows[0] if rows else ()) if name.startswith("joint_")]
+    joints = np.array([parse_numbers(path, row, joint_columns, row["view"], False) for row in rows])
+    return _decode_viewpoints(
+        path, codec, poses.reshape(-1, len(columns)), names, joints if joint_columns else None
+    )
 
 
-def _from_json(path: Path) -> Viewpoints:
+def _read_json(path: Path) -> Viewpoints:
     """Read commands from a JSON file of `write_viewpoints`."""
-    from ..schemas.imported import VIEWPOINTS
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import VIEWPOINTS_SCHEMA
+    from ..schemas.validation import validate_content
 
-    content = checked(read_yaml(path), VIEWPOINTS, path)
+    content = validate_content(read_yaml(path), VIEWPOINTS_SCHEMA, path)
     codec, entries = pose_codec(content.format), content.viewpoints
     if content.units != _units(codec):
         raise ValueError(f"{path}: units: expected {_units(codec)}, found {content.units}")
@@ -244,7 +267,7 @@ def _from_json(path: Path) -> Viewpoints:
         raise ValueError(
             f"{path}: columns: expected {list(codec.columns)}, found {content.columns}"
         )
-    key = _key(codec)
+    key = _pose_key(codec)
     rows = [getattr(entry, key) for entry in entries]
     for entry, row in zip(entries, rows, strict=True):
         if row is None or len(row) != len(codec.columns):
@@ -257,10 +280,10 @@ def _from_json(path: Path) -> Viewpoints:
         raise ValueError(f"{path}: joints: expected equally many in every view")
     names = [entry.name for entry in entries]
     poses = np.array(rows).reshape(-1, len(codec.columns))
-    return _read(path, codec, poses, names, np.array(joints) if joints else None)
+    return _decode_viewpoints(path, codec, poses, names, np.array(joints) if joints else None)
 
 
-def _read(
+def _decode_viewpoints(
     path: Path,
     codec: PoseCodec,
     rows: np.ndarray,
@@ -272,6 +295,6 @@ def _read(
         raise ValueError(f"{path}: no viewpoints")
     try:
         poses = codec.decode(rows, *codec.units, labels=names)
-        return _checked(poses, names, joints)
+        return _validated_viewpoints(poses, names, joints)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

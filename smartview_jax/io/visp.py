@@ -14,7 +14,7 @@ from ..dataset import Dataset
 from ..files import parse_yaml, read_text, read_yaml, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
-from .pictures import from_pictures, numbered_pictures
+from .pictures import dataset_from_pictures, numbered_pictures
 
 
 def import_visp(
@@ -41,19 +41,21 @@ def import_visp(
         ValueError: a file that is not a pose, or a picture without a pose.
     """
     folder = Path(folder)
-    name = re.compile(re.escape(poses).replace(re.escape("{view}"), r"(\d+)"))
-    found = {
+    pose_pattern = re.compile(re.escape(poses).replace(re.escape("{view}"), r"(\d+)"))
+    pose_paths = {
         int(match[1]): path
         for path in folder.glob(poses.replace("{view}", "*"))
-        if (match := name.fullmatch(path.name))
+        if (match := pose_pattern.fullmatch(path.name))
     }
-    if not found:
+    if not pose_paths:
         raise FileNotFoundError(f"{folder / poses}: no such files")
     # Sorted as numbers, not as text: view 2 before view 10.
-    numbers = sorted(found)
+    numbers = sorted(pose_paths)
     files = numbered_pictures(folder, pictures, numbers, folder / poses)
-    rows = jnp.stack([read_visp_pose(found[number]).wxyz_xyz for number in numbers])
-    return from_pictures(files, SE3(rows), target, mount, bad_views=bad_views, progress=progress)
+    rows = jnp.stack([read_visp_pose(pose_paths[number]).wxyz_xyz for number in numbers])
+    return dataset_from_pictures(
+        files, SE3(rows), target, mount, bad_views=bad_views, progress=progress
+    )
 
 
 def read_visp_pose(path: str | Path) -> SE3:
@@ -63,10 +65,10 @@ def read_visp_pose(path: str | Path) -> SE3:
         FileNotFoundError: the file is missing.
         ValueError: it does not hold six numbers.
     """
-    from ..schemas.imported import VISP_POSE
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import VISP_POSE_SCHEMA
+    from ..schemas.validation import validate_content
 
-    data = checked(read_yaml(path), VISP_POSE, path).data
+    data = validate_content(read_yaml(path), VISP_POSE_SCHEMA, path).data
     numbers = np.array([row[0] if isinstance(row, list) else row for row in data])
     pose = pose_codec("rotation_vector").decode(numbers[None], labels=[str(path)])
     return SE3(pose.wxyz_xyz[0])
@@ -86,8 +88,8 @@ def read_visp_camera(path: str | Path) -> Camera:
         FileNotFoundError: the file is missing.
         ValueError: an entry is missing, or the file declares entities, which are not expanded.
     """
-    from ..schemas.imported import VISP_CAMERA, VispCameraNumbers
-    from ..schemas.reading import checked
+    from ..schemas.external_formats import VISP_CAMERA_SCHEMA, VispCameraEntry
+    from ..schemas.validation import validate_content
 
     path, text = Path(path), read_text(path)
     # Nested entities can expand a small file to one that fills the memory.
@@ -97,13 +99,15 @@ def read_visp_camera(path: str | Path) -> Camera:
         camera = ElementTree.fromstring(text).find("camera")
     except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"{path}: not readable as XML: {error}") from error
-    found = {}
-    for name in VispCameraNumbers.model_fields:
+    values = {}
+    for name in VispCameraEntry.model_fields:
         entry = None if camera is None else camera.find(f".//{name}")
         if entry is not None and entry.text is not None:
             # XML values are text; they are read as YAML, so that numbers have one syntax in all
             # files.
-            found[name] = parse_yaml(entry.text, f"{path}: entry {name}")
-    numbers = checked(found, VISP_CAMERA, path)
-    size = (numbers.image_width, numbers.image_height)
-    return Camera(numbers.px, numbers.py, numbers.u0, numbers.v0, Pinhole(), size)
+            values[name] = parse_yaml(entry.text, f"{path}: entry {name}")
+    camera_entry = validate_content(values, VISP_CAMERA_SCHEMA, path)
+    size = (camera_entry.image_width, camera_entry.image_height)
+    return Camera(
+        camera_entry.px, camera_entry.py, camera_entry.u0, camera_entry.v0, Pinhole(), size
+    )

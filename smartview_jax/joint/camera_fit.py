@@ -17,12 +17,12 @@ from jaxtyping import Array, Bool, Float
 from ..cameras import AbstractLens, Camera
 from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
-from ..engine import AbstractLoss, Noise, Prior, Solution, without_robot
+from ..engine import AbstractLoss, Noise, Prior, Solution, with_free_camera_poses
 from ..fit_result import FitCode, FitResult
 from ..staged import pixel_residuals, robust_sigma
 from .fit import fit_joint
 
-ROUNDS = 10
+MAX_REJECTION_ITERATIONS = 10
 """The largest number of fits, each without the outliers of the one before."""
 
 
@@ -94,29 +94,31 @@ def fit_camera(
     Raises:
         ValueError: as `fit_joint` does.
     """
-    placed, still = without_robot(data, camera, camera_from_world)
+    free_pose_data, identity_start = with_free_camera_poses(data, camera, camera_from_world)
     fit = fit_joint(
-        placed,
-        still,
-        lens,
+        free_pose_data,
+        identity_start,
+        lens=lens,
         # Infinite pose standard deviations are corrections without a prior: free poses.
         noise=Noise(1.0, np.inf, np.inf),
         loss=loss,
-        fixed=(*still.transform_names, *fixed),
+        fixed=(*identity_start.transform_names, *fixed),
         priors=priors,
         solver=solver,
         progress=progress,
     )
     # camera_from_world <- exp(c) camera_from_world.
     poses = SE3.exp(fit.pose_corrections) @ camera_from_world
-    where = eqx.tree_at(lambda o: o.base_from_tool, data.observations, poses.inverse())
+    fitted_observations = eqx.tree_at(
+        lambda o: o.base_from_tool, data.observations, poses.inverse()
+    )
     return CameraFit(
         camera=fit.calibration.camera,
         camera_from_world=poses,
         covariance=fit.covariance,
         std=fit.std,
         parameter_names=fit.parameter_names,
-        residuals=chain_residuals(fit.calibration, where),
+        residuals=chain_residuals(fit.calibration, fitted_observations),
         inliers=data.visible,
         pixel_sigma=fit.pixel_sigma,
         solution=fit.solution,
@@ -124,7 +126,7 @@ def fit_camera(
     )
 
 
-def batch_filter(
+def batch_least_squares(
     observations: Observations,
     start_camera: Camera,
     start_camera_from_world: SE3,
@@ -140,7 +142,8 @@ def batch_filter(
     `camera_from_world`, `inliers`, `pixel_sigma`, `rms`, `converged` and `message`. It is four
     times as fast on 1000 points, and two hundred times on 50 000.
     """
-    # Quantile of the chi-square distribution with 2 degrees of freedom: -2 log(1 - p).
+    # Quantile of the chi-square distribution with 2 degrees of freedom: -2 log(1 - p), p the
+    # probability of the gate.
     gate = -2.0 * np.log1p(-gate_probability)
     visible = np.asarray(observations.visible)
     inliers = visible if start_inliers is None else visible & np.asarray(start_inliers)
@@ -154,27 +157,30 @@ def batch_filter(
         ids,
         start_camera.image_size,
     )
-    point = (start_camera, start_camera_from_world)
+    estimate = (start_camera, start_camera_from_world)
     fixed = ("camera",) if hold_camera else ()
-    number = 0
+    iteration = 0
     while True:
-        number += 1
-        used = eqx.tree_at(lambda d: d.visible, data, jnp.asarray(inliers))
-        fit = fit_camera(used, *point, fixed=fixed)
-        point = (fit.camera, fit.camera_from_world)
-        sigma = float(robust_sigma(observations, point, jnp.asarray(inliers), pixel_sigma))
-        residuals = np.asarray(_everywhere(observations, *point))
+        iteration += 1
+        inlier_data = eqx.tree_at(lambda d: d.visible, data, jnp.asarray(inliers))
+        fit = fit_camera(inlier_data, *estimate, fixed=fixed)
+        estimate = (fit.camera, fit.camera_from_world)
+        sigma = float(robust_sigma(observations, estimate, jnp.asarray(inliers), pixel_sigma))
+        residuals = np.asarray(_compiled_pixel_residuals(observations, *estimate))
         # Every visible point is tested again, so that a point can return once the camera is better.
-        kept = visible & (np.sum(residuals**2, axis=-1) <= gate * sigma**2)
-        settled = bool((kept == inliers).all())
+        within_gate = visible & (np.sum(residuals**2, axis=-1) <= gate * sigma**2)
+        converged = bool((within_gate == inliers).all())
         if progress is not None:
-            progress(f"batch {number}: sigma {sigma:.3f} px, {np.sum(visible & ~kept)} set aside")
-        if settled or number == ROUNDS:
+            progress(
+                f"batch {iteration}: sigma {sigma:.3f} px, "
+                f"{np.sum(visible & ~within_gate)} set aside"
+            )
+        if converged or iteration == MAX_REJECTION_ITERATIONS:
             break
-        inliers = kept
-    unsettled = FitResult(FitCode.STOPPED_EARLY, "the outliers kept changing")
-    result = fit.result if settled else unsettled
+        inliers = within_gate
+    stopped_early = FitResult(FitCode.STOPPED_EARLY, "the outliers kept changing")
+    result = fit.result if converged else stopped_early
     return dataclasses.replace(fit, residuals=jnp.asarray(residuals), result=result)
 
 
-_everywhere = compiled(pixel_residuals)
+_compiled_pixel_residuals = compiled(pixel_residuals)

@@ -1,14 +1,14 @@
-"""Measure what single views do to a joint fit: how far each moves it, and how credible its pose is.
+"""Measure the effect of single views on a joint fit: parameter changes, and outlying poses.
 
 Both are in closed form, from the normal equations at the optimum. There the gradients of all views
 and priors sum to zero, so without view i a Gauss-Newton step is
 
     (R - R_i)^-1 g_i
 
-with R the reduced normal matrix (Schur complement of the pose corrections), and R_i and g_i the
-view's part of it and of the gradient. For the poses: under the model the estimate of a correction
-`c_i` with the prior `N(0, S)` has covariance `S - V_i`, with V_i its posterior covariance. The
-Mahalanobis distance
+with R the reduced normal matrix (the Schur complement after the pose corrections are eliminated),
+and R_i and g_i the view's contributions to it and to the gradient. For the poses: under the model
+the estimate of a correction `c_i` with the prior `N(0, S)` has covariance `S - V_i`, with V_i its
+posterior covariance. The Mahalanobis distance
 
     sqrt(c_i^T (S - V_i)^-1 c_i)
 
@@ -25,9 +25,9 @@ from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
 
 from ..compilation import compiled
-from ..engine import BlockArrow, JointProblem, Step, eliminate, select
+from ..engine import BlockArrow, JointProblem, Step, eliminate, parameter_mask
 
-TELLING = 1e-6
+MIN_EXPLAINED_VARIANCE_FRACTION = 1e-6
 """The smallest fraction of a correction's prior variance that a view must explain to be tested."""
 
 
@@ -35,20 +35,20 @@ class Influence(NamedTuple):
     """The change of a fit's common parameters when one view is left out.
 
     Attributes:
-        moves: the fit without the view minus the fit with it, own units.
+        deletion_changes: the fit without the view minus the fit with it, in each parameter's unit.
         std: standard deviations of the parameters in the fit with all views.
         parameter_names: names of the columns.
         view_ids: names of the rows.
-        mount: path of the transform that describes where the camera is mounted.
+        mount_path: path of the transform that describes where the camera is mounted.
     """
 
-    moves: Float[np.ndarray, "views free"]
+    deletion_changes: Float[np.ndarray, "views free"]
     std: Float[np.ndarray, "free"]
     parameter_names: tuple[str, ...]
     view_ids: tuple[str, ...]
-    mount: str
+    mount_path: str
 
-    def on(self, path: str | None = None) -> Float[np.ndarray, "views"]:
+    def max_standardised_change(self, path: str | None = None) -> Float[np.ndarray, "views"]:
         """Return each view's largest effect on a path's parameters, in their standard deviations.
 
         Args:
@@ -58,33 +58,43 @@ class Influence(NamedTuple):
         Raises:
             ValueError: the path names no free parameter.
         """
-        chosen = select(self.parameter_names, (path or self.mount,))
-        return np.abs(self.moves[:, chosen] / self.std[chosen]).max(axis=1)
+        selected = parameter_mask(self.parameter_names, (path or self.mount_path,))
+        return np.abs(self.deletion_changes[:, selected] / self.std[selected]).max(axis=1)
 
 
 @compiled
-def moves_without(problem: JointProblem, z: Step) -> Float[Array, "views free"]:
-    """Return how far the free common parameters move if a view is left out, to first order.
+def deletion_changes(problem: JointProblem, z: Step) -> Float[Array, "views free"]:
+    """Return the changes of the free common parameters if a view is left out, to first order.
 
     Args:
         problem: the problem, in the parameters' own units.
         z: its optimum.
     """
     matrix = problem.normal_equations(z).matrix
-    parts, (gradient, own_part) = eliminate(matrix), problem.observed_by_view(z)
-    if len(matrix.own):
+    elimination = eliminate(matrix)
+    # g_i and, before the elimination of the view's correction, A_i.
+    gradient, view_information = problem.normal_equations_by_view(z)
+    if len(matrix.per_view):
         # R_i = A_i - B_i^T C_i^-1 B_i. The view's own gradient, data and prior together, is zero at
         # the optimum, so eliminating the correction does not change g_i.
-        own_part = own_part - jnp.einsum("vki,vkj->vij", matrix.border, parts.gain)
-    # Solve (R - R_i) x = g_i with unit columns, all views batched.
-    lengths = jnp.sqrt(jnp.diagonal(parts.reduced))
-    unit = 1.0 / jnp.where(lengths > 0.0, lengths, 1.0)
-    rest = (parts.reduced[None] - own_part) * unit[None, :, None] * unit[None, None]
-    scaled = jnp.linalg.solve(rest, (gradient * unit[None])[..., None])[..., 0]
-    return scaled * unit[None]
+        view_information = view_information - jnp.einsum(
+            "vki,vkj->vij", matrix.border, elimination.gain
+        )
+    # Solve (R - R_i) x = g_i, scaled so that R has a unit diagonal, all views batched.
+    column_norms = jnp.sqrt(jnp.diagonal(elimination.schur_complement))
+    inverse_norms = 1.0 / jnp.where(column_norms > 0.0, column_norms, 1.0)
+    information_without_view = (
+        (elimination.schur_complement[None] - view_information)
+        * inverse_norms[None, :, None]
+        * inverse_norms[None, None]
+    )
+    scaled_change = jnp.linalg.solve(
+        information_without_view, (gradient * inverse_norms[None])[..., None]
+    )[..., 0]
+    return scaled_change * inverse_norms[None]
 
 
-class PoseScores(NamedTuple):
+class PoseOutlierTest(NamedTuple):
     """The distance of each view's free pose from the pose that the other views predict.
 
     Attributes:
@@ -99,9 +109,9 @@ class PoseScores(NamedTuple):
 
 
 @compiled
-def pose_scores(
-    problem: JointProblem, z: Step, matrix: BlockArrow, sizes_known: bool
-) -> PoseScores:
+def pose_outlier_test(
+    problem: JointProblem, z: Step, matrix: BlockArrow, sigmas_known: bool
+) -> PoseOutlierTest:
     """Test every view's reported pose against the other views.
 
     Views without six free corrections with priors have distance 0 and p-value 1.
@@ -110,36 +120,58 @@ def pose_scores(
         problem: the problem with priors on the corrections, in the parameters' own units.
         z: its optimum.
         matrix: of the normal equations there.
-        sizes_known: whether the priors' standard deviations are given, not estimated from these
+        sigmas_known: whether the priors' standard deviations are given, not estimated from these
             views.
     """
-    parts = eliminate(matrix)
-    eye = jnp.eye(len(parts.reduced))
-    lengths = jnp.sqrt(jnp.diagonal(parts.reduced))
-    unit = jnp.diag(1.0 / jnp.where(lengths > 0.0, lengths, 1.0))
-    shared = unit @ jnp.linalg.solve(unit @ parts.reduced @ unit, eye) @ unit
-    # V_i = C_i^-1 + G_i P G_i^T, with G_i = C_i^-1 B_i and P = R^-1 the common covariance.
-    covariance = parts.own_covariance(shared)
+    elimination = eliminate(matrix)
+    identity = jnp.eye(len(elimination.schur_complement))
+    column_norms = jnp.sqrt(jnp.diagonal(elimination.schur_complement))
+    scaling = jnp.diag(1.0 / jnp.where(column_norms > 0.0, column_norms, 1.0))
+    shared_covariance = (
+        scaling
+        @ jnp.linalg.solve(scaling @ elimination.schur_complement @ scaling, identity)
+        @ scaling
+    )
+    # V_i = C_i^-1 + G_i P G_i^T, with G_i = C_i^-1 B_i and P = R^-1 the shared covariance.
+    covariance = elimination.per_view_covariance(shared_covariance)
 
-    weight = problem.prior_weight.corrections
-    # Whitened by W = S^-1/2:
-    #     pull = W (c - mean),  explained = I - W V W,  d^2 = pull^T explained^-1 pull
-    # Directions about which the view says nothing have an eigenvalue of zero and are left out.
-    pull = weight * problem.off_mean(problem.step(z)).corrections
-    explained = jnp.eye(6)[None] - weight[..., None] * covariance * weight[:, None]
-    share, axes = jnp.linalg.eigh(explained)
-    along = jnp.einsum("vki,vk->vi", axes, pull)
-    scored = jnp.all(problem.own_free & (weight > 0.0), axis=1)
-    telling = (share > TELLING) & scored[:, None]
-    square = jnp.sum(jnp.where(telling, along**2 / jnp.where(telling, share, 1.0), 0.0), axis=1)
-    degrees = jnp.sum(telling.astype(float), axis=1)
-    counted = jnp.maximum(degrees, 1.0)
+    weight = problem.prior_weight.per_view
+    # Whitened by W = S^-1/2, the `weight`:
+    #     whitened_correction = W (c - mean),  explained_covariance = I - W V W,
+    #     squared_distance = whitened_correction^T explained_covariance^-1 whitened_correction
+    # in the eigenvectors of explained_covariance. Directions about which the view says nothing have
+    # an eigenvalue of zero and are left out.
+    whitened_correction = weight * problem.offset_from_prior(problem.unscaled_step(z)).per_view
+    explained_covariance = jnp.eye(6)[None] - weight[..., None] * covariance * weight[:, None]
+    explained_fractions, eigenvectors = jnp.linalg.eigh(explained_covariance)
+    components = jnp.einsum("vki,vk->vi", eigenvectors, whitened_correction)
+    testable = jnp.all(problem.per_view_free & (weight > 0.0), axis=1)
+    informative = (explained_fractions > MIN_EXPLAINED_VARIANCE_FRACTION) & testable[:, None]
+    squared_distance = jnp.sum(
+        jnp.where(
+            informative, components**2 / jnp.where(informative, explained_fractions, 1.0), 0.0
+        ),
+        axis=1,
+    )
+    degrees_of_freedom = jnp.sum(informative.astype(float), axis=1)
+    positive_degrees_of_freedom = jnp.maximum(degrees_of_freedom, 1.0)
     # Chi-square tail of k degrees of freedom, P(X > d^2) = Q(k / 2, d^2 / 2).
-    p_value = jnp.where(degrees > 0.0, gammaincc(0.5 * counted, 0.5 * square), 1.0)
-    if not sizes_known:
-        # Externally studentised, as in regression: with nu degrees of freedom over all views, the
-        # variance without this view is (nu - d^2) / (nu - k), so d^2 <- d^2 (nu - k) / (nu - d^2).
-        whole = jnp.sum(jnp.where(telling, share, 0.0))
-        rest = jnp.maximum(whole - square, 1e-3 * whole)
-        square = square * jnp.maximum(whole - counted, 1.0) / jnp.where(rest > 0.0, rest, 1.0)
-    return PoseScores(jnp.sqrt(square), p_value)
+    p_value = jnp.where(
+        degrees_of_freedom > 0.0,
+        gammaincc(0.5 * positive_degrees_of_freedom, 0.5 * squared_distance),
+        1.0,
+    )
+    if not sigmas_known:
+        # Externally studentised, as in regression: with nu degrees of freedom over all views and k
+        # of this view, the variance without it is (nu - d^2) / (nu - k), so
+        #     d^2 <- d^2 (nu - k) / (nu - d^2).
+        total_degrees_of_freedom = jnp.sum(jnp.where(informative, explained_fractions, 0.0))
+        remaining = jnp.maximum(
+            total_degrees_of_freedom - squared_distance, 1e-3 * total_degrees_of_freedom
+        )
+        squared_distance = (
+            squared_distance
+            * jnp.maximum(total_degrees_of_freedom - positive_degrees_of_freedom, 1.0)
+            / jnp.where(remaining > 0.0, remaining, 1.0)
+        )
+    return PoseOutlierTest(jnp.sqrt(squared_distance), p_value)

@@ -5,7 +5,7 @@ The fits run one after the other in one compiled loop, which on a CPU is several
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,12 +18,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..compilation import optimised
+from ..compilation import compiled_optimised
 from ..dataset import Dataset, Observations
 from ..engine import (
     MAXIMUM_STEPS,
-    NULL,
+    RANK_TOLERANCE,
     AbstractLoss,
+    BuiltProblem,
     JointProblem,
     Noise,
     Prior,
@@ -31,28 +32,28 @@ from ..engine import (
     StructuredLM,
     build_problem,
     eliminate,
-    last_repeated,
-    next_to_nothing,
-    nowhere,
-    run,
+    is_converged,
+    minimise,
+    pad_with_last,
+    unprojectable_views_message,
     valid_at_start,
     variance_factor,
     with_field,
     with_lens,
 )
-from ..robot_errors import AbstractField
-from ..variance import FINEST
+from ..robot_errors import FieldChoice
+from ..variance import SIGMA_FLOOR
 
-OwnParts = tuple[Calibration, Observations, Any]
+PerFitInputs = tuple[Calibration, Observations, Any]
 """The parts of a problem that differ between fits: start, observations, free pose corrections."""
 
-SIGMA_ROUNDS = 6
+SIGMA_ITERATIONS = 6
 """The number of refits with the pixel sigma re-estimated from the residuals.
 
 The last ones change it very little; the number is fixed so that one compiled loop serves all fits.
 """
 
-FITS = "fits"
+FITS_AXIS = "fits"
 """The name of the mesh axis along which fits are distributed over devices."""
 
 
@@ -85,20 +86,21 @@ class ManyFits(eqx.Module):
     def __getitem__(self, index: int) -> Calibration:
         """Return one fit's calibration; raise an `IndexError` out of range."""
         # JAX arrays clamp an index out of range instead of raising; `range` raises.
-        place = range(len(self))[index]
-        return jax.tree.map(lambda x: x[place], self.calibrations)
+        checked_index = range(len(self))[index]
+        return jax.tree.map(lambda x: x[checked_index], self.calibrations)
 
 
 def fit_many(
     data: Sequence[Dataset],
     start: Calibration | Sequence[Calibration],
+    *,
     lens: str | AbstractLens | None = None,
     noise: str | Noise = "trusted",
     loss: str | AbstractLoss | None = None,
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    field: AbstractField | Literal[False] | None = None,
+    field: FieldChoice = "auto",
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
     """Fit many data sets, each as `fit_joint` does.
@@ -115,143 +117,165 @@ def fit_many(
         ValueError: as `fit_joint` does, and where shapes, lenses or mounts differ.
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
-    _require_alike(data, starts)
+    _require_same_structure(data, starts)
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
-    if field is False:
-        starts, field = [one.uncorrected for one in starts], None
     starts = [with_field(with_lens(one, lens), field) for one in starts]
     # The free pose corrections depend only on which views are usable, so problems with the same
     # usable views are built once.
-    usable, alike = [tuple(map(int, one.usable_views())) for one in data], {}
+    usable = [tuple(map(int, one.usable_views())) for one in data]
+    built_by_views: dict[tuple[int, ...], BuiltProblem] = {}
     for k, views in enumerate(usable):
-        if views not in alike:
+        if views not in built_by_views:
             try:
-                alike[views] = build_problem(
-                    data[k], starts[k], None, noise, loss, fixed, free, priors, field
+                built_by_views[views] = build_problem(
+                    data[k],
+                    starts[k],
+                    noise=noise,
+                    loss=loss,
+                    fixed=fixed,
+                    free=free,
+                    priors=priors,
+                    field=field,
                 )
             except ValueError as error:
                 raise ValueError(f"data[{k}]: {error}") from error
-    built = alike[usable[0]]
-    own = [
-        (begin, one.observations, alike[views].problem.own_free)
-        for begin, one, views in zip(starts, data, usable, strict=True)
+    built = built_by_views[usable[0]]
+    inputs = [
+        (initial, one.observations, built_by_views[views].problem.per_view_free)
+        for initial, one, views in zip(starts, data, usable, strict=True)
     ]
-    problems = eqx.tree_at(_own_parts, built.problem, _stacked(own))
-    mesh = None if devices is None else Mesh(np.array(devices), (FITS,))
-    rounds = SIGMA_ROUNDS if built.sigma_matters and not built.sigma_known else 0
-    solved = _solve_all(problems, built.sigma_known, rounds, mesh)
-    *answers, blind = jax.tree.map(lambda x: x[: len(data)], solved)
-    for k, view in np.argwhere(blind):
-        raise ValueError(f"data[{k}]: {nowhere([data[k].view_ids[view]])}")
-    calibrations, corrections, covariance, cost, steps, converged = answers
-    return ManyFits(calibrations, corrections, covariance, cost, steps, converged, built.names)
+    problems = eqx.tree_at(_per_fit_inputs, built.problem, _stack_pytrees(inputs))
+    mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
+    sigma_iterations = SIGMA_ITERATIONS if built.depends_on_sigma and not built.sigma_known else 0
+    solved = _solve_all(problems, built.sigma_known, sigma_iterations, mesh)
+    *results, unprojectable = jax.tree.map(lambda x: x[: len(data)], solved)
+    for k, view in np.argwhere(unprojectable):
+        raise ValueError(f"data[{k}]: {unprojectable_views_message([data[k].view_ids[view]])}")
+    calibrations, corrections, covariance, cost, steps, converged = results
+    return ManyFits(
+        calibrations, corrections, covariance, cost, steps, converged, built.shared_names
+    )
 
 
-def _own_parts(problem: JointProblem) -> OwnParts:
+def _per_fit_inputs(problem: JointProblem) -> PerFitInputs:
     """Return the parts of a problem that differ from one fit to the next."""
-    return problem.parameters.start, problem.observations, problem.own_free
+    return problem.parameters.start, problem.observations, problem.per_view_free
 
 
-def _require_alike(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:
+def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:
     """Raise a `ValueError` unless data sets and starts agree in shape, mount and structure."""
     if not data:
         raise ValueError("fit_many: expected at least one data set, found none")
     if len(starts) != len(data):
         raise ValueError(f"start: expected one, or {len(data)}, found {len(starts)}")
     shape, mount = data[0].visible.shape, data[0].mount
-    for k, one in enumerate(data):
-        if one.visible.shape != shape:
+    for k, item in enumerate(data):
+        if item.visible.shape != shape:
             raise ValueError(
                 f"data[{k}]: expected {shape[0]} views of {shape[1]} points as in data[0], found "
-                f"{one.visible.shape}; pad with points that are not visible"
+                f"{item.visible.shape}; pad with points that are not visible"
             )
-        if one.mount != mount:
-            raise ValueError(f"data[{k}]: expected {mount} as data[0], found {one.mount}")
+        if item.mount != mount:
+            raise ValueError(f"data[{k}]: expected {mount} as data[0], found {item.mount}")
     structure = jax.tree.structure(starts[0])
-    for k, one in enumerate(starts):
-        if jax.tree.structure(one) != structure:
+    for k, item in enumerate(starts):
+        if jax.tree.structure(item) != structure:
             raise ValueError(f"start[{k}]: its lens, picture size or mount is not start[0]'s")
 
 
-def _stacked(parts: Sequence[Any]) -> Any:
+def _stack_pytrees(pytrees: Sequence[Any]) -> Any:
     """Return pytrees of equal structure as one, arrays stacked along a new first axis."""
-    return jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *parts)
+    return jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *pytrees)
 
 
-@optimised
-def _solve_all(problems: JointProblem, sigma_known: bool, rounds: int, mesh: Mesh | None) -> tuple:
+@compiled_optimised
+def _solve_all(
+    problems: JointProblem, sigma_known: bool, sigma_iterations: int, mesh: Mesh | None
+) -> tuple:
     """Return every fit's answer, with the fits distributed over the devices of a mesh."""
-    parts = _own_parts(problems)
+    inputs = _per_fit_inputs(problems)
 
-    def one(part: OwnParts) -> tuple:
-        return _solve_one(eqx.tree_at(_own_parts, problems, part), sigma_known, rounds)
+    def solve_inputs(fit_inputs: PerFitInputs) -> tuple:
+        return _solve_one(
+            eqx.tree_at(_per_fit_inputs, problems, fit_inputs), sigma_known, sigma_iterations
+        )
 
     if mesh is None:
         # One after the other on each device: `vmap` over small matrices was several times slower.
-        return jax.lax.map(one, parts)
+        return jax.lax.map(solve_inputs, inputs)
     # Copies of the last fit make the fits divide evenly over the devices.
-    extra = -len(parts[1].visible) % mesh.size
-    spread = jax.shard_map(
-        lambda some: jax.lax.map(one, some),
+    padding = -len(inputs[1].visible) % mesh.size
+    solve_sharded = jax.shard_map(
+        lambda some: jax.lax.map(solve_inputs, some),
         mesh=mesh,
-        in_specs=P(FITS),
-        out_specs=P(FITS),
+        in_specs=P(FITS_AXIS),
+        out_specs=P(FITS_AXIS),
         check_vma=False,
     )
-    return spread(last_repeated(parts, extra))
+    return solve_sharded(pad_with_last(inputs, padding))
 
 
-def _solve_one(problem: JointProblem, sigma_known: bool, rounds: int) -> tuple:
+def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) -> tuple:
     """Solve one fit, re-estimating the pixel sigma in between.
 
     Returns:
         Calibration, corrections, covariance, cost, steps, whether it converged, and which views
         have points of which none can be projected.
     """
-    valid, seen = valid_at_start(problem), problem.observations.visible
-    problem = eqx.tree_at(lambda p: p.observations.visible, problem, seen & valid)
-    blind = jnp.any(seen, axis=1) & ~jnp.any(seen & valid, axis=1)
+    valid, visible = valid_at_start(problem), problem.observations.visible
+    problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible & valid)
+    unprojectable = jnp.any(visible, axis=1) & ~jnp.any(visible & valid, axis=1)
 
-    def weighed(sigma: Array) -> JointProblem:
+    def with_sigma(sigma: Array) -> JointProblem:
         return eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
 
-    def closer(at: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
-        there = weighed(at[0])
-        z = run(there, StructuredLM(), MAXIMUM_STEPS, at[1])[0]
+    def refine_sigma(state: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
+        reweighted = with_sigma(state[0])
+        z = minimise(reweighted, StructuredLM(), MAXIMUM_STEPS, state[1])[0]
         # sigma <- sigma sqrt(f), f the residual variance over the assumed one, starting the next
         # fit at the last solution.
-        told = at[0] * jnp.sqrt(variance_factor(there, there.squares(z)))
-        return (jnp.maximum(told, FINEST), z), None
+        new_sigma = state[0] * jnp.sqrt(
+            variance_factor(reweighted, reweighted.squared_residuals(z))
+        )
+        return (jnp.maximum(new_sigma, SIGMA_FLOOR), z), None
 
-    sigma, ahead = problem.pixel_sigma, problem.start()
+    sigma, initial_step = problem.pixel_sigma, problem.zero_step()
     # A scan of length zero would still be compiled, with the whole solver in it.
-    if rounds:
-        (sigma, ahead), _ = jax.lax.scan(closer, (sigma, ahead), length=rounds)
-    problem = weighed(sigma)
-    z, steps, _, equations, gain = run(problem, StructuredLM(), MAXIMUM_STEPS, ahead)
+    if sigma_iterations:
+        (sigma, initial_step), _ = jax.lax.scan(
+            refine_sigma, (sigma, initial_step), length=sigma_iterations
+        )
+    problem = with_sigma(sigma)
+    z, steps, _, equations, predicted_decrease = minimise(
+        problem, StructuredLM(), MAXIMUM_STEPS, initial_step
+    )
     calibration, corrections = problem.calibration(z)
     # Covariance f R^-1, with the reduced matrix R = A - sum_v B_v^T C_v^-1 B_v of the arrow-shaped
     # normal equations [[A, B^T], [B, C]]: pose corrections eliminated view by view.
-    factor = 1.0 if sigma_known else variance_factor(problem, problem.squares(z))
+    factor = 1.0 if sigma_known else variance_factor(problem, problem.squared_residuals(z))
     return (
         calibration,
         corrections,
-        factor * _inverse(eliminate(equations.matrix).reduced),
+        factor * _inverse(eliminate(equations.matrix).schur_complement),
         equations.cost,
         steps,
-        next_to_nothing(gain, equations.cost),
-        blind,
+        is_converged(predicted_decrease, equations.cost),
+        unprojectable,
     )
 
 
 def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Return the inverse of a positive definite matrix; infinite where it is close to singular."""
     # Scale to a unit diagonal first: px, m and rad differ by orders of magnitude.
-    lengths = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 0.0))
-    unit = 1.0 / jnp.where(lengths > 0.0, lengths, 1.0)
-    inverse = cho_solve(cho_factor(matrix * unit[:, None] * unit[None]), jnp.eye(len(matrix)))
+    column_norms = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 0.0))
+    inverse_norms = 1.0 / jnp.where(column_norms > 0.0, column_norms, 1.0)
+    inverse = cho_solve(
+        cho_factor(matrix * inverse_norms[:, None] * inverse_norms[None]), jnp.eye(len(matrix))
+    )
     # The largest eigenvalue of the inverse lies between trace / n and trace, so the trace bounds
     # the smallest singular value of the Jacobian without an eigendecomposition.
-    seen = jnp.trace(inverse) < NULL**-2
-    return jnp.where(seen, inverse * unit[:, None] * unit[None], jnp.inf)
+    well_conditioned = jnp.trace(inverse) < RANK_TOLERANCE**-2
+    return jnp.where(
+        well_conditioned, inverse * inverse_norms[:, None] * inverse_norms[None], jnp.inf
+    )

@@ -1,14 +1,17 @@
 """Present a calibration as tables, plots and an HTML page."""
 
+from ..deprecation import deprecated_names as _deprecated_names
 from .page import write_page as write_page
-from .tables import COMPARED as COMPARED
-from .tables import Summary as Summary
+from .tables import COMPARISON_HEADINGS as COMPARISON_HEADINGS
+from .tables import ErrorSummary as ErrorSummary
 from .tables import budget_rows as budget_rows
-from .tables import compared as compared
-from .tables import explanation_rows as explanation_rows
-from .tables import halves_agree as halves_agree
+from .tables import comparison_row as comparison_row
+from .tables import error_summaries as error_summaries
 from .tables import rejections as rejections
 from .tables import remarks as remarks
-from .tables import summaries as summaries
+from .tables import repeatability_rows as repeatability_rows
+from .tables import result_summary as result_summary
+from .tables import scale_hypothesis_rows as scale_hypothesis_rows
 from .tables import table_rows as table_rows
-from .tables import verdict as verdict
+
+__getattr__ = _deprecated_names(__name__)

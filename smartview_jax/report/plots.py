@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..targets import StackedTarget
-from .tables import Summary
+from .tables import ErrorSummary
 
 # The palette of Okabe and Ito, which colour-blind readers can distinguish.
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
@@ -26,7 +26,9 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calibration) -> Figure:
+def prediction_overlay(
+    data: Dataset, view: int, picture: np.ndarray, calibration: Calibration
+) -> Figure:
     """Draw predicted centres as crosses over a real picture, as in Fig. 1 of the paper.
 
     Args:
@@ -36,18 +38,21 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
         calibration: calibration that predicts the points.
     """
     target = data.target
-    shown = slice(len(target.board.points) if isinstance(target, StackedTarget) else None)
+    point_slice = slice(len(target.board.points) if isinstance(target, StackedTarget) else None)
     figure, axes = _figure(7.5, 5.8)
     axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
     predicted, valid = calibration.project(data.command, data.points)
-    u, v = np.asarray(predicted)[view, shown][np.asarray(valid)[view, shown]].T
+    u, v = np.asarray(predicted)[view, point_slice][np.asarray(valid)[view, point_slice]].T
     axes.plot(u, v, "+", color=RED, markersize=9, markeredgewidth=1.2, label="predicted")
-    seen = np.asarray(data.pixels)[view, shown][np.asarray(data.visible)[view, shown]]
-    axes.plot(*seen.T, ".", color=BLUE, markersize=3, label="measured")
+    measured = np.asarray(data.pixels)[view, point_slice][
+        np.asarray(data.visible)[view, point_slice]
+    ]
+    axes.plot(*measured.T, ".", color=BLUE, markersize=3, label="measured")
     # A target with several heights may have been detected only at others than the picture's.
-    if len(seen):
-        margin = 0.12 * float(np.ptp(seen, axis=0).max())
-        low, high = seen.min(axis=0) - margin, seen.max(axis=0) + margin
+    if len(measured):
+        # The picture is cropped to the measured points and a margin of 12 % of their extent.
+        margin = 0.12 * float(np.ptp(measured, axis=0).max())
+        low, high = measured.min(axis=0) - margin, measured.max(axis=0) + margin
         axes.set_xlim(max(low[0], -0.5), min(high[0], picture.shape[1] - 0.5))
         axes.set_ylim(min(high[1], picture.shape[0] - 0.5), max(low[1], -0.5))
     axes.set_title(f"view {data.view_ids[view]}")
@@ -57,10 +62,10 @@ def cross_bars(data: Dataset, view: int, picture: np.ndarray, calibration: Calib
     return figure
 
 
-def deviation_histogram(rows: Sequence[Summary]) -> Figure:
-    """Draw histograms of the registration errors, px, as in Fig. 7 of the paper."""
+def error_histogram(rows: Sequence[ErrorSummary]) -> Figure:
+    """Draw histograms of the reprojection errors, px, as in Fig. 7 of the paper."""
     figure, axes = _figure(7.0, 3.6)
-    finite = [row.fitted.px[np.isfinite(row.fitted.px)] for row in rows]
+    finite = [row.registration_errors.px[np.isfinite(row.registration_errors.px)] for row in rows]
     # The 99.5th percentile limits the axis, so that a few outliers do not compress the histogram.
     limit = max(float(np.percentile(values, 99.5)) for values in finite if values.size)
     bins = np.linspace(0.0, limit, 40).tolist()
@@ -68,8 +73,8 @@ def deviation_histogram(rows: Sequence[Summary]) -> Figure:
         colour = COLOURS.get(row.name, GREY)
         axes.hist(values, bins, alpha=0.35, color=colour)
         axes.hist(values, bins, histtype="step", color=colour, label=row.name)
-        axes.axvline(row.fitted.mean, color=colour, linestyle="--", linewidth=1)
-    axes.set_xlabel("deviation between measured and predicted centre (px); dashed: mean")
+        axes.axvline(row.registration_errors.mean, color=colour, linestyle="--", linewidth=1)
+    axes.set_xlabel("reprojection error (px); dashed: mean")
     axes.set_ylabel("points")
     axes.legend(frameon=False)
     return figure
@@ -78,21 +83,21 @@ def deviation_histogram(rows: Sequence[Summary]) -> Figure:
 def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
     """Draw the residuals over the image as arrows, magnified so that they are visible."""
     figure, axes = _figure(7.0, 5.2)
-    seen = np.asarray(data.visible) & np.isfinite(residuals).all(axis=-1)
-    where, vectors = np.asarray(data.pixels)[seen], residuals[seen]
+    visible = np.asarray(data.visible) & np.isfinite(residuals).all(axis=-1)
+    positions, vectors = np.asarray(data.pixels)[visible], residuals[visible]
     # An arrow of RMS length becomes 3 % of the picture's width.
-    typical = float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1)))) or 1.0
+    rms_length = float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1)))) or 1.0
     width, height = data.image_size
-    gain = 0.03 * width / typical
+    magnification = 0.03 * width / rms_length
     # At most 2500 arrows, drawn at random, remain distinguishable.
     rng = np.random.default_rng(0)
-    shown = rng.permutation(len(where))[:2500]
+    sample = rng.permutation(len(positions))[:2500]
     lengths = np.linalg.norm(vectors, axis=1)
     # The residual is measured minus predicted: an arrow points away from the prediction.
     arrows = axes.quiver(
-        *where[shown].T,
-        *(gain * vectors[shown]).T,
-        lengths[shown],
+        *positions[sample].T,
+        *(magnification * vectors[sample]).T,
+        lengths[sample],
         angles="xy",
         scale_units="xy",
         scale=1.0,
@@ -101,47 +106,53 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
     )
     # Without a limit, a few outliers would give all other arrows the same colour.
     arrows.set_clim(0.0, float(np.percentile(lengths, 98)) or 1.0)
-    figure.colorbar(arrows, ax=axes, label="deviation (px)", shrink=0.85, extend="max")
+    figure.colorbar(arrows, ax=axes, label="reprojection error (px)", shrink=0.85, extend="max")
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     axes.set_aspect("equal")
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    axes.set_title(f"arrows are {gain:.0f} times too long", fontsize=10)
+    axes.set_title(f"arrows are {magnification:.0f} times too long", fontsize=10)
     return figure
 
 
-def view_errors(data: Dataset, rows: Sequence[Summary]) -> Figure:
+def view_errors(data: Dataset, rows: Sequence[ErrorSummary]) -> Figure:
     """Draw the RMS registration error of every view as bars, px, which exposes outlying views."""
     figure, axes = _figure(max(5.0, 0.35 * data.view_count + 2.0), 3.4)
-    place = np.arange(data.view_count)
+    positions = np.arange(data.view_count)
     for k, row in enumerate(rows):
+        # The bars of a view stand side by side, centred on its position.
         offset = (k - 0.5 * (len(rows) - 1)) * 0.38
-        heights = np.nan_to_num(row.fitted.per_view)
-        axes.bar(place + offset, heights, 0.36, color=COLOURS.get(row.name, GREY), label=row.name)
-    axes.set_xticks(place, data.view_ids, rotation=90 if data.view_count > 20 else 0)
+        heights = np.nan_to_num(row.registration_errors.rms_per_view)
+        axes.bar(
+            positions + offset, heights, 0.36, color=COLOURS.get(row.name, GREY), label=row.name
+        )
+    axes.set_xticks(positions, data.view_ids, rotation=90 if data.view_count > 20 else 0)
     axes.set_xlabel("view")
     axes.set_ylabel("RMS (px)")
     axes.legend(frameon=False)
     return figure
 
 
-def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
+def camera_poses_3d(data: Dataset, calibration: Calibration) -> Figure:
     """Draw the cameras and the target in the target's frame, m; cameras of unused views are red."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
     world_from_camera = calibration.camera_from_world(data.command).inverse()
     centres = np.asarray(world_from_camera.translation())
     rotations = np.asarray(world_from_camera.rotation().as_matrix())
-    seen = np.asarray(data.visible)
-    target = np.asarray(data.points)[seen]
+    visible = np.asarray(data.visible)
+    target = np.asarray(data.points)[visible]
+    # Every target point once, although most views show it; equal to a micrometre is the same point.
     target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
     axes.scatter(*target.T, s=3, color=GREY, depthshade=False)
-    used = np.asarray(seen.any(axis=1))
+    used = np.asarray(visible.any(axis=1))
     # Cameras are drawn in proportion to their median distance from the target.
     length = 0.18 * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
-    for centre, rotation, view, good in zip(centres, rotations, data.view_ids, used, strict=True):
-        _frustum(axes, centre, rotation, calibration, length, BLUE if good else RED)
+    for centre, rotation, view, is_used in zip(
+        centres, rotations, data.view_ids, used, strict=True
+    ):
+        _frustum(axes, centre, rotation, calibration, length, BLUE if is_used else RED)
         axes.text(float(centre[0]), float(centre[1]), float(centre[2]), f" {view}", fontsize=7)
     for axis, colour in zip(np.eye(3), (RED, GREEN, BLUE), strict=True):
         axes.plot(*np.stack([np.zeros(3), length * axis]).T, color=colour, linewidth=2)
@@ -155,24 +166,30 @@ def views_in_space(data: Dataset, calibration: Calibration) -> Figure:
     return figure
 
 
-def error_by_views(chosen: np.ndarray, drawn: np.ndarray, unit: str = "px") -> Figure:
+def error_by_views(
+    chosen_errors: np.ndarray, random_errors: np.ndarray, unit: str = "px"
+) -> Figure:
     """Draw the expected error against the number of views, for chosen and for random views.
 
     Args:
-        chosen: expected error after one chosen view, after two, and so on; infinite where the
-            views leave a parameter undetermined.
-        drawn: the same for random orders of the views, `(orders, views)`.
+        chosen_errors: expected error after one chosen view, after two, and so on; infinite where
+            the views leave a parameter undetermined.
+        random_errors: the same for random orders of the views, `(orders, views)`.
         unit: unit of the error.
     """
     figure, axes = _figure(6.5, 3.8)
-    number = np.arange(1, 1 + drawn.shape[1])
+    view_counts = np.arange(1, 1 + random_errors.shape[1])
     # "nearest" takes one of the values: interpolation between infinite values gives NaN.
-    low, middle, high = np.quantile(drawn, (0.05, 0.5, 0.95), axis=0, method="nearest")
-    known = np.isfinite(high)
-    axes.fill_between(number[known], low[known], high[known], color=GREY, alpha=0.25, linewidth=0)
-    axes.plot(number[known], middle[known], color=GREY, label="random, 5 to 95 % of draws")
-    number, known = np.arange(1, 1 + len(chosen)), np.isfinite(chosen)
-    axes.plot(number[known], chosen[known], "o-", color=BLUE, markersize=4, label="chosen")
+    low, median, high = np.quantile(random_errors, (0.05, 0.5, 0.95), axis=0, method="nearest")
+    finite = np.isfinite(high)
+    axes.fill_between(
+        view_counts[finite], low[finite], high[finite], color=GREY, alpha=0.25, linewidth=0
+    )
+    axes.plot(view_counts[finite], median[finite], color=GREY, label="random, 5 to 95 % of draws")
+    view_counts, finite = np.arange(1, 1 + len(chosen_errors)), np.isfinite(chosen_errors)
+    axes.plot(
+        view_counts[finite], chosen_errors[finite], "o-", color=BLUE, markersize=4, label="chosen"
+    )
     axes.set_yscale("log")
     axes.set_xlabel("views")
     axes.set_ylabel(f"expected error ({unit})")

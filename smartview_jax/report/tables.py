@@ -6,64 +6,66 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..calibrate_data import CalibrationFit
 from ..calibration import Calibration
-from ..dataset import Dataset
+from ..calibration_pipeline import CalibrationFit
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
 from ..engine import ROBOT_ERROR
 from ..evaluation import (
-    UNCORRECTED,
-    Deviations,
+    UNCORRECTED_SUFFIX,
     ErrorBudget,
-    HeldOut,
-    Repeatability,
-    Row,
-    Unseen,
+    HeldOutErrors,
+    HeldOutReport,
+    MethodResult,
+    ReprojectionErrors,
+    SplitHalfDifference,
     count_rejected,
-    deviations,
     has_correction,
     rejected_by,
+    reprojection_errors,
     without_rejected_views,
 )
 from ..joint import JointFit
-from ..robot_errors import arm_of
-from ..variance import MINIMUM_RELIABLE_VIEWS
+from ..robot_errors import nominal_arm
 
 
-class Summary(NamedTuple):
+class ErrorSummary(NamedTuple):
     """The errors of one fit, which are one column of the table of results.
 
     Attributes:
         name: name of the method.
-        fitted: registration errors on all views that were not rejected.
-        unseen: held-out errors; None where they were not computed.
+        registration_errors: registration errors on all views that were not rejected.
+        held_out_report: held-out errors; None where they were not computed.
     """
 
     name: str
-    fitted: Deviations
-    unseen: Unseen | None
+    registration_errors: ReprojectionErrors
+    held_out_report: HeldOutReport | None
 
     @property
-    def held_out(self) -> HeldOut | None:
+    def held_out(self) -> HeldOutErrors | None:
         """The held-out error by view; None where it was not computed."""
-        return None if self.unseen is None else self.unseen.held_out
+        return None if self.held_out_report is None else self.held_out_report.held_out
 
 
-def summaries(
-    fit: CalibrationFit, data: Dataset, unseen: dict[str, Unseen] | None = None
-) -> list[Summary]:
+def error_summaries(
+    fit: CalibrationFit, data: Dataset, held_out_reports: dict[str, HeldOutReport] | None = None
+) -> list[ErrorSummary]:
     """Return the errors of the staged and the joint fit.
 
     If the joint fit corrects the robot's error, a third row has its errors without the correction.
     Views that the joint fit rejected entirely are left out for all fits alike.
     """
-    unseen, data = unseen or {}, without_rejected_views(data, fit)
-    parts = {"staged": fit.staged.calibration, "joint": fit.joint.calibration}
+    held_out_reports, data = held_out_reports or {}, without_rejected_views(data, fit)
+    calibrations = {"staged": fit.staged.calibration, "joint": fit.joint.calibration}
     if has_correction(fit.joint):
-        parts[f"joint, {UNCORRECTED}"] = fit.joint.calibration.uncorrected
-    return [Summary(name, deviations(part, data), unseen.get(name)) for name, part in parts.items()]
+        calibrations[f"joint, {UNCORRECTED_SUFFIX}"] = fit.joint.calibration.uncorrected
+    return [
+        ErrorSummary(name, reprojection_errors(calibration, data), held_out_reports.get(name))
+        for name, calibration in calibrations.items()
+    ]
 
 
-MEASURES = (
+MEASURE_NAMES = (
     "registration error, mean +- std",
     "registration error, RMS",
     "held-out error, RMS",
@@ -76,34 +78,40 @@ MEASURES = (
 """Names of the rows of the table of results."""
 
 
-def cells(summary: Summary) -> list[str]:
-    """Return one column of the table of results: a text for each of `MEASURES`."""
-    figures = [
-        f"{summary.fitted.mean:.2f} +- {summary.fitted.std:.2f} px",
-        f"{summary.fitted.rms:.2f} px",
+def summary_column(summary: ErrorSummary) -> list[str]:
+    """Return one column of the table of results: a text for each of `MEASURE_NAMES`."""
+    texts = [
+        f"{summary.registration_errors.mean:.2f} +- {summary.registration_errors.std:.2f} px",
+        f"{summary.registration_errors.rms:.2f} px",
     ]
-    unseen = summary.unseen
-    if unseen is None:
-        return figures + ["-"] * (len(MEASURES) - len(figures))
-    low, high = unseen.held_out.interval()
+    held_out_report = summary.held_out_report
+    if held_out_report is None:
+        return texts + ["-"] * (len(MEASURE_NAMES) - len(texts))
+    low, high = held_out_report.held_out.interval()
     return [
-        *figures,
-        f"{unseen.held_out.deviations.rms:.2f} px",
+        *texts,
+        f"{held_out_report.held_out.errors.rms:.2f} px",
         f"{low:.2f} to {high:.2f} px",
-        f"{unseen.held_out.deviations.rms_mm:.2f} mm",
-        "-" if unseen.foretold is None else f"{unseen.foretold.ratio:.2f}",
-        "-" if unseen.floor is None else f"{unseen.floor.deviations.rms:.2f} px",
-        "-" if unseen.by_region is None else f"{unseen.by_region.deviations.rms:.2f} px",
+        f"{held_out_report.held_out.errors.rms_mm:.2f} mm",
+        "-"
+        if held_out_report.predicted_error is None
+        else f"{held_out_report.predicted_error.rms_ratio:.2f}",
+        "-"
+        if held_out_report.free_pose is None
+        else f"{held_out_report.free_pose.errors.rms:.2f} px",
+        "-"
+        if held_out_report.by_region is None
+        else f"{held_out_report.by_region.errors.rms:.2f} px",
     ]
 
 
-def table_rows(rows: Sequence[Summary]) -> list[tuple[str, ...]]:
+def table_rows(rows: Sequence[ErrorSummary]) -> list[tuple[str, ...]]:
     """Return the rows of the table that have a number, each beginning with its measure."""
-    columns = [cells(row) for row in rows]
-    return [row for row in zip(MEASURES, *columns, strict=True) if set(row[1:]) != {"-"}]
+    columns = [summary_column(row) for row in rows]
+    return [row for row in zip(MEASURE_NAMES, *columns, strict=True) if set(row[1:]) != {"-"}]
 
 
-COMPARED = (
+COMPARISON_HEADINGS = (
     "method",
     "mean +- std, px",
     "RMS, px",
@@ -115,119 +123,135 @@ COMPARED = (
 """Headings of the columns of the comparison of methods."""
 
 
-def compared(row: Row) -> list[str]:
-    """Return one row of the comparison of methods: a text for each of `COMPARED`."""
+def comparison_row(row: MethodResult) -> list[str]:
+    """Return one row of the comparison of methods: a text for each of `COMPARISON_HEADINGS`."""
     if row.fitted is None or row.held_out is None:
-        return [row.name, "failed", *["-"] * (len(COMPARED) - 2)]
-    unseen = row.held_out.deviations
+        return [row.name, "failed", *["-"] * (len(COMPARISON_HEADINGS) - 2)]
+    held_out_errors = row.held_out.errors
     counts = None if row.rejected is None else count_rejected(row.rejected)
     return [
         row.name,
         f"{row.fitted.mean:.3g} +- {row.fitted.std:.3g}",
         f"{row.fitted.rms:.3g}",
-        f"{unseen.rms:.3g}",
+        f"{held_out_errors.rms:.3g}",
         "{:.3g} to {:.3g}".format(*row.held_out.interval()),
-        f"{unseen.rms_mm:.3g}",
+        f"{held_out_errors.rms_mm:.3g}",
         "-" if counts is None else f"{counts.points}, {counts.views}",
     ]
 
 
 def remarks(
-    name: str, fitted: Deviations | None, unseen: Unseen | None, failure: str | None = None
+    name: str,
+    registration_errors: ReprojectionErrors | None,
+    held_out_report: HeldOutReport | None,
+    failure: str | None = None,
 ) -> list[str]:
     """Return remarks on the numbers of a table: failed fits, and points that are left out."""
-    found = [] if failure is None else [f"{name}: {failure}"]
-    if fitted is not None and fitted.unpredicted:
-        found.append(f"{name}: {fitted.unpredicted} points seen cannot be predicted at all")
-    if unseen is None:
-        return found
-    found += _left_out(name, unseen.held_out)
-    if unseen.by_region is not None:
-        found += _left_out(f"{name}, by region", unseen.by_region)
+    lines = [] if failure is None else [f"{name}: {failure}"]
+    if registration_errors is not None and registration_errors.unpredicted_count:
+        count = registration_errors.unpredicted_count
+        lines.append(f"{name}: {count} points seen cannot be predicted at all")
+    if held_out_report is None:
+        return lines
+    lines += _held_out_remarks(name, held_out_report.held_out)
+    if held_out_report.by_region is not None:
+        lines += _held_out_remarks(f"{name}, by region", held_out_report.by_region)
     # A fold whose refit failed is reported above already.
-    known = {number for number, _ in unseen.held_out.failures}
-    others = (unseen.floor, None if unseen.foretold is None else unseen.foretold.predicted)
-    for what, part in zip(("with a free pose", "what the fit expected"), others, strict=True):
-        for number, why in () if part is None else part.failures:
-            if number not in known:
-                found.append(f"{name}, {what}: fold {number + 1} failed: {why}")
-    return found
+    reported_folds = {number for number, _ in held_out_report.held_out.failures}
+    predicted_error = held_out_report.predicted_error
+    for label, held_out in (
+        ("with a free pose", held_out_report.free_pose),
+        ("what the fit expected", None if predicted_error is None else predicted_error.predicted),
+    ):
+        for number, reason in () if held_out is None else held_out.failures:
+            if number not in reported_folds:
+                lines.append(f"{name}, {label}: fold {number + 1} failed: {reason}")
+    return lines
 
 
-def _left_out(name: str, unseen: HeldOut) -> list[str]:
+def _held_out_remarks(name: str, held_out: HeldOutErrors) -> list[str]:
     """Return remarks on held-out points without prediction, extrapolation, and failed folds."""
-    found = []
-    if unseen.deviations.unpredicted:
-        count = unseen.deviations.unpredicted
-        found.append(f"{name}: {count} held-out points seen cannot be predicted at all")
-    if unseen.extrapolated:
-        count, total = len(unseen.extrapolated), sum(map(len, unseen.folds))
-        found.append(
+    lines = []
+    if held_out.errors.unpredicted_count:
+        count = held_out.errors.unpredicted_count
+        lines.append(f"{name}: {count} held-out points seen cannot be predicted at all")
+    if held_out.extrapolated_views:
+        count, total = len(held_out.extrapolated_views), sum(map(len, held_out.folds))
+        lines.append(
             f"{name}: {count} of {total} held-out views lie outside the hull of the viewpoints "
             "that were left: extrapolated"
         )
-    found += [f"{name}: fold {k + 1} failed: {why}" for k, why in unseen.failures]
-    found += [f"{name}: fold {k + 1} did not converge: {why}" for k, why in unseen.unconverged]
-    return found
+    lines += [f"{name}: fold {k + 1} failed: {reason}" for k, reason in held_out.failures]
+    lines += [
+        f"{name}: fold {k + 1} did not converge: {why}" for k, why in held_out.unconverged_folds
+    ]
+    return lines
 
 
 def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
     """Return views and reasons of rejection: whole views first, then counts of rejected points."""
-    whole, points = {}, {}
+    view_reasons, rejected_points = {}, {}
     # A rejection without a point is that of a whole view. A set counts every point once.
     for view, point, reason in rejected_by(fit) or ():
         if point is None:
-            whole[view] = reason
+            view_reasons[view] = reason
         else:
-            points.setdefault((view, reason), set()).add(point)
-    lines = [(view, f"not used: {reason}") for view, reason in whole.items()]
+            rejected_points.setdefault((view, reason), set()).add(point)
+    lines = [(view, f"not used: {reason}") for view, reason in view_reasons.items()]
     order = {view: k for k, view in enumerate(data.view_ids)}
-    for (view, reason), which in sorted(points.items(), key=lambda item: order[item[0][0]]):
-        lines.append((view, f"{len(which)} points {reason}"))
+    for (view, reason), indices in sorted(
+        rejected_points.items(), key=lambda item: order[item[0][0]]
+    ):
+        lines.append((view, f"{len(indices)} points {reason}"))
     return lines
 
 
-def errors_found(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
+def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     """Return the estimated variance components and robot error model as rows; empty if none."""
-    noise, estimate = joint.noise, joint.estimate
+    noise, estimate = joint.noise, joint.noise_estimate
     if noise is None or estimate is None:
         return []
-    chances = ", ".join(
-        f"{other.name} {other.probability:.2f}"
-        for other in estimate.alternatives
-        if other.probability >= 0.005
+    probabilities = ", ".join(
+        f"{candidate.name} {candidate.probability:.2f}"
+        for candidate in estimate.candidates
+        if candidate.probability >= 0.005
     )
-    white = "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
-    # A relative standard deviation of 100 % or more belongs to a size that is close to zero, and
-    # carries no information.
-    known = [f" +- {share:.0%}" if share < 1.0 else "" for share in estimate.relative_std]
+    within_view_text = (
+        "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
+    )
+    # A relative standard deviation of 100 % or more means that the variance component may as well
+    # be zero: it is not printed.
+    relative_std_texts = [
+        f" +- {relative:.0%}" if relative < 1.0 else "" for relative in estimate.relative_std
+    ]
     lines = [
         (
             "errors of the robot",
-            f"{_in_words(estimate.name)}; probabilities: {chances}",
+            f"{_model_with_description(estimate.name)}; probabilities: {probabilities}",
         ),
         (
             "sizes of errors",
-            f"pixels {noise.pixel:.3f} px{known[0]}{white}; poses, each by itself, "
-            f"{1e3 * noise.translation:.3f} mm{known[1]} and "
-            f"{np.rad2deg(noise.rotation):.4f} deg{known[2]}",
+            f"pixels {noise.pixel:.3f} px{relative_std_texts[0]}{within_view_text}; "
+            f"poses, each by itself, "
+            f"{1e3 * noise.translation:.3f} mm{relative_std_texts[1]} and "
+            f"{np.rad2deg(noise.rotation):.4f} deg{relative_std_texts[2]}",
         ),
     ]
     if joint.calibration.robot_error is not None:
-        left = deviations(joint.calibration.uncorrected, data).rms
+        uncorrected_rms = reprojection_errors(joint.calibration.uncorrected, data).rms
         lines.append(
             (
                 "without the correction",
-                f"{left:.2f} px RMS: what a program sees that takes the "
+                f"{uncorrected_rms:.2f} px RMS: what a program sees that takes the "
                 "transforms from here and leaves the robot's error out",
             )
         )
-    if not estimate.settled:
+    if not estimate.converged:
         lines.append(("sizes of errors", "still changing when the search ended: take with care"))
     return lines
 
 
-MODELS = {
+MODEL_DESCRIPTIONS = {
     "white": "each pose by itself",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
@@ -238,48 +262,51 @@ MODELS = {
 """Descriptions of the robot error models, by name."""
 
 
-def _in_words(name: str) -> str:
+def _model_with_description(name: str) -> str:
     """Return the name of a robot error model with its description."""
-    return f"{name} ({MODELS[name]})" if name in MODELS else name
+    return f"{name} ({MODEL_DESCRIPTIONS[name]})" if name in MODEL_DESCRIPTIONS else name
 
 
-def models_chosen(names: Iterable[str]) -> str:
+def model_counts_text(names: Iterable[str]) -> str:
     """Return a clause that counts the robot error models of refits; empty if none was estimated."""
     counts = Counter(names).most_common()
     listed = ", ".join(f"{name} {count}" for name, count in counts)
     return f"; errors of the robot there: {listed}" if counts else ""
 
 
-def halves_agree(halves: Repeatability | None) -> list[tuple[str, str]]:
+def repeatability_rows(repeatability: SplitHalfDifference | None) -> list[tuple[str, str]]:
     """Return a row with the hand-eye difference of two halves of the views; empty if unknown."""
-    if halves is None:
+    if repeatability is None:
         return []
-    estimates = [getattr(fit, "estimate", None) for fit in halves.fits]
-    chosen = models_chosen(found.name for found in estimates if found is not None)
-    text = f"the hand-eye transforms that they find are {halves.words}{chosen}"
+    estimates = [getattr(fit, "noise_estimate", None) for fit in repeatability.fits]
+    model_counts = model_counts_text(
+        estimate.name for estimate in estimates if estimate is not None
+    )
+    text = f"the hand-eye transforms that they find are {repeatability.description}{model_counts}"
     return [("even and odd views", text)]
 
 
 def budget_rows(budget: ErrorBudget) -> list[tuple[str, str, str]]:
     """Return each cause of error, its RMS in the uncorrected chain and an advice, largest first."""
-    return [(part.name, f"{part.px:.3g} px", part.advice) for part in budget.parts]
+    return [(cause.name, f"{cause.rms:.3g} px", cause.advice) for cause in budget.causes]
 
 
-def explanation_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
-    """Return rows on explanations of the robot's error by a single parameter.
+def scale_hypothesis_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
+    """Return rows on the hypotheses that explain the robot's error by a single scale.
 
-    A row has the name, the size, the reduction of the deviance (and that by a robot error field
-    instead), the further reduction in addition to that field, and the held-out RMS by region.
+    A row has the name, the scale, the decrease of the deviance (and that by a robot error field
+    instead), the further decrease in addition to that field, and the held-out RMS by region.
     """
     return [
         (
-            one.name,
-            f"{one.size:.4f} +- {one.std:.4f}",
-            f"{one.gain:.0f}; a field {one.field_gain:.0f}",
-            f"{one.beside_field:.1f}",
-            "" if one.region_px is None else f"{one.region_px:.3g} px",
+            hypothesis.name,
+            f"{hypothesis.scale:.4f} +- {hypothesis.std:.4f}",
+            f"{hypothesis.log_likelihood_ratio:.0f}; "
+            f"a field {hypothesis.field_log_likelihood_ratio:.0f}",
+            f"{hypothesis.log_likelihood_ratio_given_field:.1f}",
+            "" if hypothesis.region_rms is None else f"{hypothesis.region_rms:.3g} px",
         )
-        for one in budget.explanations
+        for hypothesis in budget.scale_hypotheses
     ]
 
 
@@ -290,19 +317,20 @@ def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
     because those of other fields have no meaning one by one.
     """
     calibration = fit.joint.calibration
-    slides, rows = _offsets_that_slide(calibration), []
-    for name, value in (_values(calibration) | _errors_of_arm(calibration)).items():
+    prismatic_offsets, rows = _prismatic_offset_names(calibration), []
+    values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
+    for name, value in values.items():
         std = fit.joint.std.get(name)
-        scale, unit = _unit(name, slides)
+        scale, unit = _display_unit(name, prismatic_offsets)
         if std is None:
-            spread = "held"
+            std_text = "held"
         else:
-            spread = f"{scale * std:.2g}" if np.isfinite(std) else "not determined"
-        rows.append((name, f"{scale * value:.6g} {unit}".strip(), spread))
+            std_text = f"{scale * std:.2g}" if np.isfinite(std) else "not determined"
+        rows.append((name, f"{scale * value:.6g} {unit}".strip(), std_text))
     return rows
 
 
-def _values(calibration: Calibration) -> dict[str, float]:
+def _parameter_values(calibration: Calibration) -> dict[str, float]:
     """Return the camera's, the transforms' (m, rad) and the target's parameters by name."""
     # The names are the keys of `JointFit.std`, so that both can be combined.
     camera = calibration.camera
@@ -316,9 +344,9 @@ def _values(calibration: Calibration) -> dict[str, float]:
     }
     transforms = (calibration.camera_from_mount, calibration.holder_from_world)
     for name, transform in zip(calibration.transform_names, transforms, strict=True):
-        turn = np.asarray(transform.rotation().log())
-        shift = np.asarray(transform.translation())
-        for part, numbers in (("translation", shift), ("rotation", turn)):
+        rotation_vector = np.asarray(transform.rotation().log())
+        translation = np.asarray(transform.translation())
+        for part, numbers in (("translation", translation), ("rotation", rotation_vector)):
             values |= {
                 f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
             }
@@ -326,29 +354,33 @@ def _values(calibration: Calibration) -> dict[str, float]:
     return values
 
 
-def _errors_of_arm(calibration: Calibration) -> dict[str, float]:
+def _arm_error_coefficients(calibration: Calibration) -> dict[str, float]:
     """Return the robot error coefficients by name, for an arm with known joints; else none."""
     error = calibration.robot_error
-    if error is None or arm_of(calibration.field) is None:
+    if error is None or nominal_arm(calibration.field) is None:
         return {}
-    numbers = np.asarray(error.coefficients)
+    coefficients = np.asarray(error.coefficients)
     return {
-        f"{ROBOT_ERROR}.{name}": float(number)
-        for name, number in zip(error.field.names, numbers, strict=True)
+        f"{ROBOT_ERROR}.{name}": float(coefficient)
+        for name, coefficient in zip(error.field.names, coefficients, strict=True)
     }
 
 
-def _offsets_that_slide(calibration: Calibration) -> set[str]:
+def _prismatic_offset_names(calibration: Calibration) -> set[str]:
     """Return the names of the joint offsets of prismatic joints, whose unit is a length."""
-    arm = arm_of(calibration.field)
+    arm = nominal_arm(calibration.field)
     if arm is None:
         return set()
-    return {f"{ROBOT_ERROR}.joint_offset.{1 + k}" for k, s in enumerate(arm.prismatic) if s}
+    return {
+        f"{ROBOT_ERROR}.joint_offset.{1 + k}"
+        for k, is_prismatic in enumerate(arm.prismatic)
+        if is_prismatic
+    }
 
 
-def _unit(name: str, slides: set[str]) -> tuple[float, str]:
+def _display_unit(name: str, prismatic_offsets: set[str]) -> tuple[float, str]:
     """Return the factor from SI units, and the unit to print, of a parameter by its name."""
-    if ".translation." in name or ".link_length." in name or name in slides:
+    if ".translation." in name or ".link_length." in name or name in prismatic_offsets:
         return 1e3, "mm"
     if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
         return float(np.rad2deg(1.0)), "deg"
@@ -357,36 +389,39 @@ def _unit(name: str, slides: set[str]) -> tuple[float, str]:
     return 1.0, ""
 
 
-def verdict(rows: list[Summary], fit: CalibrationFit) -> str:
+def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:
     """Return a summary of the result in a few sentences."""
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows[:2]
-    measured, what = [staged.fitted.rms, joint.fitted.rms], "on the views it was fitted to"
+    rms = [staged.registration_errors.rms, joint.registration_errors.rms]
+    evaluated_on = "on the views it was fitted to"
     if staged.held_out is not None and joint.held_out is not None:
-        unseen = [staged.held_out.deviations.rms, joint.held_out.deviations.rms]
+        held_out_rms = [staged.held_out.errors.rms, joint.held_out.errors.rms]
         # Without a single successful fold the held-out RMS is not finite, and the registration
         # errors are reported instead.
-        if np.isfinite(unseen).all():
-            measured, what = unseen, "on views it never saw"
+        if np.isfinite(held_out_rms).all():
+            rms, evaluated_on = held_out_rms, "on views it never saw"
     # With a free pose for every view the residual is that of the camera model and the detections
     # alone: no calibration of the whole chain can be expected to be below it.
     floor = float(fit.staged.step2.rms)
     text = (
-        f"The joint fit predicts target points to {measured[1]:.2f} px RMS {what}; "
-        f"the staged pipeline to {measured[0]:.2f} px. "
+        f"The joint fit predicts target points to {rms[1]:.2f} px RMS {evaluated_on}; "
+        f"the staged pipeline to {rms[0]:.2f} px. "
         f"With a free pose for every view the camera alone would reach {floor:.2f} px"
     )
-    if measured[1] > 3.0 * floor:
+    # Far above the floor the camera is not what limits the result.
+    if rms[1] > 3.0 * floor:
         text += ": the rest comes from the robot's poses, the target's size or too few views."
     else:
         text += "."
-    views = len(joint.fitted.per_view)
-    used = int(np.isfinite(joint.fitted.per_view).sum())
-    left = count_rejected(rejected_by(fit) or ()).views
-    if left:
-        text += f" Of {views} views {left} {'is' if left == 1 else 'are'} rejected and not counted."
+    views = len(joint.registration_errors.rms_per_view)
+    used = int(np.isfinite(joint.registration_errors.rms_per_view).sum())
+    rejected_count = count_rejected(rejected_by(fit) or ()).views
+    if rejected_count:
+        verb = "is" if rejected_count == 1 else "are"
+        text += f" Of {views} views {rejected_count} {verb} rejected and not counted."
     if used < MINIMUM_RELIABLE_VIEWS:
-        fewest = MINIMUM_RELIABLE_VIEWS
-        text += f" With {used} views no figure here is reliable: take {fewest} at least."
+        text += f" With {used} views no figure here is reliable: take "
+        text += f"{MINIMUM_RELIABLE_VIEWS} at least."
     return text

@@ -1,20 +1,24 @@
 """Model the difference between reported and true robot poses: robot error fields and priors."""
 
+from ..deprecation import deprecated_names as _deprecated_names
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios
-from .arm_errors import arm_of as arm_of
+from .arm_errors import nominal_arm as nominal_arm
 from .combined import CombinedField as CombinedField
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField
-from .implied_arm import ImpliedArm as ImpliedArm
+from .field import FieldChoice as FieldChoice
+from .generic_six_axis_arm import GenericSixAxisArm as GenericSixAxisArm
 from .linear_fields import LinearInPose as LinearInPose
 from .linear_fields import LinearInPosition as LinearInPosition
 from .registry import field_by_name as field_by_name
 from .registry import field_name as field_name
 from .robot_error import RobotError as RobotError
 from .robot_prior import RobotPrior as RobotPrior
+from .scale_error import LinearInPoseWithScales as LinearInPoseWithScales
+from .scale_error import ScaleError as ScaleError
 from .serialization import robot_error_from_dict as robot_error_from_dict
 from .serialization import robot_error_to_dict as robot_error_to_dict
-from .stretch import PoseOrStretch as PoseOrStretch
-from .stretch import Stretched as Stretched
+
+__getattr__ = _deprecated_names(__name__)

@@ -1,6 +1,6 @@
 """Define robot error fields of the arm itself: joint zeros, gear ratios, Denavit-Hartenberg errors.
 
-Unlike the linear fields these are exact: the true pose is the forward kinematics of the corrected
+Unlike the linear fields these are exact: the actual pose is the forward kinematics of the corrected
 parameters. An error at either end of the chain that is the same in all views is equivalent to a
 displacement of the base or of the tool: the zero of the last joint is not observable separately
 from the hand-eye transform, nor that of the first joint separately from the pose of the target.
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..robots import Command, JointsLike, SerialArm, by_numbers, joints_near
+from ..robots import Command, JointsLike, SerialArm, dh_jacobian, solve_joints_iteratively
 from .field import AbstractField
 
 
@@ -29,49 +29,59 @@ class AbstractArmErrors(AbstractField):
     arm: SerialArm
 
     @abc.abstractmethod
-    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
-        """Return the true arm for given coefficients."""
+    def actual_arm(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        """Return the actual arm for given coefficients."""
 
-    def ratios(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "joints"]:
-        """Return the true motion of each joint per unit of its reading."""
+    def joint_scale_factors(
+        self, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "joints"]:
+        """Return the actual motion of each joint per unit of its reading."""
         del coefficients
-        return jnp.ones(self.arm.size)
+        return jnp.ones(self.arm.joint_count)
 
-    def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """Return the true `base_from_tool`.
+    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
+        """Return the actual `base_from_tool`.
 
         Raises:
             ValueError: the report is a pose without joint readings.
         """
-        return self.corrected(coefficients).base_from_tool(self._gone(reported, coefficients))
+        return self.actual_arm(coefficients).base_from_tool(
+            self._actual_joints(reported, coefficients)
+        )
 
-    def by_coefficients(
+    def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        """Return the Jacobian of the true pose, by the chain rule through the arm."""
+        """Return the Jacobian of the actual pose, by the chain rule through the arm."""
         # Chain rule, with p the Denavit-Hartenberg parameters and c the coefficients:
         #     d pose / dc = (d pose / dp) (dp / dc)
-        # The first factor is geometric (`by_numbers`); only the second, which is simple, is
+        # The first factor is geometric (`dh_jacobian`); only the second, which is simple, is
         # differentiated automatically. The point of linearisation is held constant, since second
         # derivatives of the pose are not needed.
-        at = jax.lax.stop_gradient(coefficients)
-        twists = by_numbers(self.corrected(at), self._gone(reported, at))
+        linearisation_point = jax.lax.stop_gradient(coefficients)
+        dh_jacobians = dh_jacobian(
+            self.actual_arm(linearisation_point), self._actual_joints(reported, linearisation_point)
+        )
 
-        def numbers(
-            moved: Float[Array, "coefficients"], one: Command
+        def dh_parameters(
+            displaced: Float[Array, "coefficients"], reported_view: Command
         ) -> Float[Array, "rows joints"]:
             # Joint motion and joint zero add up in the same parameter, so that a gear ratio enters
             # as an offset of ratio times reading.
-            arm = _with_offsets(self.corrected(moved), self._gone(one, moved))
+            arm = _with_joint_offsets(
+                self.actual_arm(displaced), self._actual_joints(reported_view, displaced)
+            )
             return jnp.stack([arm.theta, arm.d, arm.a, arm.alpha])
 
-        rows = jax.vmap(jax.jacfwd(numbers), in_axes=(None, 0))(coefficients, reported)
-        return jnp.einsum("vkrj,vrjc->vkc", twists, rows)
+        parameter_jacobians = jax.vmap(jax.jacfwd(dh_parameters), in_axes=(None, 0))(
+            coefficients, reported
+        )
+        return jnp.einsum("vkrj,vrjc->vkc", dh_jacobians, parameter_jacobians)
 
-    def _gone(
+    def _actual_joints(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "*views joints"]:
-        """Return the true motion of every joint for its reading.
+        """Return the actual motion of every joint for its reading.
 
         Raises:
             ValueError: the report is a pose without joint readings.
@@ -82,15 +92,15 @@ class AbstractArmErrors(AbstractField):
                 "instead of a pose, or corrected=False for the bare chain"
             )
         joints = jnp.asarray(reported.joints, dtype=float)
-        return joints * jnp.broadcast_to(self.ratios(coefficients), joints.shape)
+        return joints * jnp.broadcast_to(self.joint_scale_factors(coefficients), joints.shape)
 
     def command(
         self,
-        true: SE3,
+        actual: SE3,
         coefficients: Float[Array, "coefficients"],
         near: JointsLike | None = None,
     ) -> Command:
-        """Return the command for a true pose, as `AbstractField` does.
+        """Return the command for an actual pose, as `AbstractField` does.
 
         It is NaN where the arm does not reach the pose.
 
@@ -102,17 +112,19 @@ class AbstractArmErrors(AbstractField):
                 "an arm reaches a pose in several ways: give near=joints, angles in whose "
                 "neighbourhood to look"
             )
-        ratios = self.ratios(coefficients)
-        arm = self.corrected(coefficients)
-        # The limits apply to readings, whereas this arm is solved for the true joint motion.
-        arm = dataclasses.replace(arm, limits=arm.limits * ratios[:, None])
+        scale_factors = self.joint_scale_factors(coefficients)
+        arm = self.actual_arm(coefficients)
+        # The limits apply to readings, whereas this arm is solved for the actual joint motion.
+        arm = dataclasses.replace(arm, limits=arm.limits * scale_factors[:, None])
         near = jnp.asarray(near, dtype=float)
-        gone, reached = joints_near(arm, true, near * jnp.broadcast_to(ratios, near.shape))
-        joints = gone / jnp.broadcast_to(ratios, gone.shape)
+        actual_joints, reached = solve_joints_iteratively(
+            arm, actual, near * jnp.broadcast_to(scale_factors, near.shape)
+        )
+        joints = actual_joints / jnp.broadcast_to(scale_factors, actual_joints.shape)
         return self.arm.command(jnp.where(reached[..., None], joints, jnp.nan))
 
 
-def arm_of(field: AbstractField | None) -> SerialArm | None:
+def nominal_arm(field: AbstractField | None) -> SerialArm | None:
     """Return the arm of a field of arm errors; None for any other field, and for None."""
     return field.arm if isinstance(field, AbstractArmErrors) else None
 
@@ -122,41 +134,43 @@ class JointOffsets(AbstractArmErrors):
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
-        return (("joint_offset", self.arm.size),)
+        return (("joint_offset", self.arm.joint_count),)
 
     @property
     def names(self) -> tuple[str, ...]:
-        return _by_joint(("joint_offset",), self.arm)
+        return _names_per_joint(("joint_offset",), self.arm)
 
-    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
-        return _with_offsets(self.arm, coefficients)
+    def actual_arm(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        return _with_joint_offsets(self.arm, coefficients)
 
 
 class JointRatios(AbstractArmErrors):
     """A robot error field of joint zeros and gear ratios.
 
-    The true joint value is `(1 + joint_ratio) * reading + joint_offset`; the ratio has no unit.
+    The actual joint value is `(1 + joint_ratio) * reading + joint_offset`; the ratio has no unit.
     Causes are a gear with other teeth or an encoder with other counts. The ratio has no effect at a
     reading of zero.
     """
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
-        return (("joint_offset", self.arm.size), ("joint_ratio", self.arm.size))
+        return (("joint_offset", self.arm.joint_count), ("joint_ratio", self.arm.joint_count))
 
     @property
     def names(self) -> tuple[str, ...]:
-        return _by_joint(("joint_offset", "joint_ratio"), self.arm)
+        return _names_per_joint(("joint_offset", "joint_ratio"), self.arm)
 
     @property
-    def nested(self) -> tuple[AbstractField, ...]:
+    def nested_fields(self) -> tuple[AbstractField, ...]:
         return (JointOffsets(self.arm), self)
 
-    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
-        return _with_offsets(self.arm, coefficients[: self.arm.size])
+    def actual_arm(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        return _with_joint_offsets(self.arm, coefficients[: self.arm.joint_count])
 
-    def ratios(self, coefficients: Float[Array, "coefficients"]) -> Float[Array, "joints"]:
-        return 1.0 + coefficients[self.arm.size :]
+    def joint_scale_factors(
+        self, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "joints"]:
+        return 1.0 + coefficients[self.arm.joint_count :]
 
 
 class DHErrors(AbstractArmErrors):
@@ -167,35 +181,35 @@ class DHErrors(AbstractArmErrors):
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
-        n = self.arm.size
+        n = self.arm.joint_count
         return (("joint_offset", n), ("link_length", 2 * n), ("link_twist", n))
 
     @property
     def names(self) -> tuple[str, ...]:
-        parts = ("joint_offset", "link_length.d", "link_length.a", "link_twist")
-        return _by_joint(parts, self.arm)
+        prefixes = ("joint_offset", "link_length.d", "link_length.a", "link_twist")
+        return _names_per_joint(prefixes, self.arm)
 
     @property
-    def nested(self) -> tuple[AbstractField, ...]:
+    def nested_fields(self) -> tuple[AbstractField, ...]:
         return (JointOffsets(self.arm), self)
 
-    def corrected(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+    def actual_arm(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
         offset, d, a, alpha = jnp.split(coefficients, 4)
-        arm = _with_offsets(self.arm, offset)
+        arm = _with_joint_offsets(self.arm, offset)
         return dataclasses.replace(arm, d=arm.d + d, a=arm.a + a, alpha=arm.alpha + alpha)
 
 
-def _with_offsets(arm: SerialArm, offset: Float[Array, "joints"]) -> SerialArm:
+def _with_joint_offsets(arm: SerialArm, offset: Float[Array, "joints"]) -> SerialArm:
     """Return an arm with an offset added to each joint, to `theta` or, if prismatic, to `d`."""
-    slides = jnp.array(arm.prismatic)
-    nothing = jnp.zeros_like(offset)
+    prismatic = jnp.array(arm.prismatic)
+    zeros = jnp.zeros_like(offset)
     return dataclasses.replace(
         arm,
-        theta=arm.theta + jnp.where(slides, nothing, offset),
-        d=arm.d + jnp.where(slides, offset, nothing),
+        theta=arm.theta + jnp.where(prismatic, zeros, offset),
+        d=arm.d + jnp.where(prismatic, offset, zeros),
     )
 
 
-def _by_joint(parts: tuple[str, ...], arm: SerialArm) -> tuple[str, ...]:
+def _names_per_joint(prefixes: tuple[str, ...], arm: SerialArm) -> tuple[str, ...]:
     """Return names with joint numbers, which count from one as they do on robots."""
-    return tuple(f"{part}.{1 + k}" for part in parts for k in range(arm.size))
+    return tuple(f"{part}.{1 + k}" for part in prefixes for k in range(arm.joint_count))

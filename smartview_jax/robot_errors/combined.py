@@ -11,7 +11,7 @@ from .field import AbstractField
 class CombinedField(AbstractField):
     """A robot error field that composes the errors of two fields at the tool.
 
-    base_from_tool = first.true_pose(reported) @ reported^-1 @ second.true_pose(reported)
+    actual_pose = first.actual_pose(reported) @ reported^-1 @ second.actual_pose(reported)
 
     Attributes:
         first: a field that depends on poses.
@@ -22,10 +22,13 @@ class CombinedField(AbstractField):
     second: AbstractField
 
     def __check_init__(self):
-        both = {name for name, _ in self.first.groups} & {name for name, _ in self.second.groups}
-        if both:
+        shared_names = {name for name, _ in self.first.groups} & {
+            name for name, _ in self.second.groups
+        }
+        if shared_names:
             raise ValueError(
-                f"second: expected groups of other names than the first's, found {sorted(both)}"
+                "second: expected groups of other names than the first's, found "
+                f"{sorted(shared_names)}"
             )
 
     @property
@@ -37,24 +40,36 @@ class CombinedField(AbstractField):
         return (*self.first.names, *self.second.names)
 
     @property
-    def unit_length(self) -> float:
-        return self.first.unit_length
+    def reference_length(self) -> float:
+        return self.first.reference_length
 
-    def extent(self, reported: Command) -> Float[Array, "*views"]:
-        return jnp.maximum(self.first.extent(reported), self.second.extent(reported))
+    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
+        # The result is inside only where both fields are.
+        return jnp.maximum(
+            self.first.normalised_distance(reported), self.second.normalised_distance(reported)
+        )
 
-    def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        first, second = jnp.split(coefficients, [self.first.size])
-        after = reported.base_from_tool.inverse() @ self.second.true_pose(reported, second)
-        return self.first.true_pose(reported, first) @ after
+    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
+        first_coefficients, second_coefficients = jnp.split(coefficients, [self.first.size])
+        second_error = reported.base_from_tool.inverse() @ self.second.actual_pose(
+            reported, second_coefficients
+        )
+        return self.first.actual_pose(reported, first_coefficients) @ second_error
 
-    def by_coefficients(
+    def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        first, second = jnp.split(coefficients, [self.first.size])
-        after = reported.base_from_tool.inverse() @ self.second.true_pose(reported, second)
-        # With A = reported^-1 second(reported), a small twist d behind the first error satisfies
-        #     first exp(d) A = first A exp(Ad(A^-1) d),
-        # so the first field's Jacobian is carried to the tool by the adjoint of A^-1.
-        carried = after.inverse().adjoint() @ self.first.by_coefficients(reported, first)
-        return jnp.concatenate([carried, self.second.by_coefficients(reported, second)], axis=-1)
+        first_coefficients, second_coefficients = jnp.split(coefficients, [self.first.size])
+        second_error = reported.base_from_tool.inverse() @ self.second.actual_pose(
+            reported, second_coefficients
+        )
+        # With A = second_error = reported^-1 second.actual_pose(reported), a small twist d of
+        # F = first.actual_pose(reported) satisfies
+        #     F exp(d) A = F A exp(Ad(A^-1) d),
+        # so the first field's Jacobian is transformed to the tool by the adjoint of A^-1.
+        first_jacobian = second_error.inverse().adjoint() @ self.first.jacobian(
+            reported, first_coefficients
+        )
+        return jnp.concatenate(
+            [first_jacobian, self.second.jacobian(reported, second_coefficients)], axis=-1
+        )

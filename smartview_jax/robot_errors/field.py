@@ -2,10 +2,11 @@
 
 If joints, links and gears of a robot differ from the controller's model, its reported poses are
 wrong by nearly the same amount whenever it returns to a pose. For given coefficients, an error
-field maps what the robot reports to the true pose of the tool.
+field maps what the robot reports to the actual pose of the tool.
 """
 
 import abc
+from typing import Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..geometry import exp_jacobian
+from ..geometry import se3_left_jacobian
 from ..robots import Command, JointsLike
 
 INVERSION_STEPS = 8
@@ -24,11 +25,11 @@ Each step multiplies the remaining error by the ratio of robot error to reach, a
 
 
 class AbstractField(eqx.Module):
-    """A function from what a robot reports to the true pose of its tool, with grouped coefficients.
+    """A function from what a robot reports to the actual pose of its tool.
 
-    All coefficients of a group have the same variance component. Subclass this class, or
+    Its coefficients are in groups; all coefficients of a group have the same variance component.
+    With all coefficients zero, the reported pose is the actual one. Subclass this class, or
     `AbstractLinearField`, for a field of your own: every function that takes a field accepts it.
-    With all coefficients zero, the reported pose is the true one.
     """
 
     @property
@@ -37,70 +38,72 @@ class AbstractField(eqx.Module):
         """The name and size of each group of coefficients, in order; a group has one variance."""
 
     @abc.abstractmethod
-    def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """Return the true `base_from_tool`, `(*views)`."""
+    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
+        """Return the actual `base_from_tool`, `(*views)`."""
 
-    def by_coefficients(
+    def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        """Return the Jacobian of `true_pose` with respect to the coefficients, for poses `(views)`.
+        """Return the Jacobian of `actual_pose` with respect to the coefficients.
 
-        It is the twist at the tool per unit of each coefficient:
-        `true_pose(coefficients + d) = true_pose(coefficients) @ exp(by_coefficients @ d)`.
+        For poses `(views)`, it is the twist at the tool per unit of each coefficient d:
+        `actual_pose(coefficients + d) = actual_pose(coefficients) @ exp(jacobian @ d)`.
         """
 
-        def view(one: Command) -> Float[Array, "6 coefficients"]:
-            # Jacobian at c' = c of log(true_pose(c)^-1 true_pose(c')), with the first factor
-            # constant. Near zero the logarithm is linear, so this is the twist itself.
-            def twist(moved: Float[Array, "coefficients"]) -> Float[Array, "6"]:
-                at = self.true_pose(one, jax.lax.stop_gradient(coefficients))
-                return (at.inverse() @ self.true_pose(one, moved)).log()
+        def view_jacobian(reported_view: Command) -> Float[Array, "6 coefficients"]:
+            # Jacobian at c' = c of log(actual_pose(c)^-1 actual_pose(c')), with the first factor
+            # constant and c' = `displaced`. Near zero the logarithm is linear, so this is the twist
+            # itself.
+            def twist(displaced: Float[Array, "coefficients"]) -> Float[Array, "6"]:
+                reference_pose = self.actual_pose(
+                    reported_view, jax.lax.stop_gradient(coefficients)
+                )
+                return (reference_pose.inverse() @ self.actual_pose(reported_view, displaced)).log()
 
             return jax.jacfwd(twist)(coefficients)
 
-        return jax.vmap(view)(reported)
+        return jax.vmap(view_jacobian)(reported)
 
     def command(
         self,
-        true: SE3,
+        actual: SE3,
         coefficients: Float[Array, "coefficients"],
         near: JointsLike | None = None,
     ) -> Command:
-        """Return the command that brings the tool to a true pose; it inverts `true_pose`.
+        """Return the command that brings the tool to an actual pose; it inverts `actual_pose`.
 
         It is what the robot reports at that pose.
 
         Args:
-            true: wanted `base_from_tool`, `(*views)`.
+            actual: wanted `base_from_tool`, `(*views)`.
             coefficients: coefficients of the field.
             near: joint readings near which to solve; used by fields of arm errors only.
         """
         del near
 
-        # Fixed point: reported <- reported true_pose(reported)^-1 true. It converges because the
-        # field changes little over the size of the error itself; no derivative is needed.
-        def closer(reported: SE3, _: None) -> tuple[SE3, None]:
-            arrived = self.true_pose(Command(reported), coefficients)
-            return reported @ (arrived.inverse() @ true), None
+        # Fixed point: reported <- reported actual_pose(reported)^-1 actual. It converges because
+        # the field changes little over a displacement as small as the error itself; no derivative
+        # is needed.
+        def fixed_point_step(reported: SE3, _: None) -> tuple[SE3, None]:
+            predicted = self.actual_pose(Command(reported), coefficients)
+            return reported @ (predicted.inverse() @ actual), None
 
-        return Command(jax.lax.scan(closer, true, length=INVERSION_STEPS)[0])
+        return Command(jax.lax.scan(fixed_point_step, actual, length=INVERSION_STEPS)[0])
 
-    def extent(self, reported: Command) -> Float[Array, "*views"]:
+    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
         """Return how far poses are from the field's centre, relative to those it was made for.
 
-        A value of 1 is about the edge of those poses.
-
-        It is zero for a field without a known extent.
+        A value of 1 is about the edge of those poses; zero for a field without a known extent.
         """
         return jnp.zeros(reported.base_from_tool.get_batch_axes())
 
     @property
-    def nested(self) -> "tuple[AbstractField, ...]":
+    def nested_fields(self) -> "tuple[AbstractField, ...]":
         """The simpler fields that consist of the first groups alone, then this field itself."""
         return (self,)
 
     @property
-    def unit_length(self) -> float:
+    def reference_length(self) -> float:
         """The distance, m, to which coefficients of position-dependent groups refer."""
         return 1.0
 
@@ -131,14 +134,19 @@ class AbstractLinearField(AbstractField):
         """Return the twist at the tool: translation (m), then rotation (rad)."""
         return self.basis(base_from_tool) @ coefficients
 
-    def true_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
+    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         pose = reported.base_from_tool
         return pose @ SE3.exp(-self.twist(pose, coefficients))
 
-    def by_coefficients(
+    def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
         basis = self.basis(reported.base_from_tool)
-        # true_pose = reported exp(-B c), and with the left Jacobian J of exp at B c
+        # actual_pose = reported exp(-B c), with the basis B; and with the left Jacobian J of exp at
+        # B c, to first order in d,
         #     exp(-B (c + d)) = exp(-B c) exp(-J B d).
-        return -jax.vmap(exp_jacobian)(basis @ coefficients) @ basis
+        return -jax.vmap(se3_left_jacobian)(basis @ coefficients) @ basis
+
+
+FieldChoice: TypeAlias = AbstractField | Literal["auto"] | None
+"""A robot error field to fit, None for none, or "auto" to leave the choice to the function."""

@@ -7,13 +7,13 @@ from jaxtyping import Array, Float
 from ..robots import Command
 from .field import AbstractField, AbstractLinearField
 
-SPREAD = 1.7
-"""Number of standard deviations of the positions in one unit of reach (no unit).
+UNIFORM_HALF_WIDTH = 1.7
+"""Number of standard deviations of the positions in the reach of a field (no unit).
 
 The half width of a uniform distribution is sqrt(3) = 1.7 standard deviations.
 """
 
-STANDING = 1e-4
+MIN_POSITION_STD = 1e-4
 """Standard deviation of the positions, m, below which a robot counts as not having translated."""
 
 
@@ -31,25 +31,25 @@ class LinearInPosition(AbstractLinearField):
     reach: Float[Array, ""]
 
     @classmethod
-    def over(cls, base_from_tool: SE3) -> "LinearInPosition":
+    def from_poses(cls, base_from_tool: SE3) -> "LinearInPosition":
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         positions = base_from_tool.translation()
-        return cls(jnp.mean(positions, axis=0), reach_of(positions))
+        return cls(jnp.mean(positions, axis=0), position_scale(positions))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (("translation_by_position", 9), ("rotation_by_position", 9))
 
     @property
-    def unit_length(self) -> float:
+    def reference_length(self) -> float:
         return float(self.reach)
 
-    def extent(self, reported: Command) -> Float[Array, "*views"]:
-        return share_of_reach(self.centre, self.reach, reported)
+    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
+        return max_normalised_offset(self.centre, self.reach, reported)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 18"]:
-        offset = _beyond(self.centre, base_from_tool.translation()) / self.reach
-        return _both_parts(base_from_tool, offset)
+        offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
+        return _twist_basis(base_from_tool, offset)
 
 
 class LinearInPose(AbstractLinearField):
@@ -68,11 +68,11 @@ class LinearInPose(AbstractLinearField):
     axes: Float[Array, "6"]
 
     @classmethod
-    def over(cls, base_from_tool: SE3) -> "LinearInPose":
+    def from_poses(cls, base_from_tool: SE3) -> "LinearInPose":
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
         positions = base_from_tool.translation()
-        mean = jnp.mean(_axes(base_from_tool), axis=0)
-        return cls(jnp.mean(positions, axis=0), reach_of(positions), mean)
+        mean = jnp.mean(_tool_x_and_z(base_from_tool), axis=0)
+        return cls(jnp.mean(positions, axis=0), position_scale(positions), mean)
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -84,71 +84,75 @@ class LinearInPose(AbstractLinearField):
         )
 
     @property
-    def unit_length(self) -> float:
+    def reference_length(self) -> float:
         return float(self.reach)
 
-    def extent(self, reported: Command) -> Float[Array, "*views"]:
-        return share_of_reach(self.centre, self.reach, reported)
+    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
+        return max_normalised_offset(self.centre, self.reach, reported)
 
     @property
-    def nested(self) -> tuple[AbstractField, ...]:
+    def nested_fields(self) -> tuple[AbstractField, ...]:
         return (LinearInPosition(self.centre, self.reach), self)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 54"]:
-        offset = _beyond(self.centre, base_from_tool.translation()) / self.reach
-        turned = _beyond(self.axes, _axes(base_from_tool))
-        parts = [_both_parts(base_from_tool, offset), _both_parts(base_from_tool, turned)]
-        return jnp.concatenate(parts, axis=-1)
+        position_offset = _deviation_from_mean(self.centre, base_from_tool.translation())
+        # Two columns of the rotation instead of angles: they are smooth everywhere.
+        orientation_offset = _deviation_from_mean(self.axes, _tool_x_and_z(base_from_tool))
+        column_blocks = [
+            _twist_basis(base_from_tool, position_offset / self.reach),
+            _twist_basis(base_from_tool, orientation_offset),
+        ]
+        return jnp.concatenate(column_blocks, axis=-1)
 
 
-def reach_of(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
+def position_scale(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
     """Return the distance from the mean position that counts as one unit, m."""
     variance = jnp.sum(jnp.var(positions, axis=0)) / 3.0
-    # A robot that only rotated has no standard deviation to scale by. With a unit of 1 m its field
-    # is then almost zero in position.
-    return SPREAD * jnp.sqrt(jnp.where(variance > STANDING**2, variance, 1.0))
+    # A robot that only rotated has no standard deviation to scale by: its reach is that of a
+    # standard deviation of 1 m, with which the field hardly depends on the position.
+    return UNIFORM_HALF_WIDTH * jnp.sqrt(jnp.where(variance > MIN_POSITION_STD**2, variance, 1.0))
 
 
-def share_of_reach(
+def max_normalised_offset(
     centre: Float[Array, "3"], reach: Float[Array, ""], reported: Command
 ) -> Float[Array, "*views"]:
     """Return the largest coordinate of the poses from the centre, in units of the reach.
 
     For uniformly distributed positions the largest value is about 1 (1.7 standard deviations).
     """
-    offset = _beyond(centre, reported.base_from_tool.translation())
+    offset = _deviation_from_mean(centre, reported.base_from_tool.translation())
     return jnp.max(jnp.abs(offset), axis=-1) / reach
 
 
-def _beyond(
+def _deviation_from_mean(
     mean: Float[Array, "functions"], values: Float[Array, "*views functions"]
 ) -> Float[Array, "*views functions"]:
     """Return the difference of values from their mean."""
     return values - jnp.broadcast_to(mean, values.shape)
 
 
-def _axes(base_from_tool: SE3) -> Float[Array, "*views 6"]:
+def _tool_x_and_z(base_from_tool: SE3) -> Float[Array, "*views 6"]:
     """Return the first and third column of the tool's rotation, which determine the orientation."""
     rotation = base_from_tool.rotation().as_matrix()
     return jnp.concatenate([rotation[..., 0], rotation[..., 2]], axis=-1)
 
 
-def _both_parts(
-    base_from_tool: SE3, functions: Float[Array, "*views functions"]
+def _twist_basis(
+    base_from_tool: SE3, regressors: Float[Array, "*views functions"]
 ) -> Float[Array, "*views 6 coefficients"]:
     """Return a basis of translations and rotations, in base axes, for each function of a pose."""
-    # For functions f of the pose, with R = base_from_tool rotation and coefficient matrices A and
-    # C,
+    # With the regressors f, functions of the pose, the rotation R of base_from_tool, and
+    # coefficient matrices A and C,
     #     twist = (R^T A f, R^T C f),
-    # so a coefficient of A or C multiplies a column of R^T times one function.
+    # so a coefficient of A or C multiplies a column of R^T times one regressor.
     tool_from_base = jnp.swapaxes(base_from_tool.rotation().as_matrix(), -1, -2)
-    part = tool_from_base[..., None, :] * functions[..., None, :, None]
-    part = part.reshape(*part.shape[:-2], -1)
-    nothing = jnp.zeros_like(part)
+    columns = tool_from_base[..., None, :] * regressors[..., None, :, None]
+    columns = columns.reshape(*columns.shape[:-2], -1)
+    zeros = jnp.zeros_like(columns)
     return jnp.concatenate(
         [
-            jnp.concatenate([part, nothing], axis=-1),
-            jnp.concatenate([nothing, part], axis=-1),
+            jnp.concatenate([columns, zeros], axis=-1),
+            jnp.concatenate([zeros, columns], axis=-1),
         ],
         axis=-2,
     )

@@ -1,21 +1,22 @@
 """Look up robot error fields by the names that files and options use."""
 
-from ..schemas.words import nearest
+from ..schemas.messages import spelling_suggestion
 from .arm_errors import DHErrors, JointOffsets, JointRatios
 from .combined import CombinedField
 from .field import AbstractField
-from .implied_arm import ImpliedArm
+from .generic_six_axis_arm import GenericSixAxisArm
 from .linear_fields import LinearInPose, LinearInPosition
-from .stretch import Stretched
+from .scale_error import ScaleError
 
+# Files and options contain these names, so a renamed class keeps its entry here.
 FIELDS: dict[str, type[AbstractField]] = {
     "position": LinearInPosition,
     "pose": LinearInPose,
-    "implied_arm": ImpliedArm,
+    "implied_arm": GenericSixAxisArm,
     "joint_offsets": JointOffsets,
     "joint_ratios": JointRatios,
     "dh": DHErrors,
-    "stretched": Stretched,
+    "stretched": ScaleError,
     "combined": CombinedField,
 }
 
@@ -28,7 +29,8 @@ def field_by_name(name: str) -> type[AbstractField]:
     """
     if name not in FIELDS:
         raise ValueError(
-            f"field is one of {', '.join(FIELDS)}; found {name!r}{nearest(name, FIELDS)}"
+            f"field is one of {', '.join(FIELDS)}; "
+            f"found {name!r}{spelling_suggestion(name, FIELDS)}"
         )
     return FIELDS[name]
 
@@ -36,5 +38,6 @@ def field_by_name(name: str) -> type[AbstractField]:
 def field_name(field: AbstractField) -> str:
     """Return the name of a field in `field_by_name`, or else the name of its class."""
     return next(
-        (name for name, kind in FIELDS.items() if type(field) is kind), type(field).__name__
+        (name for name, field_class in FIELDS.items() if type(field) is field_class),
+        type(field).__name__,
     )

@@ -1,4 +1,4 @@
-"""Provide a fitted robot error field, which maps reported poses to true poses and back."""
+"""Provide a fitted robot error field, which maps reported poses to actual poses and back."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,26 +21,26 @@ class RobotError(eqx.Module):
     coefficients: Float[Array, "coefficients"]
 
     @classmethod
-    def none(cls, field: AbstractField) -> "RobotError":
+    def zero(cls, field: AbstractField) -> "RobotError":
         """Return the error with all coefficients zero, which corrects nothing."""
         return cls(field, jnp.zeros(field.size))
 
-    def true_pose(self, reported: CommandLike) -> SE3:
-        """Return the true `base_from_tool` for what the robot reports, `(*views)`."""
-        return self.field.true_pose(as_command(reported), self.coefficients)
+    def actual_pose(self, reported: CommandLike) -> SE3:
+        """Return the actual `base_from_tool` for what the robot reports, `(*views)`."""
+        return self.field.actual_pose(as_command(reported), self.coefficients)
 
-    def by_coefficients(self, reported: CommandLike) -> Float[Array, "views 6 coefficients"]:
-        """Return the twist of the true pose at the tool per unit of each coefficient.
+    def jacobian(self, reported: CommandLike) -> Float[Array, "views 6 coefficients"]:
+        """Return the twist of the actual pose at the tool per unit of each coefficient.
 
         The translation (m) comes first.
         """
-        return self.field.by_coefficients(as_command(reported), self.coefficients)
+        return self.field.jacobian(as_command(reported), self.coefficients)
 
-    def command(self, true: SE3, near: JointsLike | None = None) -> Command:
-        """Return the command that brings the tool to a true pose; it inverts `true_pose`.
+    def command(self, actual: SE3, near: JointsLike | None = None) -> Command:
+        """Return the command that brings the tool to an actual pose; it inverts `actual_pose`.
 
         Args:
-            true: wanted poses, `(*views)`.
+            actual: wanted poses, `(*views)`.
             near: joint readings near which to solve; used by fields of arm errors only.
         """
-        return self.field.command(true, self.coefficients, near)
+        return self.field.command(actual, self.coefficients, near)

@@ -1,10 +1,10 @@
-"""Provide priors on the sizes of robot errors, known before any picture is taken.
+"""Provide priors on the standard deviations of robot errors, known before any picture is taken.
 
 A flexible error field can absorb almost any fault of a calibration: a board of another size,
 mirrored pictures, plain noise in few views. But the errors of real arms are limited, and their
 limits are known. They enter the likelihood as log-normal priors on the standard deviations of the
-errors: the median is typical of a good industrial arm, and a factor of `spread` corresponds to one
-standard deviation of the logarithm.
+errors: the median is typical of a good industrial arm, and a factor of `geometric_std` corresponds
+to one standard deviation of the logarithm.
 
 Sources: ISO 9283 repeatability in makers' data sheets of arms up to 20 kg payload is 0.01 to 0.1
 mm. Absolute accuracy before kinematic calibration is 0.3 to several mm. Its largest part are joint
@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from .field import AbstractField
 
-_GROUPS: Mapping[str, float] = MappingProxyType(
+_GROUP_MEDIANS: Mapping[str, float] = MappingProxyType(
     {
         # Per metre of displacement: a zero that is wrong by a milliradian moves the tool by 1 mm
         # per metre.
@@ -42,7 +42,7 @@ _GROUPS: Mapping[str, float] = MappingProxyType(
     }
 )
 
-_PER_METRE = frozenset(
+_PER_METRE_GROUPS = frozenset(
     {
         "translation_by_position",
         "rotation_by_position",
@@ -50,7 +50,7 @@ _PER_METRE = frozenset(
         "translation_by_scale",
     }
 )
-"""Groups whose medians are per metre; a field's coefficients are per unit of its reach."""
+"""Groups whose medians are per metre; a field's coefficients are per reference length."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,64 +58,72 @@ class RobotPrior:
     """The log-normal priors on the standard deviations of a robot's errors.
 
     Attributes:
-        translation: median repeatability of a reported position, per axis, m.
-        rotation: median repeatability of a reported orientation, per axis, rad.
-        groups: median standard deviation of each named group of an error field: m, rad or no unit,
-            and per metre of displacement for groups that grow with the position.
-        other: median for groups of a field that `groups` does not name.
-        spread: factor of one standard deviation, for repeatability.
-        field_spread: factor of one standard deviation, for groups of a field.
-        other_spread: factor of one standard deviation, for groups that `groups` does not name.
-        wrong_target: probability that the target is not of its stated size.
-        wrong_target_std: standard deviation of the ratio of true to stated size of such a target.
+        translation_median: median repeatability of a reported position, per axis, m.
+        rotation_median: median repeatability of a reported orientation, per axis, rad.
+        group_medians: median standard deviation of each named group of an error field: m, rad or
+            no unit, and per metre of displacement for groups that grow with the position.
+        other_group_median: median for groups of a field that `group_medians` does not name.
+        geometric_std: exp of the standard deviation of the logarithm, for repeatability.
+        group_geometric_std: the same for groups of a field.
+        other_group_geometric_std: the same for groups that `group_medians` does not name.
+        wrong_target_probability: probability that the target is not of its stated size.
+        wrong_target_scale_std: standard deviation of the ratio of true to stated size of such a
+            target.
     """
 
-    translation: float = 5e-5
-    rotation: float = 1e-4
-    groups: Mapping[str, float] = dataclasses.field(default_factory=lambda: _GROUPS)
-    other: float = 1e-3
-    spread: float = float(np.e)
-    field_spread: float = float(np.exp(0.9))
-    other_spread: float = float(np.exp(3.0))
-    wrong_target: float = 0.01
-    wrong_target_std: float = 0.5
+    translation_median: float = 5e-5
+    rotation_median: float = 1e-4
+    group_medians: Mapping[str, float] = dataclasses.field(default_factory=lambda: _GROUP_MEDIANS)
+    other_group_median: float = 1e-3
+    geometric_std: float = float(np.e)
+    group_geometric_std: float = float(np.exp(0.9))
+    other_group_geometric_std: float = float(np.exp(3.0))
+    wrong_target_probability: float = 0.01
+    wrong_target_scale_std: float = 0.5
 
     def __post_init__(self):
-        positive = ("translation", "rotation", "other", "wrong_target_std")
+        positive = (
+            "translation_median",
+            "rotation_median",
+            "other_group_median",
+            "wrong_target_scale_std",
+        )
         named = {name: getattr(self, name) for name in positive}
-        named |= {f"groups[{name!r}]": size for name, size in self.groups.items()}
+        named |= {f"group_medians[{name!r}]": value for name, value in self.group_medians.items()}
         for name, value in named.items():
             if not 0.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a positive number, found {value}")
-        for name in ("spread", "field_spread", "other_spread"):
+        for name in ("geometric_std", "group_geometric_std", "other_group_geometric_std"):
             value = getattr(self, name)
             if not 1.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a factor above 1, found {value}")
-        if not 0.0 <= self.wrong_target < 1.0:
+        if not 0.0 <= self.wrong_target_probability < 1.0:
             raise ValueError(
-                f"RobotPrior.wrong_target: expected a probability below 1, found "
-                f"{self.wrong_target}"
+                f"RobotPrior.wrong_target_probability: expected a probability below 1, found "
+                f"{self.wrong_target_probability}"
             )
 
     def medians(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
-        """Return the median sizes of translation, rotation and each group of a field.
-
-        A size is a standard deviation.
-        """
-        reach = 1.0 if field is None else field.unit_length
+        """Return the median standard deviations of translation, rotation and each field group."""
+        reference_length = 1.0 if field is None else field.reference_length
         groups = () if field is None else field.groups
-        # A coefficient of a position-dependent group is the error at one unit of the field's reach,
-        # hence median per metre times reach.
-        sizes = [
-            self.groups.get(name, self.other) * (reach if name in _PER_METRE else 1.0)
+        # A coefficient of a position-dependent group is the error at the field's reference length,
+        # hence median per metre times reference length.
+        group_medians = [
+            self.group_medians.get(name, self.other_group_median)
+            * (reference_length if name in _PER_METRE_GROUPS else 1.0)
             for name, _ in groups
         ]
-        return np.array([self.translation, self.rotation, *sizes])
+        return np.array([self.translation_median, self.rotation_median, *group_medians])
 
-    def spreads(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
-        """Return the standard deviations of the logarithms of these standard deviations."""
+    def log_stds(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
+        """Return the standard deviations of the logarithms, in the order of `medians`."""
         groups = () if field is None else field.groups
-        factors = [
-            self.field_spread if name in self.groups else self.other_spread for name, _ in groups
+        geometric_stds = [
+            self.group_geometric_std
+            if name in self.group_medians
+            else self.other_group_geometric_std
+            for name, _ in groups
         ]
-        return np.log([self.spread, self.spread, *factors])
+        # x is log-normal with geometric standard deviation g: log x has the std log g.
+        return np.log([self.geometric_std, self.geometric_std, *geometric_stds])

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ..geometry import PoseLike, as_se3
 
-FARTHEST = 10.0
+MAX_TOOL_COORDINATE = 10.0
 """Largest plausible coordinate of the tool in the base frame, m.
 
 No arm is that long; a larger number is in another unit, such as millimetres.

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..schemas.words import nearest
+from ..schemas.messages import spelling_suggestion
 from .serial_arm import SerialArm
 
-_RIGHT = 0.5 * np.pi
+_RIGHT_ANGLE = 0.5 * np.pi
 
 
 def kuka_lwr4() -> SerialArm:
@@ -25,7 +25,15 @@ def kuka_lwr4() -> SerialArm:
         theta=np.zeros(7),
         d=[0.31, 0.0, 0.40, 0.0, 0.39, 0.0, 0.078],
         a=np.zeros(7),
-        alpha=[_RIGHT, -_RIGHT, -_RIGHT, _RIGHT, _RIGHT, -_RIGHT, 0.0],
+        alpha=[
+            _RIGHT_ANGLE,
+            -_RIGHT_ANGLE,
+            -_RIGHT_ANGLE,
+            _RIGHT_ANGLE,
+            _RIGHT_ANGLE,
+            -_RIGHT_ANGLE,
+            0.0,
+        ],
         limits=np.deg2rad([[-170, 170], [-120, 120]] * 3 + [[-170, 170]]),
     )
 
@@ -36,10 +44,10 @@ def six_axes() -> SerialArm:
     It is no manufacturer's model.
     """
     return SerialArm(
-        theta=[0.0, -_RIGHT, 0.0, 0.0, 0.0, 0.0],
+        theta=[0.0, -_RIGHT_ANGLE, 0.0, 0.0, 0.0, 0.0],
         d=[0.400, 0.0, 0.0, 0.640, 0.0, 0.115],
         a=[0.150, 0.600, 0.120, 0.0, 0.0, 0.0],
-        alpha=[-_RIGHT, 0.0, -_RIGHT, _RIGHT, -_RIGHT, 0.0],
+        alpha=[-_RIGHT_ANGLE, 0.0, -_RIGHT_ANGLE, _RIGHT_ANGLE, -_RIGHT_ANGLE, 0.0],
     )
 
 
@@ -57,7 +65,7 @@ def puma_560() -> SerialArm:
         theta=np.zeros(6),
         d=[0.0, 0.0, 0.15005, 0.4318, 0.0, 0.0],
         a=[0.0, 0.4318, 0.0203, 0.0, 0.0, 0.0],
-        alpha=[_RIGHT, 0.0, -_RIGHT, _RIGHT, -_RIGHT, 0.0],
+        alpha=[_RIGHT_ANGLE, 0.0, -_RIGHT_ANGLE, _RIGHT_ANGLE, -_RIGHT_ANGLE, 0.0],
         limits=np.deg2rad(
             [[-160, 160], [-45, 225], [-225, 45], [-110, 170], [-100, 100], [-266, 266]]
         ),
@@ -84,7 +92,7 @@ def puma_560_lee() -> SerialArm:
         theta=np.zeros(6),
         d=[0.0, 0.14909, 0.0, 0.43307, 0.0, 0.05625],
         a=[0.0, 0.4318, -0.02032, 0.0, 0.0, 0.0],
-        alpha=[-_RIGHT, 0.0, _RIGHT, -_RIGHT, _RIGHT, 0.0],
+        alpha=[-_RIGHT_ANGLE, 0.0, _RIGHT_ANGLE, -_RIGHT_ANGLE, _RIGHT_ANGLE, 0.0],
         limits=np.deg2rad(
             [[-160, 160], [-225, 45], [-45, 225], [-110, 170], [-100, 100], [-266, 266]]
         ),
@@ -108,6 +116,7 @@ def arm_by_name(name: str) -> SerialArm:
     """
     if name not in ARMS:
         raise ValueError(
-            f"arm is one of {', '.join(ARMS)}, or its numbers; found {name!r}{nearest(name, ARMS)}"
+            f"arm is one of {', '.join(ARMS)}, or its parameters; found {name!r}"
+            f"{spelling_suggestion(name, ARMS)}"
         )
     return ARMS[name]()

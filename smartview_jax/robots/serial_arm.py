@@ -19,7 +19,8 @@ from ..compilation import compiled
 from ..geometry import PoseLike, as_se3
 from .command import Command, JointsLike
 
-CONVENTIONS = ("standard", "modified")
+DH_CONVENTIONS = ("standard", "modified")
+"""Names of the Denavit-Hartenberg conventions."""
 
 
 class SerialArm(eqx.Module):
@@ -66,28 +67,30 @@ class SerialArm(eqx.Module):
         limits: Sequence[Sequence[float]] | np.ndarray | Array | None = None,
         base_from_first: PoseLike | None = None,
     ):
-        if convention not in CONVENTIONS:
-            raise ValueError(f"convention is one of {', '.join(CONVENTIONS)}; found {convention!r}")
+        if convention not in DH_CONVENTIONS:
+            raise ValueError(
+                f"convention is one of {', '.join(DH_CONVENTIONS)}; found {convention!r}"
+            )
         self.theta, self.d, self.a, self.alpha = (
-            jnp.asarray(numbers, dtype=float) for numbers in (theta, d, a, alpha)
+            jnp.asarray(row, dtype=float) for row in (theta, d, a, alpha)
         )
-        slides = (False,) * len(self.d) if prismatic is None else prismatic
-        self.prismatic = tuple(map(bool, slides))
+        prismatic_flags = (False,) * len(self.d) if prismatic is None else prismatic
+        self.prismatic = tuple(map(bool, prismatic_flags))
         shapes = {name: jnp.shape(getattr(self, name)) for name in ("theta", "d", "a", "alpha")} | {
             "prismatic": (len(self.prismatic),)
         }
-        if len(set(shapes.values())) > 1 or self.theta.ndim != 1 or self.size == 0:
-            raise ValueError(f"an arm has one number a joint in each row; found {shapes}")
+        if len(set(shapes.values())) > 1 or self.theta.ndim != 1 or self.joint_count == 0:
+            raise ValueError(f"an arm has one number per joint in each row; found {shapes}")
         tool = SE3.identity() if flange_from_tool is None else as_se3(flange_from_tool)
         self.flange_from_tool = tool
         self.base_from_first = (
             SE3.identity() if base_from_first is None else as_se3(base_from_first)
         )
         self.convention = convention
-        self.limits = _checked_limits(limits, self.size)
+        self.limits = _checked_limits(limits, self.joint_count)
 
     @property
-    def size(self) -> int:
+    def joint_count(self) -> int:
         """The number of joints."""
         return len(self.theta)
 
@@ -98,27 +101,31 @@ class SerialArm(eqx.Module):
             ValueError: there is not one reading per joint.
         """
         joints = jnp.asarray(joints, dtype=float)
-        if joints.shape[-1:] != (self.size,):
+        if joints.shape[-1:] != (self.joint_count,):
             raise ValueError(
-                f"joints: expected (..., {self.size}), a reading a joint, found {joints.shape}"
+                f"joints: expected (..., {self.joint_count}), one reading per joint, "
+                f"found {joints.shape}"
             )
-        return _forward(self, joints)
+        return _forward_kinematics(self, joints)
 
     def command(self, joints: JointsLike) -> Command:
         """Return joint readings with the tool pose that the controller computes from them."""
         return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
 
-    def out_of_limits(self, joints: JointsLike, slack: float = 0.0) -> Bool[Array, "*views joints"]:
-        """Return which readings exceed a joint limit by more than a slack; NaN never does."""
+    def violated_limits(
+        self, joints: JointsLike, tolerance: float = 0.0
+    ) -> Bool[Array, "*views joints"]:
+        """Return which readings exceed a joint limit by more than a tolerance; NaN never does."""
         joints = jnp.asarray(joints, dtype=float)
         lower, upper = (jnp.broadcast_to(bound, joints.shape) for bound in self.limits.T)
-        return (joints < lower - slack) | (joints > upper + slack)
+        return (joints < lower - tolerance) | (joints > upper + tolerance)
 
     def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
         """Return the twist at the tool per unit of each joint reading, translation first."""
-        by_theta, by_d = jnp.moveaxis(by_numbers(self, jnp.asarray(joints))[:, :2], 1, 0)
-        slides = jnp.broadcast_to(jnp.array(self.prismatic), by_theta.shape)
-        return jnp.where(slides, by_d, by_theta)
+        # A revolute joint's reading is added to theta, a prismatic joint's to d.
+        theta_columns, d_columns = jnp.moveaxis(dh_jacobian(self, jnp.asarray(joints))[:, :2], 1, 0)
+        prismatic = jnp.broadcast_to(jnp.array(self.prismatic), theta_columns.shape)
+        return jnp.where(prismatic, d_columns, theta_columns)
 
 
 def _checked_limits(
@@ -147,12 +154,12 @@ def _checked_limits(
 
 def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:
     """Return a rotation about a coordinate axis combined with a translation along it."""
-    parts = [jnp.zeros_like(distance)] * 3
-    parts[axis] = distance
-    return SE3.from_rotation_and_translation(rotation, jnp.stack(parts, axis=-1))
+    components = [jnp.zeros_like(distance)] * 3
+    components[axis] = distance
+    return SE3.from_rotation_and_translation(rotation, jnp.stack(components, axis=-1))
 
 
-def by_numbers(
+def dh_jacobian(
     arm: SerialArm, joints: Float[Array, "*views joints"]
 ) -> Float[Array, "*views 6 rows joints"]:
     """Return the Jacobian of the tool pose with respect to all Denavit-Hartenberg parameters.
@@ -161,9 +168,9 @@ def by_numbers(
     and `alpha`. The Jacobian is geometric: each parameter is a screw about the z or the x axis of a
     frame of the chain, and no automatic differentiation is needed.
     """
-    tool, frames = _chain(arm, joints)
+    tool, frames = _chain_frames(arm, joints)
     tool_from_frame = SE3(tool.wxyz_xyz[..., None, None, :]).inverse() @ frames
-    turned, place = tool_from_frame.rotation().as_matrix(), tool_from_frame.translation()
+    rotations, origins = tool_from_frame.rotation().as_matrix(), tool_from_frame.translation()
     z_first = arm.convention == "standard"
     # Pose Jacobian. Let n be the direction of a screw axis and p a point on it, in the tool frame.
     # Per unit of the parameter the tool moves by the twist (translation, rotation)
@@ -173,53 +180,57 @@ def by_numbers(
     # the modified convention it is the reverse.
     columns: list[Array] = []
     for axis, screw in ((2, 0 if z_first else 1), (0, 1 if z_first else 0)):
-        along, at = turned[..., screw, :, axis], place[..., screw, :]
-        turning = jnp.concatenate([jnp.cross(at, along), along], axis=-1)
-        shifting = jnp.concatenate([along, jnp.zeros_like(along)], axis=-1)
-        columns += [turning, shifting] if axis == 2 else [shifting, turning]
+        direction, point = rotations[..., screw, :, axis], origins[..., screw, :]
+        rotation_column = jnp.concatenate([jnp.cross(point, direction), direction], axis=-1)
+        translation_column = jnp.concatenate([direction, jnp.zeros_like(direction)], axis=-1)
+        columns += (
+            [rotation_column, translation_column]
+            if axis == 2
+            else [translation_column, rotation_column]
+        )
     return jnp.swapaxes(jnp.stack(columns, axis=-2), -3, -1)
 
 
 @compiled
-def _forward(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
+def _forward_kinematics(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
     """Return the pose of the tool: `SerialArm.base_from_tool`, compiled."""
-    return _chain(arm, joints)[0]
+    return _chain_frames(arm, joints)[0]
 
 
-def _chain(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:
+def _chain_frames(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:
     """Return the tool's poses, and the frames before both screws of each joint.
 
     The tool's poses are `(*views)`, the frames `(*views, joints, 2)`; all are in the base frame.
     """
     views = joints.shape[:-1]
-    numbers = (arm.theta, arm.d, arm.a, arm.alpha, jnp.array(arm.prismatic))
+    parameters = (arm.theta, arm.d, arm.a, arm.alpha, jnp.array(arm.prismatic))
 
-    def onward(pose: Array, joint: tuple[Array, ...]) -> tuple[Array, Array]:
-        first, second = _link(arm.convention, *joint)
+    def next_frame(pose: Array, joint: tuple[Array, ...]) -> tuple[Array, Array]:
+        first, second = _link_screws(arm.convention, *joint)
         middle = SE3(pose) @ first
         return (middle @ second).wxyz_xyz, jnp.stack([pose, middle.wxyz_xyz], axis=-2)
 
     # A scan over the joints: written out as a Python loop, the chain took XLA about one second of
     # compile time per joint.
     first = jnp.broadcast_to(arm.base_from_first.wxyz_xyz, (*views, 7))
-    last, frames = jax.lax.scan(onward, first, (*numbers, jnp.moveaxis(joints, -1, 0)))
+    last, frames = jax.lax.scan(next_frame, first, (*parameters, jnp.moveaxis(joints, -1, 0)))
     tool = SE3(last) @ SE3(jnp.broadcast_to(arm.flange_from_tool.wxyz_xyz, (*views, 7)))
     return tool, SE3(jnp.moveaxis(frames, 0, -3))
 
 
-def _link(
+def _link_screws(
     convention: str,
     theta: Float[Array, ""],
     d: Float[Array, ""],
     a: Float[Array, ""],
     alpha: Float[Array, ""],
-    slides: Bool[Array, ""],
+    prismatic: Bool[Array, ""],
     reading: Float[Array, "*views"],
 ) -> tuple[SE3, SE3]:
     """Return the screws of a joint and of the link after it, in the order of the convention."""
-    nothing = jnp.zeros_like(reading)
-    about = theta + jnp.where(slides, nothing, reading)
-    along = d + jnp.where(slides, reading, nothing)
-    joint = _screw(SO3.from_z_radians(about), along, 2)
-    link = _screw(SO3.from_x_radians(alpha + nothing), a + nothing, 0)
+    zeros = jnp.zeros_like(reading)
+    angle = theta + jnp.where(prismatic, zeros, reading)
+    distance = d + jnp.where(prismatic, reading, zeros)
+    joint = _screw(SO3.from_z_radians(angle), distance, 2)
+    link = _screw(SO3.from_x_radians(alpha + zeros), a + zeros, 0)
     return (joint, link) if convention == "standard" else (link, joint)

@@ -7,7 +7,7 @@ import numpy as np
 from ..geometry import transform_from_dict, transform_to_dict
 from .serial_arm import SerialArm
 
-_ROWS = ("theta", "d", "a", "alpha")
+_DH_PARAMETERS = ("theta", "d", "a", "alpha")
 
 
 def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
@@ -15,7 +15,7 @@ def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
     return {
         "convention": arm.convention,
         "prismatic": list(arm.prismatic),
-        **{row: np.asarray(getattr(arm, row)).tolist() for row in _ROWS},
+        **{name: np.asarray(getattr(arm, name)).tolist() for name in _DH_PARAMETERS},
         "flange_from_tool": transform_to_dict(arm.flange_from_tool),
         "base_from_first": transform_to_dict(arm.base_from_first),
         # JSON has no infinity: a limit that does not exist is null.
@@ -41,7 +41,7 @@ def arm_from_dict(content: dict[str, Any]) -> SerialArm:
         for name in ("flange_from_tool", "base_from_first")
     )
     return SerialArm(
-        **{row: np.asarray(content[row], dtype=float) for row in _ROWS},
+        **{name: np.asarray(content[name], dtype=float) for name in _DH_PARAMETERS},
         convention=content["convention"],
         prismatic=content.get("prismatic"),
         limits=_limits_from_plain(content.get("limits")),
@@ -57,7 +57,10 @@ def _limits_from_plain(rows: list[list[float | None]] | None) -> np.ndarray | No
     unbounded = (-np.inf, np.inf)
     return np.array(
         [
-            [none if bound is None else bound for bound, none in zip(row, unbounded, strict=True)]
+            [
+                default if bound is None else bound
+                for bound, default in zip(row, unbounded, strict=True)
+            ]
             for row in rows
         ],
         dtype=float,

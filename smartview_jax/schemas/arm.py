@@ -5,31 +5,39 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from .entry import Angle, Coordinate, Entry, Flag, Plain, Said
+from .entry import Angle, Coordinate, Entry, Expected, FiniteNumber, Flag
 
-_Joints = Field(min_length=1, max_length=20)
-_Lengths = Annotated[list[Coordinate], _Joints, Said("a length in m for each of 1 to 20 joints")]
-_Angles = Annotated[list[Angle], _Joints, Said("an angle in rad for each of 1 to 20 joints")]
-_Bounds = Annotated[
-    list[Plain | None],
-    Field(min_length=2, max_length=2),
-    Said("the least and the largest reading of a joint, rad or m, or null"),
+_JointCount = Field(min_length=1, max_length=20)
+_Lengths = Annotated[
+    list[Coordinate], _JointCount, Expected("a length in m for each of 1 to 20 joints")
 ]
-_Part = Annotated[float, Field(ge=-1.0001, le=1.0001), Said("a number from -1 to 1")]
+_Angles = Annotated[
+    list[Angle], _JointCount, Expected("an angle in rad for each of 1 to 20 joints")
+]
+_JointLimits = Annotated[
+    list[FiniteNumber | None],
+    Field(min_length=2, max_length=2),
+    Expected("the least and the largest reading of a joint, rad or m, or null"),
+]
+_QuaternionComponent = Annotated[
+    float, Field(ge=-1.0001, le=1.0001), Expected("a number from -1 to 1")
+]
 
 
 class TransformEntry(Entry):
     """A rigid transform: metres, and a unit quaternion with its real part first."""
 
     translation: Annotated[
-        list[Coordinate], Field(min_length=3, max_length=3), Said("x, y, z in m: 3 numbers")
+        list[Coordinate], Field(min_length=3, max_length=3), Expected("x, y, z in m: 3 numbers")
     ]
     quaternion_wxyz: Annotated[
-        list[_Part], Field(min_length=4, max_length=4), Said("w, x, y, z: 4 numbers")
+        list[_QuaternionComponent],
+        Field(min_length=4, max_length=4),
+        Expected("w, x, y, z: 4 numbers"),
     ]
 
     @model_validator(mode="after")
-    def _turns(self) -> "TransformEntry":
+    def _check_unit_quaternion(self) -> "TransformEntry":
         # A unit quaternion has w^2 + x^2 + y^2 + z^2 = 1; the tolerance allows for rounded digits.
         length = math.hypot(*self.quaternion_wxyz)
         if abs(length - 1.0) > 1e-6:
@@ -38,7 +46,7 @@ class TransformEntry(Entry):
 
 
 class ArmEntry(Entry):
-    """A serial arm, a number a joint in every row; see `robots.SerialArm`."""
+    """A serial arm, one number per joint in every row; see `robots.SerialArm`."""
 
     convention: Literal["standard", "modified"]
     theta: _Angles
@@ -46,12 +54,13 @@ class ArmEntry(Entry):
     a: _Lengths
     alpha: _Angles
     prismatic: list[Flag] | None = None
-    limits: list[_Bounds] | None = None
+    limits: list[_JointLimits] | None = None
     flange_from_tool: TransformEntry | None = None
     base_from_first: TransformEntry | None = None
 
     @model_validator(mode="after")
-    def _one_a_joint(self) -> "ArmEntry":
+    def _check_row_lengths(self) -> "ArmEntry":
+        # `prismatic` and `limits` may be absent: then no joint is prismatic, or has limits.
         names = ("theta", "d", "a", "alpha", "prismatic", "limits")
         sizes = {name: len(row) for name in names if (row := getattr(self, name)) is not None}
         if len(set(sizes.values())) > 1:

@@ -5,31 +5,37 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
-from .entry import Entry, Name, Plain, Said
+from .entry import Entry, Expected, FiniteNumber, Name
 
-VERSIONS = (1, 2)
+SUPPORTED_VERSIONS = (1, 2)
 """Versions of the format that can be read; version 2 has an end mark."""
 
-END = "smartview_calibration"
+END_MARK = "smartview_calibration"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
 
-_Focal = Annotated[
-    float, Field(gt=0.0, le=1e7), Said("a focal length over pixel pitch in px, above 0 up to 1e7")
+_FocalLength = Annotated[
+    float,
+    Field(gt=0.0, le=1e7),
+    Expected("a focal length over pixel pitch in px, above 0 up to 1e7"),
 ]
-_Centre = Annotated[
-    float, Field(ge=-1e6, le=1e6), Said("a principal point in px, from -1e6 to 1e6")
+_PrincipalPoint = Annotated[
+    float, Field(ge=-1e6, le=1e6), Expected("a principal point in px, from -1e6 to 1e6")
 ]
 _Coefficient = Annotated[
-    float, Field(ge=-1e4, le=1e4), Said("a coefficient of the robot's error, up to 1e4")
+    float, Field(ge=-1e4, le=1e4), Expected("a coefficient of the robot's error, up to 1e4")
 ]
-_Scale = Annotated[
+_TargetScale = Annotated[
     float,
     Field(ge=1e-3, le=1e3),
-    Said("the target's true size over its stated one, from 0.001 to 1000"),
+    Expected("the target's true size over its stated one, from 0.001 to 1000"),
 ]
-_Side = Annotated[int, Field(ge=1, le=100_000), Said("px: a whole number from 1 to 100000")]
+_ImageSide = Annotated[
+    int, Field(ge=1, le=100_000), Expected("px: a whole number from 1 to 100000")
+]
 
-ImageSize = Annotated[list[_Side], Field(min_length=2, max_length=2), Said("[width, height] in px")]
+ImageSize = Annotated[
+    list[_ImageSide], Field(min_length=2, max_length=2), Expected("[width, height] in px")
+]
 
 
 class UnitsEntry(Entry):
@@ -44,7 +50,7 @@ class LensEntry(Entry):
     """A lens: its model's name and numbers, which `cameras` knows."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "allow"}
-    __pydantic_extra__: dict[str, Plain]  # pyright: ignore[reportIncompatibleVariableOverride]
+    __pydantic_extra__: dict[str, FiniteNumber]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     model: Name
 
@@ -52,10 +58,10 @@ class LensEntry(Entry):
 class PinholeEntry(Entry):
     """A camera's four pinhole numbers."""
 
-    alpha_u: _Focal
-    alpha_v: _Focal
-    u0: _Centre
-    v0: _Centre
+    alpha_u: _FocalLength
+    alpha_v: _FocalLength
+    u0: _PrincipalPoint
+    v0: _PrincipalPoint
 
 
 class CameraEntry(PinholeEntry):
@@ -65,90 +71,96 @@ class CameraEntry(PinholeEntry):
     lens: LensEntry
 
 
-_Row = Annotated[list[Plain], Field(max_length=1000), Said("a row of up to 1000 numbers")]
-_Numbers = Annotated[list[Plain | _Row], Field(max_length=1000), Said("up to 1000 numbers")]
-_Reach = Annotated[float, Field(gt=0.0, le=1e4), Said("a distance in m, above 0 up to 1e4")]
+_NumberRow = Annotated[
+    list[FiniteNumber], Field(max_length=1000), Expected("a row of up to 1000 numbers")
+]
+_NumberArray = Annotated[
+    list[FiniteNumber | _NumberRow], Field(max_length=1000), Expected("up to 1000 numbers")
+]
+_Distance = Annotated[float, Field(gt=0.0, le=1e4), Expected("a distance in m, above 0 up to 1e4")]
 
 
-def _part(value: Any) -> str:
+def _field_value_tag(value: Any) -> str:
     """Return the tag of a part of a robot error field: a nested field, an arm, or numbers."""
+    # By the tag pydantic tries one type only. Without it, a wrong number inside a nested field
+    # would be reported once for every type that the part could have had.
     if isinstance(value, dict):
         return "field" if "model" in value else "arm"
     return "numbers" if isinstance(value, list) else "number"
 
 
-class FieldEntry(Entry):
+class ErrorFieldEntry(Entry):
     """A smooth error of the robot: its model's name and parts, which `robot_errors` knows."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "allow"}
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
         str,
         Annotated[
-            Annotated["FieldEntry", Tag("field")]
+            Annotated["ErrorFieldEntry", Tag("field")]
             | Annotated[ArmEntry, Tag("arm")]
-            | Annotated[_Numbers, Tag("numbers")]
-            | Annotated[Plain, Tag("number")],
-            Discriminator(_part),
+            | Annotated[_NumberArray, Tag("numbers")]
+            | Annotated[FiniteNumber, Tag("number")],
+            Discriminator(_field_value_tag),
         ],
     ]
 
     model: Name
-    reach: _Reach | None = None
+    reach: _Distance | None = None
 
 
 class RobotErrorEntry(Entry):
-    """What the robot's reports are wrong by."""
+    """The systematic error of the robot's reports: its field and the fitted coefficients."""
 
-    field: FieldEntry
+    field: ErrorFieldEntry
     coefficients: dict[str, _Coefficient]
 
 
-_Place = Annotated[float, Field(ge=-1e4, le=1e4), Said("m, from -10000 to 10000")]
+_Coordinate = Annotated[float, Field(ge=-1e4, le=1e4), Expected("m, from -10000 to 10000")]
 
 
 class RegionEntry(Entry):
-    """From where the target was seen; see `geometry.ViewedRegion`."""
+    """The region of camera positions that the views were from; see `geometry.ViewedRegion`."""
 
     side: Literal["+z", "-z", "both"]
-    plane: _Place
+    plane: _Coordinate
     middle: Annotated[
-        list[_Place], Field(min_length=3, max_length=3), Said("x, y, z in m: 3 numbers")
+        list[_Coordinate], Field(min_length=3, max_length=3), Expected("x, y, z in m: 3 numbers")
     ]
-    reach: _Reach
+    reach: _Distance
     distance: Annotated[
-        list[_Reach],
+        list[_Distance],
         Field(min_length=2, max_length=2),
-        Said("the least and the greatest distance in m: 2 numbers"),
+        Expected("the least and the greatest distance in m: 2 numbers"),
     ]
-    lowest_tool: _Place | None = None
+    lowest_tool: _Coordinate | None = None
 
     @model_validator(mode="after")
-    def _is_in_order(self) -> "RegionEntry":
-        least, greatest = self.distance
-        if least > greatest:
+    def _check_distance_order(self) -> "RegionEntry":
+        minimum, maximum = self.distance
+        if minimum > maximum:
             raise ValueError(f"distance: expected the least before the greatest: {self.distance}")
         return self
 
 
-class _Calibration(Entry):
+class _CalibrationFile(Entry):
     smartview_calibration: Literal[1, 2]
     run: Name | None = None
     warnings: list[str] | None = None
     units: UnitsEntry
     camera: CameraEntry
-    target_scale: _Scale
+    target_scale: _TargetScale
     robot_error: RobotErrorEntry | None = None
     region: RegionEntry | None = None
     end: Literal["smartview_calibration"] | None = None
 
     @model_validator(mode="after")
-    def _is_whole(self) -> "_Calibration":
+    def _check_not_truncated(self) -> "_CalibrationFile":
         """Raise a ValueError for a file that may be truncated.
 
         The correction of the robot stands last in a file, so its loss would not be noticed.
         """
-        if self.smartview_calibration == 2 and self.end != END:
-            raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
+        if self.smartview_calibration == 2 and self.end != END_MARK:
+            raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
         # Version 1 had no end mark; its last entry, robot_error, may be null but must be there.
         if self.smartview_calibration == 1 and "robot_error" not in self.model_fields_set:
             raise ValueError(
@@ -158,7 +170,7 @@ class _Calibration(Entry):
         return self
 
 
-class EyeInHandFile(_Calibration):
+class EyeInHandFile(_CalibrationFile):
     """A camera on the tool and a target that stands in the base frame."""
 
     mount: Literal["eye_in_hand"]
@@ -166,7 +178,7 @@ class EyeInHandFile(_Calibration):
     base_from_world: TransformEntry
 
 
-class EyeToHandFile(_Calibration):
+class EyeToHandFile(_CalibrationFile):
     """A camera that stands in the base frame and a target on the tool."""
 
     mount: Literal["eye_to_hand"]
@@ -174,8 +186,8 @@ class EyeToHandFile(_Calibration):
     tool_from_world: TransformEntry
 
 
-CALIBRATION: TypeAdapter[EyeInHandFile | EyeToHandFile] = TypeAdapter(
+CALIBRATION_SCHEMA: TypeAdapter[EyeInHandFile | EyeToHandFile] = TypeAdapter(
     Annotated[EyeInHandFile | EyeToHandFile, Field(discriminator="mount")]
 )
 
-CAMERA_NUMBERS = TypeAdapter(PinholeEntry)
+PINHOLE_SCHEMA = TypeAdapter(PinholeEntry)

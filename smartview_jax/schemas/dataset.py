@@ -8,18 +8,18 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, mod
 
 from .arm import ArmEntry, TransformEntry
 from .calibration import ImageSize
-from .entry import Coordinate, Entry, Name, Said
+from .entry import Coordinate, Entry, Expected, Name
 from .target import TargetEntry
 
-END = "smartview_dataset"
+END_MARK = "smartview_dataset"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
 
-MOST_POINTS = 1_000_000
+MAX_POINTS = 1_000_000
 """Largest number of target points, over all heights, so that every view fits into memory."""
 
 LengthUnit = Literal["m", "cm", "mm"]
 AngleUnit = Literal["rad", "deg"]
-Codec = Literal[
+CodecName = Literal[
     "matrix",
     "quaternion_xyzw",
     "quaternion_wxyz",
@@ -32,7 +32,7 @@ Codec = Literal[
     "fanuc_wpr",
     "abb",
 ]
-_Rows = Annotated[int, Field(ge=0, le=10**9), Said("how many rows the file has")]
+_RowCount = Annotated[int, Field(ge=0, le=10**9), Expected("how many rows the file has")]
 
 
 class CameraSizeEntry(Entry):
@@ -42,18 +42,18 @@ class CameraSizeEntry(Entry):
 
 
 class PosesEntry(Entry):
-    """A table of poses, a row a view: its format, units and direction; none of them is guessed."""
+    """A table of poses, one row per view: format, units and direction; none of them is guessed."""
 
     file: Name
-    codec: Codec
+    codec: CodecName
     length_unit: LengthUnit
     angle_unit: AngleUnit
     direction: Literal["base_from_tool", "tool_from_base"]
-    rows: _Rows | None = None
+    rows: _RowCount | None = None
 
 
 class JointsEntry(Entry):
-    """A table of joint readings, a row a view, and the arm they are of: its name or numbers."""
+    """A table of joint readings, one row per view, and their arm: its name or its numbers."""
 
     file: Name
     angle_unit: AngleUnit
@@ -62,13 +62,14 @@ class JointsEntry(Entry):
         Annotated[Name, Tag("a name")] | Annotated[ArmEntry, Tag("numbers")],
         Discriminator(lambda arm: "numbers" if isinstance(arm, dict) else "a name"),
     ]
-    rows: _Rows | None = None
+    rows: _RowCount | None = None
 
 
-def _pattern(text: str) -> str:
+def _check_pattern(text: str) -> str:
     """Return a pattern of picture names; raise a ValueError for other placeholders than allowed."""
-    rest = text.replace("{view}", "").replace("{height}", "")
-    if "{view}" not in text or re.search("[{}]", rest) or not rest.isprintable():
+    # The pattern is passed to `str.format`, where other braces would have a meaning, too.
+    remainder = text.replace("{view}", "").replace("{height}", "")
+    if "{view}" not in text or re.search("[{}]", remainder) or not remainder.isprintable():
         raise ValueError
     return text
 
@@ -79,35 +80,37 @@ class PicturesEntry(Entry):
     pattern: Annotated[
         str,
         Field(max_length=200),
-        AfterValidator(_pattern),
-        Said("a name with {view} in it, {height} too if there are several, and no other braces"),
+        AfterValidator(_check_pattern),
+        Expected(
+            "a name with {view} in it, {height} too if there are several, and no other braces"
+        ),
     ]
 
 
 class DetectionsEntry(Entry):
-    """What was written to detections.csv."""
+    """The table `detections.csv` of detected points."""
 
-    rows: _Rows
-
-
-_Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0), Said("degrees, from -3600 to 3600")]
+    rows: _RowCount
 
 
-class AnglesEntry(Entry):
+_Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0), Expected("degrees, from -3600 to 3600")]
+
+
+class YawPitchRollPoseEntry(Entry):
     """A rough pose as a person writes it: metres and degrees."""
 
     translation: Annotated[
-        list[Coordinate], Field(min_length=3, max_length=3), Said("x, y, z in m: 3 numbers")
+        list[Coordinate], Field(min_length=3, max_length=3), Expected("x, y, z in m: 3 numbers")
     ]
     yaw_pitch_roll_deg: Annotated[
         list[_Degrees],
         Field(min_length=3, max_length=3),
-        Said("yaw, pitch, roll in degrees: 3 numbers"),
+        Expected("yaw, pitch, roll in degrees: 3 numbers"),
     ]
 
 
 _RoughPose = Annotated[
-    Annotated[AnglesEntry, Tag("angles")] | Annotated[TransformEntry, Tag("quaternion")],
+    Annotated[YawPitchRollPoseEntry, Tag("angles")] | Annotated[TransformEntry, Tag("quaternion")],
     Discriminator(
         lambda pose: (
             "quaternion" if isinstance(pose, dict) and "quaternion_wxyz" in pose else "angles"
@@ -133,15 +136,15 @@ class DatasetFile(Entry):
     end: Literal["smartview_dataset"] | None = None
 
     @model_validator(mode="after")
-    def _is_whole(self) -> "DatasetFile":
-        if self.end_mark and self.end != END:
-            raise ValueError(f"the last line, 'end: {END}', is missing: the file was cut")
+    def _check_consistency(self) -> "DatasetFile":
+        if self.end_mark and self.end != END_MARK:
+            raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
         # A grid states rows x columns, a ChArUco board squares_x x squares_y; others count as 1.
         target = self.target
         sides = [getattr(target, name, 1) for name in ("rows", "columns", "squares_x", "squares_y")]
         points = math.prod(sides) * len(target.heights or [0])
-        if points > MOST_POINTS:
-            raise ValueError(f"target: expected up to {MOST_POINTS} points, found {points}")
+        if points > MAX_POINTS:
+            raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")
         if self.poses is None and self.joints is None:
             raise ValueError("entry 'poses' is missing, and so is 'joints'")
         if self.base_from_world is not None and self.mount == "eye_to_hand":
@@ -151,4 +154,4 @@ class DatasetFile(Entry):
         return self
 
 
-DATASET = TypeAdapter(DatasetFile)
+DATASET_SCHEMA = TypeAdapter(DatasetFile)

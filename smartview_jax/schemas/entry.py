@@ -16,7 +16,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError, core_schema
 
-from .words import nearest, shown
+from .messages import shortened_repr, spelling_suggestion
 
 
 class Entry(BaseModel):
@@ -26,7 +26,7 @@ class Entry(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _names_unknown_keys(cls, content: Any) -> Any:
+    def _refuse_unknown_keys(cls, content: Any) -> Any:
         """Raise an error for an unknown key that names the nearest known one."""
         # pydantic's own error for an unknown key does not name the known ones. A misspelt key that
         # was ignored would leave a default value in effect without notice.
@@ -37,8 +37,8 @@ class Entry(BaseModel):
                 "unknown_entry",
                 "no entry is called {key}{hint} It has {known}",
                 {
-                    "key": shown(unknown[0]),
-                    "hint": nearest(unknown[0], known) or ".",
+                    "key": shortened_repr(unknown[0]),
+                    "hint": spelling_suggestion(unknown[0], known) or ".",
                     "known": ", ".join(known),
                 },
             )
@@ -46,28 +46,28 @@ class Entry(BaseModel):
 
 
 @dataclasses.dataclass(frozen=True)
-class Said:
+class Expected:
     """A description of the values that a type expects, for its errors and its JSON schema.
 
     Attributes:
-        words: description of the expected value with its unit and range.
+        description: description of the expected value with its unit and range.
     """
 
-    words: str
+    description: str
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Wrap the type's validation, so that its error message is replaced by `words`."""
-        return core_schema.no_info_wrap_validator_function(self._check, handler(source))
+        """Wrap the type's validation, so that its error message is replaced by the description."""
+        return core_schema.no_info_wrap_validator_function(self._validate, handler(source))
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Return the JSON schema with `words` as its description, which editors show."""
-        return {**handler(schema), "description": self.words}
+        """Return the JSON schema with the description, which editors show."""
+        return {**handler(schema), "description": self.description}
 
-    def _check(self, value: Any, handler: Callable[[Any], Any]) -> Any:
+    def _validate(self, value: Any, handler: Callable[[Any], Any]) -> Any:
         try:
             return handler(value)
         except ValidationError as error:
@@ -76,29 +76,31 @@ class Said:
                 raise
             raise PydanticCustomError(
                 "other_value",
-                "expected {words}, found {found}",
-                {"words": self.words, "found": shown(value)},
+                "expected {description}, found {found}",
+                {"description": self.description, "found": shortened_repr(value)},
             ) from None
 
 
-def _plain_name(name: str) -> str:
+def _check_printable(name: str) -> str:
     """Return a name; raise a ValueError if it is blank or has unprintable characters."""
     if not name.isprintable() or not name.strip():
-        raise ValueError
+        raise ValueError  # `Expected` gives the message.
     return name
 
 
-FARTHEST = 100.0
+MAX_COORDINATE = 100.0
 """Largest coordinate of a pose in a file, m: a larger one was given in another unit."""
 
-Length = Annotated[float, Field(gt=0.0, le=100.0), Said("a length in m, above 0 and up to 100")]
-Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST), Said("m, from -100 to 100")]
-Angle = Annotated[float, Field(ge=-100.0, le=100.0), Said("an angle in rad, from -100 to 100")]
-Plain = Annotated[float, Field(ge=-1e9, le=1e9), Said("a finite number, up to 1e9")]
-Flag = Annotated[bool, Said("true or false")]
+Length = Annotated[float, Field(gt=0.0, le=100.0), Expected("a length in m, above 0 and up to 100")]
+Coordinate = Annotated[
+    float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE), Expected("m, from -100 to 100")
+]
+Angle = Annotated[float, Field(ge=-100.0, le=100.0), Expected("an angle in rad, from -100 to 100")]
+FiniteNumber = Annotated[float, Field(ge=-1e9, le=1e9), Expected("a finite number, up to 1e9")]
+Flag = Annotated[bool, Expected("true or false")]
 Name = Annotated[
     str,
     Field(min_length=1, max_length=200),
-    AfterValidator(_plain_name),
-    Said("a name of 1 to 200 printable characters"),
+    AfterValidator(_check_printable),
+    Expected("a name of 1 to 200 printable characters"),
 ]

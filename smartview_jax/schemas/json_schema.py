@@ -7,10 +7,10 @@ import json
 from pathlib import Path
 
 from ..files import write_atomically
-from .calibration import CALIBRATION
-from .dataset import DATASET
+from .calibration import CALIBRATION_SCHEMA
+from .dataset import DATASET_SCHEMA
 
-SCHEMAS = {"dataset": DATASET, "calibration": CALIBRATION}
+SCHEMAS = {"dataset": DATASET_SCHEMA, "calibration": CALIBRATION_SCHEMA}
 """Schemas by the name of the file without its ending."""
 
 
@@ -24,11 +24,11 @@ def json_schema(name: str) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def shipped(name: str) -> Path:
+def schema_path(name: str) -> Path:
     """Return the path of a schema that is part of the package."""
     return Path(__file__).with_name(f"{name}.schema.json")
 
 
 if __name__ == "__main__":
     for file in SCHEMAS:
-        write_atomically(shipped(file), json_schema(file))
+        write_atomically(schema_path(file), json_schema(file))

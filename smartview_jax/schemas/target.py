@@ -4,13 +4,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .entry import Coordinate, Entry, Flag, Length, Name, Said
+from .entry import Coordinate, Entry, Expected, Flag, Length, Name
 
-_Count = Annotated[int, Field(ge=1, le=1000), Said("a whole number from 1 to 1000")]
+_Count = Annotated[int, Field(ge=1, le=1000), Expected("a whole number from 1 to 1000")]
 _Heights = Annotated[
     list[Coordinate],
     Field(min_length=1, max_length=1000),
-    Said("heights of the board under one viewpoint, m: a list of 1 to 1000 numbers"),
+    Expected("heights of the board under one viewpoint, m: a list of 1 to 1000 numbers"),
 ]
 
 
@@ -59,9 +59,9 @@ class TagGridEntry(Entry):
     rows: _Count
     columns: _Count
     size: Length
-    gap: Annotated[float, Field(ge=0.0, le=100.0), Said("a gap in m, from 0 to 100")] = 0.0
+    gap: Annotated[float, Field(ge=0.0, le=100.0), Expected("a gap in m, from 0 to 100")] = 0.0
     dictionary: Name = "DICT_APRILTAG_36h11"
-    first_id: Annotated[int, Field(ge=0, le=10_000), Said("a tag's number, 0 to 10000")] = 0
+    first_id: Annotated[int, Field(ge=0, le=10_000), Expected("a tag's number, 0 to 10000")] = 0
     heights: _Heights | None = None
 
 

@@ -17,30 +17,30 @@ from ..calibration import Calibration
 from ..cameras import Camera, OpenCV5
 from ..dataset import Dataset
 from ..robot_errors import DHErrors, RobotError
-from ..robots import SerialArm, joints_near, six_axes
-from .scenes import simulate, views_around
+from ..robots import SerialArm, six_axes, solve_joints_iteratively
+from .scenes import random_viewpoints, simulate
 
-ERRORS = {
+KINEMATIC_ERROR_SIGMA = {
     "joint_offset": float(np.deg2rad(0.05)),
     "link_length": 3e-4,
     "link_twist": float(np.deg2rad(0.03)),
 }
 """Standard deviations of the arm's errors, rad and m, by the groups of `DHErrors`."""
 
-WRONG_LINKS = slice(1, 5)
+PERTURBED_LINKS = slice(1, 5)
 """Indices of the joints and links with errors: 2 to 5, counted from one.
 
 Errors of the first and the last are equivalent to displacements of base and tool.
 """
 
-NEAR = np.deg2rad([0.0, -10.0, 40.0, 0.0, 60.0, 0.0])
+HOME_JOINTS = np.deg2rad([0.0, -10.0, 40.0, 0.0, 60.0, 0.0])
 """Joint angles, rad, at which the tool is above the table and points down."""
 
-DISTANCE = (0.425, 0.625)
+DISTANCE_RANGE = (0.425, 0.625)
 """Smallest and largest distance from the camera to the board, m."""
-TILT = float(np.deg2rad(30.0))
+MAX_TILT = float(np.deg2rad(30.0))
 """Largest angle between the viewing direction and the vertical, rad."""
-WARP = (1e-4, 1.5e-4)
+WARP_RANGE = (1e-4, 1.5e-4)
 """Smallest and largest deviation of the board from its plane, m."""
 
 
@@ -49,90 +49,97 @@ class ArmScene(eqx.Module):
 
     Attributes:
         data: the data set of the experiment, with the poses that the robot reports as commands.
-        unseen: held-out views, also with reported poses; their pixels have no noise, and the arm no
-            random noise in them.
+        held_out: held-out views, also with reported poses; their pixels and the arm's poses have no
+            random noise.
         calibration: the true calibration, whose robot error is that of the arm.
         joints: joint readings in the views of `data`, rad.
-        unseen_joints: joint readings in the views of `unseen`, rad.
+        held_out_joints: joint readings in the views of `held_out`, rad.
     """
 
     data: Dataset
-    unseen: Dataset
+    held_out: Dataset
     calibration: Calibration
     joints: Float[Array, "views joints"]
-    unseen_joints: Float[Array, "unseen joints"]
+    held_out_joints: Float[Array, "held_out_views joints"]
 
     @property
-    def by_joints(self) -> "ArmScene":
+    def with_joint_readings(self) -> "ArmScene":
         """The same scene, with joint readings in its data sets."""
         arm = six_axes()
         data = self.data.with_joints(self.joints, arm)
-        unseen = self.unseen.with_joints(self.unseen_joints, arm)
-        return dataclasses.replace(self, data=data, unseen=unseen)
+        held_out = self.held_out.with_joints(self.held_out_joints, arm)
+        return dataclasses.replace(self, data=data, held_out=held_out)
 
 
 def six_axis_scene(
     seed: int = 0,
     views: int = 25,
-    unseen: int = 40,
-    errors: float = 1.0,
+    held_out_views: int = 40,
+    error_scale: float = 1.0,
     pixel_noise: float = 0.05,
     translation_noise: float = 2e-5,
     rotation_noise: float = float(np.deg2rad(0.003)),
-    warp: tuple[float, float] = WARP,
+    warp_range: tuple[float, float] = WARP_RANGE,
 ) -> ArmScene:
     """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
 
     Args:
         seed: seed of numpy's generator; the same seed gives the same scene.
         views: number of views to calibrate with.
-        unseen: number of held-out views.
-        errors: errors of the arm, as multiples of `ERRORS`.
+        held_out_views: number of held-out views.
+        error_scale: errors of the arm, as multiples of `KINEMATIC_ERROR_SIGMA`.
         pixel_noise: standard deviation of `u` and of `v`, px.
         translation_noise, rotation_noise: as in `simulate`, in addition to the arm's errors; m and
             rad.
-        warp: smallest and largest deviation of the board from its plane, m.
+        warp_range: smallest and largest deviation of the board from its plane, m.
 
     Raises:
         RuntimeError: the arm does not reach a view.
     """
     rng = np.random.default_rng((seed, 3))
-    arm, board = six_axes(), _board()
-    error = _errors(arm, rng, errors)
-    truth = dataclasses.replace(_calibration(), robot_error=error)
-    bent = board + _warp(board, rng.uniform(*warp), rng)
-    wanted = views_around(rng, views + unseen, board.mean(axis=0), DISTANCE, TILT)
-    near = np.tile(NEAR, (views + unseen, 1))
+    arm, board = six_axes(), _board_points()
+    error = _random_kinematic_errors(arm, rng, error_scale)
+    truth = dataclasses.replace(_true_calibration(), robot_error=error)
+    warped_board = board + _random_warp(board, rng.uniform(*warp_range), rng)
+    wanted = random_viewpoints(
+        rng, views + held_out_views, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT
+    )
+    initial_joints = np.tile(HOME_JOINTS, (views + held_out_views, 1))
     # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
-    joints, reached = joints_near(arm, truth.command_for(wanted, corrected=False), near)
+    joints, reached = solve_joints_iteratively(
+        arm, truth.command_for(wanted, corrected=False), initial_joints
+    )
     if not bool(reached.all()):
         raise RuntimeError(f"the arm reaches {int(reached.sum())} of {len(reached)} views")
 
     # Random noise applies to the views of the data only: held-out views test the repeatable part.
-    #     true = error.true_pose(commanded) exp(noise)^-1
-    size = np.repeat([translation_noise, rotation_noise], 3)
-    noise = np.where(np.arange(views + unseen)[:, None] < views, size, 0.0)
-    shaken = SE3.exp(jnp.asarray(noise * rng.standard_normal(noise.shape)))
-    true = error.true_pose(arm.command(joints)) @ shaken.inverse()
+    #     actual_poses = error.actual_pose(command) exp(noise)^-1
+    noise_sigma = np.repeat([translation_noise, rotation_noise], 3)
+    noise_by_view = np.where(np.arange(views + held_out_views)[:, None] < views, noise_sigma, 0.0)
+    noise_transforms = SE3.exp(
+        jnp.asarray(noise_by_view * rng.standard_normal(noise_by_view.shape))
+    )
+    actual_poses = error.actual_pose(arm.command(joints)) @ noise_transforms.inverse()
     reported = arm.base_from_tool(joints)
-    parts: list[Dataset] = []
-    for part, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
-        pose, told = SE3(true.wxyz_xyz[part]), SE3(reported.wxyz_xyz[part])
-        seen = simulate(truth.uncorrected, pose, bent, seed, sigma).data
+    datasets: list[Dataset] = []
+    for view_slice, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
+        actual_part = SE3(actual_poses.wxyz_xyz[view_slice])
+        reported_part = SE3(reported.wxyz_xyz[view_slice])
+        simulated = simulate(truth.uncorrected, actual_part, warped_board, seed, sigma).data
         # The pixels show the warped board, but the data set states the flat one.
-        flat = jnp.broadcast_to(jnp.asarray(board)[None], seen.points.shape)
-        parts.append(dataclasses.replace(seen, points=flat, base_from_tool=told))
-    data, judged_on = parts
-    return ArmScene(data, judged_on, truth, joints[:views], joints[views:])
+        flat = jnp.broadcast_to(jnp.asarray(board)[None], simulated.points.shape)
+        datasets.append(dataclasses.replace(simulated, points=flat, base_from_tool=reported_part))
+    data, held_out = datasets
+    return ArmScene(data, held_out, truth, joints[:views], joints[views:])
 
 
-def _board() -> Float[np.ndarray, "points 3"]:
+def _board_points() -> Float[np.ndarray, "points 3"]:
     """Return the points of the flat board, m."""
     i, j = np.indices((9, 12)).reshape(2, -1)
     return 0.030 * np.stack([j, i, np.zeros(i.shape)], axis=1)
 
 
-def _calibration() -> Calibration:
+def _true_calibration() -> Calibration:
     """Return a true calibration with the camera of the data set tampere_kuka_2.
 
     Its lens has a `k3` that the four fitted coefficients do not include.
@@ -148,28 +155,35 @@ def _calibration() -> Calibration:
     return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)
 
 
-def _errors(arm: SerialArm, rng: np.random.Generator, times: float) -> RobotError:
+def _random_kinematic_errors(arm: SerialArm, rng: np.random.Generator, scale: float) -> RobotError:
     """Return random arm errors, on the middle links only."""
     field = DHErrors(arm)
-    rows = [size for name, n in field.groups for size in [ERRORS[name]] * (n // arm.size)]
-    wrong = np.zeros((len(rows), arm.size))
-    drawn = np.array(rows)[:, None] * rng.standard_normal(wrong.shape)
+    # One row per link parameter (joint offset, d, a, alpha), one column per joint.
+    sigmas = [
+        sigma
+        for name, n in field.groups
+        for sigma in [KINEMATIC_ERROR_SIGMA[name]] * (n // arm.joint_count)
+    ]
+    coefficients = np.zeros((len(sigmas), arm.joint_count))
+    samples = np.array(sigmas)[:, None] * rng.standard_normal(coefficients.shape)
     # All random numbers are drawn and then masked, so that a seed gives the same errors for any
     # choice of links.
-    wrong[:, WRONG_LINKS] = times * drawn[:, WRONG_LINKS]
-    return RobotError(field, jnp.asarray(wrong.ravel()))
+    coefficients[:, PERTURBED_LINKS] = scale * samples[:, PERTURBED_LINKS]
+    return RobotError(field, jnp.asarray(coefficients.ravel()))
 
 
-def _warp(
-    board: Float[np.ndarray, "points 3"], most: float, rng: np.random.Generator
+def _random_warp(
+    board: Float[np.ndarray, "points 3"], max_deviation: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "points 3"]:
     """Return the deviation of the points from a warped board: a random quadratic, minus its plane.
 
-    The largest deviation is `most`, m.
+    The largest deviation is `max_deviation`, m.
     """
+    # Coordinates about the board's centre, in units of its longer side.
     x, y = ((board - board.mean(axis=0)) / np.ptp(board, axis=0).max())[:, :2].T
-    bend = np.stack([x * x, x * y, y * y], axis=1) @ rng.standard_normal(3)
+    # z = a x^2 + b x y + c y^2 with random a, b, c.
+    deviation = np.stack([x * x, x * y, y * y], axis=1) @ rng.standard_normal(3)
     plane = np.stack([np.ones_like(x), x, y], axis=1)
     # A plane would only shift and rotate the board, which the pose of the target absorbs.
-    bend = bend - plane @ np.linalg.lstsq(plane, bend, rcond=None)[0]
-    return np.stack([0.0 * x, 0.0 * x, most * bend / np.abs(bend).max()], axis=1)
+    deviation = deviation - plane @ np.linalg.lstsq(plane, deviation, rcond=None)[0]
+    return np.stack([0.0 * x, 0.0 * x, max_deviation * deviation / np.abs(deviation).max()], axis=1)

@@ -21,9 +21,15 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..geometry import FIVE_PATTERNS, FIVE_STEP, direction_of, five_viewpoints, look_at
+from ..geometry import (
+    FIVE_VIEWPOINT_PATTERNS,
+    FIVE_VIEWPOINT_STEP,
+    five_viewpoints,
+    look_at,
+    viewing_direction,
+)
 from ..targets import CircleGrid, StackedTarget
-from .photograph import photograph
+from .rendered_scenes import rendered_scene
 from .scenes import Scene, paper_calibration, reported_poses, simulate
 
 DISTANCE = 0.2
@@ -37,7 +43,7 @@ class PaperSetUp(NamedTuple):
         pattern: arrangement of the five viewpoints: `"cross"`, or `"L"`: 9.5 and 19 degrees along X
             and Y.
         roll: largest rotation of a viewpoint about its optical axis, in either direction, rad.
-        scatter: standard deviation, per axis, of the point that a viewpoint aims at, m.
+        aim_sigma: standard deviation, per axis, of the point that a viewpoint aims at, m.
         k1: radial distortion coefficient of the lens.
         columns, rows: number of circles along X and along Y.
         spacing: distance between circles, m.
@@ -50,7 +56,7 @@ class PaperSetUp(NamedTuple):
 
     pattern: str = "cross"
     roll: float = 0.0
-    scatter: float = 2.5e-4
+    aim_sigma: float = 2.5e-4
     k1: float = 0.7
     columns: int = 10
     rows: int = 8
@@ -73,56 +79,59 @@ class PaperSetUp(NamedTuple):
         return StackedTarget(board, self.heights)
 
 
-PAPER = PaperSetUp()
+PAPER_SETUP = PaperSetUp()
 """The parameters of the paper's own experiment."""
 
-PICTURED = PaperSetUp(columns=9, rows=7)
+RENDERED_PAPER_SETUP = PaperSetUp(columns=9, rows=7)
 """The experiment with the largest board that is entirely visible in every picture."""
 
 
-def paper_viewpoints(rng: np.random.Generator, setup: PaperSetUp = PAPER) -> SE3:
+def paper_viewpoints(rng: np.random.Generator, setup: PaperSetUp = PAPER_SETUP) -> SE3:
     """Return `camera_from_world`, `(5)`, of the paper's viewpoints."""
-    roll, aims = _roll_and_aims(rng, setup, 5)
+    roll, aims = _random_rolls_and_aims(rng, setup, 5)
     return five_viewpoints(aims, DISTANCE, roll, pattern=setup.pattern)
 
 
-def _roll_and_aims(
+def _random_rolls_and_aims(
     rng: np.random.Generator, setup: PaperSetUp, views: int
 ) -> tuple[Float[np.ndarray, "views"], Float[np.ndarray, "views 3"]]:
     """Return random roll angles and random points of aim."""
-    aims = setup.scatter * rng.standard_normal((views, 3)) + setup.target.points.mean(axis=0)
+    aims = setup.aim_sigma * rng.standard_normal((views, 3)) + setup.target.points.mean(axis=0)
     return rng.uniform(-setup.roll, setup.roll, views), aims
 
 
-def paper_scene(seed: int = 0, setup: PaperSetUp = PAPER) -> Scene:
+def paper_scene(seed: int = 0, setup: PaperSetUp = PAPER_SETUP) -> Scene:
     """Return the paper's experiment, simulated from points, without pictures.
 
     There are about 1200 circles over the five viewpoints.
     """
     rng = np.random.default_rng((seed, 1))
-    return _simulated(paper_viewpoints(rng, setup), setup, seed)
+    return _simulate_scene(paper_viewpoints(rng, setup), setup, seed)
 
 
-def paper_unseen(seed: int = 0, setup: PaperSetUp = PAPER, views: int = 60) -> Scene:
+def paper_held_out(seed: int = 0, setup: PaperSetUp = PAPER_SETUP, views: int = 60) -> Scene:
     """Return held-out views from between the paper's five viewpoints, without pixel noise.
 
     They fill the convex hull of the five uniformly; their errors of aim and the robot's errors have
     the same standard deviations as in the five.
     """
     rng = np.random.default_rng((seed, 2))
-    reach = np.sin(FIVE_STEP * np.max(FIVE_PATTERNS[setup.pattern]))
+    max_offset = np.sin(FIVE_VIEWPOINT_STEP * np.max(FIVE_VIEWPOINT_PATTERNS[setup.pattern]))
     # Uniform over the triangle between the middle and two neighbouring ends, then over all such
     # triangles by random signs.
-    aside = reach * rng.dirichlet([1.0, 1.0, 1.0], views)[:, :2]
+    direction_offsets = max_offset * rng.dirichlet([1.0, 1.0, 1.0], views)[:, :2]
     if setup.pattern == "cross":
-        aside = aside * rng.choice([-1.0, 1.0], aside.shape)
-    roll, aims = _roll_and_aims(rng, setup, views)
-    tilt, azimuth = np.arcsin(np.hypot(*aside.T)), np.arctan2(aside[:, 1], aside[:, 0])
-    poses = look_at(aims, direction_of(tilt, azimuth), DISTANCE, roll)
-    return _simulated(poses, setup._replace(pixel_noise=0.0), seed + 1_000_000)
+        direction_offsets = direction_offsets * rng.choice([-1.0, 1.0], direction_offsets.shape)
+    roll, aims = _random_rolls_and_aims(rng, setup, views)
+    # The offsets are the x and y components of the unit viewing direction: sin(tilt) times the
+    # cosine and the sine of the azimuth.
+    tilt = np.arcsin(np.hypot(*direction_offsets.T))
+    azimuth = np.arctan2(direction_offsets[:, 1], direction_offsets[:, 0])
+    poses = look_at(aims, viewing_direction(tilt, azimuth), DISTANCE, roll)
+    return _simulate_scene(poses, setup._replace(pixel_noise=0.0), seed + 1_000_000)
 
 
-def _simulated(poses: SE3, setup: PaperSetUp, seed: int) -> Scene:
+def _simulate_scene(poses: SE3, setup: PaperSetUp, seed: int) -> Scene:
     """Return a simulated scene of viewpoints with the noise of the set-up."""
     truth = setup.calibration
     return simulate(
@@ -136,9 +145,9 @@ def _simulated(poses: SE3, setup: PaperSetUp, seed: int) -> Scene:
     )
 
 
-def paper_photographs(
+def paper_rendered_scene(
     seed: int = 0,
-    setup: PaperSetUp = PICTURED,
+    setup: PaperSetUp = RENDERED_PAPER_SETUP,
     progress: Callable[[str], None] | None = None,
 ) -> Scene:
     """Return the paper's experiment with circles that are detected in rendered pictures."""
@@ -146,4 +155,4 @@ def paper_photographs(
     poses = truth.command_for(paper_viewpoints(np.random.default_rng((seed, 1)), setup))
     # A separate generator for the robot's noise, so that the viewpoints are those of `paper_scene`.
     reported = reported_poses(poses, rng, setup.translation_noise, setup.rotation_noise)
-    return photograph(truth, poses, setup.target, reported, seed, progress, samples=2)
+    return rendered_scene(truth, poses, setup.target, reported, seed, progress, samples=2)

@@ -10,15 +10,15 @@ from ..detection import dictionary_by_name
 from ..targets import AbstractTarget, Charuco, Chessboard, CircleGrid, TagGrid
 
 Pattern = Callable[
-    [Float[np.ndarray, "places"], Float[np.ndarray, "places"]], Bool[np.ndarray, "places"]
+    [Float[np.ndarray, "samples"], Float[np.ndarray, "samples"]], Bool[np.ndarray, "samples"]
 ]
 """A function that returns whether a board is dark at x and y of the board's own frame, m."""
 
-ORIGIN_MARK = 1.5
+ORIGIN_MARK_RATIO = 1.5
 """Ratio of the larger corner circle's radius to the others', where the target does not state it."""
 
 
-def dark_places(target: AbstractTarget) -> Pattern:
+def printed_pattern(target: AbstractTarget) -> Pattern:
     """Return the printed pattern of a flat target; the paper around it is light and unbounded.
 
     Circles of unknown radius have a quarter of the distance to their nearest neighbour; the
@@ -28,23 +28,23 @@ def dark_places(target: AbstractTarget) -> Pattern:
         ValueError: the pattern of the target is not known.
     """
     if isinstance(target, CircleGrid):
-        return _circles(target)
+        return _circle_pattern(target)
     if isinstance(target, Chessboard):
-        return _chessboard(target)
+        return _chessboard_pattern(target)
     if isinstance(target, Charuco):
-        return _charuco(target)
+        return _charuco_pattern(target)
     if isinstance(target, TagGrid):
-        return _tags(target)
+        return _tag_pattern(target)
     raise ValueError(f"there is no drawing of a {type(target).__name__}; draw its board")
 
 
-def _circles(target: CircleGrid) -> Pattern:
+def _circle_pattern(target: CircleGrid) -> Pattern:
     """Return the pattern of a circle grid."""
     step = target.spacing
-    radius = 0.25 * target.nearest if target.radius is None else target.radius
-    mark = ORIGIN_MARK * radius if target.mark_radius is None else target.mark_radius
+    radius = 0.25 * target.nearest_neighbour_distance if target.radius is None else target.radius
+    mark_radius = ORIGIN_MARK_RATIO * radius if target.mark_radius is None else target.mark_radius
 
-    def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         # The nearest circle decides, which needs no loop over circles. Odd rows of an asymmetric
         # grid are shifted by one step, and the pitch of its columns is two.
         i = np.clip(np.rint(y / step), 0, target.rows - 1)
@@ -52,86 +52,94 @@ def _circles(target: CircleGrid) -> Pattern:
         j = np.clip(np.rint((x / step - shift) / pitch), 0, target.columns - 1)
         marked = target.origin_mark & (i == 0) & (j == 0)
         from_centre = np.hypot(x - (pitch * j + shift) * step, y - i * step)
-        inside = from_centre <= np.where(marked, mark, radius)
+        inside = from_centre <= np.where(marked, mark_radius, radius)
         return inside != target.light_on_dark
 
-    return dark
+    return is_dark
 
 
-def _chessboard(target: Chessboard) -> Pattern:
+def _chessboard_pattern(target: Chessboard) -> Pattern:
     """Return the pattern of a chessboard."""
 
-    def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        i, j = _cell(y, target.square), _cell(x, target.square)
+    def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        i, j = _cell_index(y, target.square), _cell_index(x, target.square)
         printed = (i >= -1) & (i < target.rows) & (j >= -1) & (j < target.columns)
         # The square between the first four corners is light.
         return printed & ((i + j) % 2 != 0)
 
-    return dark
+    return is_dark
 
 
-def _charuco(target: Charuco) -> Pattern:
+def _charuco_pattern(target: Charuco) -> Pattern:
     """Return the pattern of a ChArUco board: dark squares, and markers on the light ones."""
     # Markers are on the light squares. In legacy boards with an even number of rows the first
     # square is light.
     light_first = target.legacy and target.squares_y % 2 == 0
     light = (np.add.outer(range(target.squares_y), range(target.squares_x)) % 2 == 0) == light_first
+    # Markers are numbered row by row over the light squares; -1 where a square has none.
     ids = np.where(light, np.cumsum(light).reshape(light.shape) - 1, -1)
     bits = _marker_cells(target.dictionary, int(light.sum()))
     margin = 0.5 * (target.square - target.marker)
 
-    def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        i, j = _cell(y, target.square), _cell(x, target.square)
+    def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        i, j = _cell_index(y, target.square), _cell_index(x, target.square)
         printed = (i >= 0) & (i < target.squares_y) & (j >= 0) & (j < target.squares_x)
         i, j = np.clip(i, 0, target.squares_y - 1), np.clip(j, 0, target.squares_x - 1)
         across, down = x - j * target.square - margin, y - i * target.square - margin
-        marked = _marker(bits, np.maximum(ids[i, j], 0), across, down, target.marker)
+        marked = _is_marker_dark(bits, np.maximum(ids[i, j], 0), across, down, target.marker)
         return printed & np.where(light[i, j], marked, True)
 
-    return dark
+    return is_dark
 
 
-def _tags(target: TagGrid) -> Pattern:
+def _tag_pattern(target: TagGrid) -> Pattern:
     """Return the pattern of a grid of tags."""
     bits = _marker_cells(target.dictionary, target.ids[-1] + 1)
     pitch = target.size + target.gap
     left, top = target.points[0, :2]
 
-    def dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         # The board's y axis points up, whereas rows are counted downwards.
-        i = np.clip(_cell(top - y, pitch), 0, target.rows - 1)
-        j = np.clip(_cell(x - left, pitch), 0, target.columns - 1)
-        number = target.first_id + i * target.columns + j
-        return _marker(bits, number, x - left - j * pitch, top - y - i * pitch, target.size)
+        i = np.clip(_cell_index(top - y, pitch), 0, target.rows - 1)
+        j = np.clip(_cell_index(x - left, pitch), 0, target.columns - 1)
+        marker_ids = target.first_id + i * target.columns + j
+        return _is_marker_dark(
+            bits, marker_ids, x - left - j * pitch, top - y - i * pitch, target.size
+        )
 
-    return dark
+    return is_dark
 
 
-def _cell(where: Float[np.ndarray, "places"], size: float) -> Int[np.ndarray, "places"]:
+def _cell_index(
+    coordinates: Float[np.ndarray, "samples"], size: float
+) -> Int[np.ndarray, "samples"]:
     """Return the index of the cell that contains each coordinate."""
-    return np.floor(where / size).astype(int)
+    return np.floor(coordinates / size).astype(int)
 
 
 def _marker_cells(dictionary: str, count: int) -> Bool[np.ndarray, "markers cells cells"]:
     """Return the dark cells of the first markers of a dictionary, including the border."""
-    known = dictionary_by_name(dictionary)
-    cells = known.markerSize + 2
-    return np.stack([cv2.aruco.generateImageMarker(known, k, cells) == 0 for k in range(count)])
+    marker_dictionary = dictionary_by_name(dictionary)
+    # A border of one dark cell surrounds the marker's own cells.
+    cells = marker_dictionary.markerSize + 2
+    return np.stack(
+        [cv2.aruco.generateImageMarker(marker_dictionary, k, cells) == 0 for k in range(count)]
+    )
 
 
-def _marker(
+def _is_marker_dark(
     bits: Bool[np.ndarray, "markers cells cells"],
-    number: Int[np.ndarray, "places"],
-    across: Float[np.ndarray, "places"],
-    down: Float[np.ndarray, "places"],
+    marker_ids: Int[np.ndarray, "samples"],
+    across: Float[np.ndarray, "samples"],
+    down: Float[np.ndarray, "samples"],
     size: float,
-) -> Bool[np.ndarray, "places"]:
+) -> Bool[np.ndarray, "samples"]:
     """Return whether a point is dark, given relative to a marker's top left corner.
 
     Points outside the marker are light.
     """
     cells = bits.shape[-1]
-    row, column = _cell(down, size / cells), _cell(across, size / cells)
+    row, column = _cell_index(down, size / cells), _cell_index(across, size / cells)
     inside = (row >= 0) & (row < cells) & (column >= 0) & (column < cells)
     row, column = np.clip(row, 0, cells - 1), np.clip(column, 0, cells - 1)
-    return inside & bits[number, row, column]
+    return inside & bits[marker_ids, row, column]

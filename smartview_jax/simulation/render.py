@@ -15,17 +15,17 @@ from jaxtyping import Array, Float, UInt8
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import optimised
+from ..compilation import compiled_optimised
 from ..files import write_atomically
 from ..geometry import PoseLike, as_se3
-from ..io import write_folder
+from ..io import write_dataset_folder
 from ..targets import AbstractTarget, StackedTarget
-from .patterns import dark_places
+from .patterns import printed_pattern
 
-DARK, LIGHT, SURROUNDINGS = 40.0, 215.0, 120.0
+DARK_LEVEL, LIGHT_LEVEL, BACKGROUND_LEVEL = 40.0, 215.0, 120.0
 """Grey levels of the print, of the paper, and of everything other than the board's front."""
 
-ROWS = 64
+ROWS_PER_BATCH = 64
 """Number of picture rows that are sampled at once, which limits memory."""
 
 
@@ -34,7 +34,7 @@ def render(
     base_from_tool: PoseLike,
     target: AbstractTarget,
     *,
-    height: int = 0,
+    height_index: int = 0,
     blur: float = 0.7,
     noise: float = 1.0,
     seed: int = 0,
@@ -46,7 +46,7 @@ def render(
         calibration: camera, mount and pose of the target.
         base_from_tool: the true robot pose, a single one.
         target: target to draw; only its front is visible.
-        height: index of the height of a `StackedTarget` at which the board is placed.
+        height_index: index of the height of a `StackedTarget` at which the board is placed.
         blur: standard deviation of the lens's blur, px.
         noise: standard deviation of the sensor's noise, grey levels.
         seed: seed of the noise.
@@ -54,14 +54,19 @@ def render(
     """
     board, z = target, 0.0
     if isinstance(target, StackedTarget):
-        board, z = target.board, target.heights[height] * float(calibration.target_scale)
+        board, z = target.board, target.heights[height_index] * float(calibration.target_scale)
     camera_from_world = calibration.camera_from_world(base_from_tool)
-    place, ahead = _looked_at(calibration.camera, camera_from_world, z, target.y_up, samples)
-    place = place / float(calibration.target_scale)
-    down = 1.0 if board.y_up == target.y_up else -1.0
-    dark = dark_places(board)(place[..., 0].ravel(), down * place[..., 1].ravel())
-    shade = np.where(dark.reshape(ahead.shape), DARK, LIGHT)
-    picture = np.where(ahead, shade, SURROUNDINGS)
+    plane_points, in_front = _sample_plane(
+        calibration.camera, camera_from_world, z, target.y_up, samples
+    )
+    plane_points = plane_points / float(calibration.target_scale)
+    # The y axis of a stack points up, that of most boards down.
+    y_sign = 1.0 if board.y_up == target.y_up else -1.0
+    dark = printed_pattern(board)(
+        plane_points[..., 0].ravel(), y_sign * plane_points[..., 1].ravel()
+    )
+    grey_level = np.where(dark.reshape(in_front.shape), DARK_LEVEL, LIGHT_LEVEL)
+    picture = np.where(in_front, grey_level, BACKGROUND_LEVEL)
     width, rows = calibration.camera.image_size
     # Average over the samples of each pixel, then blur, then add noise: the order of optics and
     # sensor.
@@ -72,7 +77,7 @@ def render(
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
-def _looked_at(
+def _sample_plane(
     camera: Camera, camera_from_world: SE3, z: float, front_is_up: bool, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where every sample's ray intersects the plane at height z, and whether in front.
@@ -85,17 +90,20 @@ def _looked_at(
     v = (np.arange(rows * samples) + 0.5) / samples - 0.5
     plane = jnp.asarray(z)
     parts = [
-        _meet_plane(camera, camera_from_world, jnp.asarray(u), jnp.asarray(some), plane)
-        for some in np.split(v, range(ROWS * samples, len(v), ROWS * samples))
+        _ray_plane_intersection(
+            camera, camera_from_world, jnp.asarray(u), jnp.asarray(batch), plane
+        )
+        for batch in np.split(v, range(ROWS_PER_BATCH * samples, len(v), ROWS_PER_BATCH * samples))
     ]
-    place = np.concatenate([np.asarray(part[0]) for part in parts])
-    ahead = np.concatenate([np.asarray(part[1]) for part in parts])
-    centre = float(camera_from_world.inverse().translation()[2])
-    return place, ahead & ((centre > z) == front_is_up)
+    plane_points = np.concatenate([np.asarray(part[0]) for part in parts])
+    in_front = np.concatenate([np.asarray(part[1]) for part in parts])
+    # The board shows its front only to a camera on the front's side of the plane.
+    camera_height = float(camera_from_world.inverse().translation()[2])
+    return plane_points, in_front & ((camera_height > z) == front_is_up)
 
 
-@optimised
-def _meet_plane(
+@compiled_optimised
+def _ray_plane_intersection(
     camera: Camera,
     camera_from_world: SE3,
     u: Float[Array, "columns"],
@@ -106,14 +114,17 @@ def _meet_plane(
     pixels = jnp.stack(jnp.meshgrid(u, v), axis=-1)
     rays, valid = camera.unproject(pixels)
     world_from_camera = camera_from_world.inverse()
+    # Row vectors: d_world = R d_camera is written d_camera R^T.
     direction = rays @ world_from_camera.rotation().as_matrix().T
     centre = world_from_camera.translation()
     # The point is c + t d with t = (z - c_z) / d_z, for the camera centre c and the ray d, both in
     # the world frame. A ray parallel to the plane gets t = 0, which is not in front.
-    away = (z - centre[2]) / jnp.where(direction[..., 2] == 0.0, jnp.inf, direction[..., 2])
-    place = centre[:2][None, None] + away[..., None] * direction[..., :2]
-    ahead = valid & (away > 0.0)
-    return jnp.where(ahead[..., None], place, 0.0), ahead
+    ray_parameter = (z - centre[2]) / jnp.where(
+        direction[..., 2] == 0.0, jnp.inf, direction[..., 2]
+    )
+    plane_points = centre[:2][None, None] + ray_parameter[..., None] * direction[..., :2]
+    in_front = valid & (ray_parameter > 0.0)
+    return jnp.where(in_front[..., None], plane_points, 0.0), in_front
 
 
 def write_pictures(
@@ -121,7 +132,7 @@ def write_pictures(
     calibration: Calibration,
     base_from_tool: PoseLike,
     target: AbstractTarget,
-    reported: PoseLike | None = None,
+    reported_poses: PoseLike | None = None,
     **options: Any,
 ) -> Path:
     """Write a data-set folder with a rendered picture for every robot pose and every height.
@@ -131,25 +142,30 @@ def write_pictures(
         calibration: the true calibration.
         base_from_tool: `(views)` true robot poses.
         target: target in the pictures.
-        reported: `(views)` poses that the robot reports; the true ones by default.
+        reported_poses: `(views)` poses that the robot reports; the true ones by default.
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)
-    heights = len(target.heights) if isinstance(target, StackedTarget) else 1
+    height_count = len(target.heights) if isinstance(target, StackedTarget) else 1
     views = [str(k) for k in range(len(poses.wxyz_xyz))]
-    pattern = "images/{view}_{height}.png" if heights > 1 else "images/{view}.png"
+    pattern = "images/{view}_{height}.png" if height_count > 1 else "images/{view}.png"
     for k, view in enumerate(views):
         pose = SE3(poses.wxyz_xyz[k])
-        for height in range(heights):
-            seen = render(
-                calibration, pose, target, height=height, seed=k * heights + height, **options
+        for height_index in range(height_count):
+            picture = render(
+                calibration,
+                pose,
+                target,
+                height_index=height_index,
+                seed=k * height_count + height_index,
+                **options,
             )
-            path = folder / pattern.format(view=view, height=height)
-            write_atomically(path, cv2.imencode(".png", seen)[1].tobytes())
-    write_folder(
+            path = folder / pattern.format(view=view, height=height_index)
+            write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
+    write_dataset_folder(
         folder,
         views,
-        poses if reported is None else as_se3(reported),
+        poses if reported_poses is None else as_se3(reported_poses),
         calibration.camera.image_size,
         target,
         calibration.mount,

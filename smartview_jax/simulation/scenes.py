@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
-from ..geometry import PoseLike, as_se3, direction_of
+from ..geometry import PoseLike, as_se3, viewing_direction
 from ..geometry import look_at as look_along
 
 
@@ -55,15 +55,17 @@ def simulate(
         A scene in which points behind the camera or outside the picture are not visible.
     """
     rng = np.random.default_rng(seed)
-    true_pose = as_se3(base_from_tool)
-    predicted, valid = calibration.project(true_pose, points)
+    actual_poses = as_se3(base_from_tool)
+    predicted, valid = calibration.project(actual_poses, points)
+    # pixel = projection + N(0, pixel_noise^2), independently in u and v.
     pixels = np.array(predicted) + pixel_noise * rng.standard_normal(predicted.shape)
     # Random numbers are drawn for every observation, visible or not, so that a seed gives the same
     # noise whichever points are visible.
     outliers = rng.random(valid.shape) < outlier_fraction
+    # An outlier is shifted by a random distance in a random direction.
     angle = rng.uniform(0.0, 2.0 * np.pi, valid.shape)
-    jump = rng.uniform(5.0, 50.0, valid.shape)
-    shift = jump[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    outlier_distance = rng.uniform(5.0, 50.0, valid.shape)
+    shift = outlier_distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     pixels = pixels + outliers[..., None] * shift
 
     size = np.array(calibration.camera.image_size)
@@ -74,11 +76,11 @@ def simulate(
     data = Dataset.from_arrays(
         points,
         np.where(visible[..., None], pixels, np.nan),
-        reported_poses(true_pose, rng, translation_noise, rotation_noise),
+        reported_poses(actual_poses, rng, translation_noise, rotation_noise),
         image_size=calibration.camera.image_size,
         mount=calibration.mount,
     )
-    return Scene(data, calibration, true_pose, jnp.asarray(outliers & visible))
+    return Scene(data, calibration, actual_poses, jnp.asarray(outliers & visible))
 
 
 def reported_poses(
@@ -87,13 +89,13 @@ def reported_poses(
     """Return what a robot reports for true poses `(views)`; the noise is that of `simulate`."""
     # In terms of tool_from_base, true = exp(correction) reported; inverted, base_from_tool has
     # reported = true exp(correction).
-    deviations = np.repeat([translation_noise, rotation_noise], 3)
-    corrections = deviations * rng.standard_normal((len(base_from_tool.wxyz_xyz), 6))
-    return base_from_tool @ SE3.exp(jnp.asarray(corrections))
+    sigmas = np.repeat([translation_noise, rotation_noise], 3)
+    twists = sigmas * rng.standard_normal((len(base_from_tool.wxyz_xyz), 6))
+    return base_from_tool @ SE3.exp(jnp.asarray(twists))
 
 
-def look_at(
-    target: np.ndarray,
+def look_at_from_above(
+    point: np.ndarray,
     distance: float | np.ndarray,
     tilt: float | np.ndarray,
     azimuth: float | np.ndarray,
@@ -102,7 +104,7 @@ def look_at(
     """Return `camera_from_world` of cameras that look at a world point from above (world +z).
 
     Args:
-        target: `(3,)` point on the optical axis, m.
+        point: `(3,)` point on the optical axis, m.
         distance: distance from the camera to that point, m.
         tilt: angle between the viewing direction and the world's z axis, rad.
         azimuth: direction of the tilt about the world's z axis, from x, rad.
@@ -111,13 +113,13 @@ def look_at(
     Returns:
         Transforms with the broadcast shape of the four numbers.
     """
-    return look_along(np.asarray(target), direction_of(tilt, azimuth), distance, roll)
+    return look_along(np.asarray(point), viewing_direction(tilt, azimuth), distance, roll)
 
 
-def views_around(
+def random_viewpoints(
     rng: np.random.Generator,
     count: int,
-    target: np.ndarray,
+    point: np.ndarray,
     distance: tuple[float, float],
     tilt: float,
     roll: float = np.pi,
@@ -127,8 +129,8 @@ def views_around(
     Tilt is uniform between 0 and `tilt`, azimuth uniform over the circle, roll uniform within
     `+-roll`, all in rad; distance is uniform within its limits, m.
     """
-    return look_at(
-        target,
+    return look_at_from_above(
+        point,
         rng.uniform(*distance, count),
         rng.uniform(0.0, tilt, count),
         rng.uniform(0.0, 2.0 * np.pi, count),
@@ -174,14 +176,14 @@ def random_scene(
     The camera is by default the paper's, too.
     """
     truth = paper_calibration() if calibration is None else calibration
-    target = paper_points((0.0, 0.02)) if points is None else points
+    target_points = paper_points((0.0, 0.02)) if points is None else points
     # A generator of its own, so that viewpoints do not depend on the random numbers of the noise.
     rng = np.random.default_rng((seed, 1))
-    camera_from_world = views_around(rng, views, target.mean(axis=0), distance, tilt)
+    camera_from_world = random_viewpoints(rng, views, target_points.mean(axis=0), distance, tilt)
     return simulate(
         truth,
         truth.command_for(camera_from_world),
-        target,
+        target_points,
         seed=seed,
         pixel_noise=pixel_noise,
         translation_noise=translation_noise,

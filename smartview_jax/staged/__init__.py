@@ -4,22 +4,18 @@
     Step 2  one camera for all views, iterated Kalman filter  kalman.py (Eq. 9)
     Step 3  hand-eye and world transforms, `A X = X B`        hand_eye.py (Eq. 17), closed_form.py
 
-`fit.py` runs the three. `conventions.py` and `agreement.py` check the data between Steps 2 and 3;
-`interpolation.py` is the comparison method of the paper's Table 1.
+`fit.py` runs the three. `conventions.py` and `view_consistency.py` check the data between Steps 2
+and 3; `interpolation.py` is the comparison method of the paper's Table 1.
 """
 
-from ..moved import moved as _moved
-from .agreement import FEWEST as FEWEST
-from .agreement import Agreement as Agreement
-from .agreement import agreeing_views as agreeing_views
-from .agreement import median_deviation as median_deviation
+from ..deprecation import deprecated_names as _deprecated_names
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
 from .closed_form import daniilidis as daniilidis
 from .closed_form import park_martin as park_martin
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz
+from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
-from .conventions import Explanation as Explanation
 from .conventions import check_conventions as check_conventions
 from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
@@ -34,9 +30,12 @@ from .kalman import kalman_filter as kalman_filter
 from .kalman import pixel_residuals as pixel_residuals
 from .kalman import robust_sigma as robust_sigma
 from .region import with_region as with_region
+from .view_consistency import ViewConsistency as ViewConsistency
+from .view_consistency import find_consistent_views as find_consistent_views
+from .view_consistency import median_reprojection_errors as median_reprojection_errors
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
-from .weng import locate_views as locate_views
+from .weng import estimate_view_poses as estimate_view_poses
 
-# These two names were public here before; old imports keep working.
-__getattr__ = _moved(__name__, dict.fromkeys(("FitCode", "FitResult"), "smartview_jax.fit_result"))
+# Old names keep working, with a warning.
+__getattr__ = _deprecated_names(__name__)

@@ -15,17 +15,17 @@ from scipy.spatial.transform import Rotation
 Poses = Float[np.ndarray, "views 4 4"]
 """Homogeneous matrices, one per view, m."""
 
-MOST_VIEWS = 40
+MAX_VIEWS = 40
 """Largest number of views compared, evenly spaced; their pairs are enough."""
 
-SCALE_TOLD = 0.1
+MAX_SCALE_RELATIVE_STD = 0.1
 """Largest relative standard deviation at which a length scale counts as determined."""
 
-TRIMMED = 2
+TRIMMING_ITERATIONS = 2
 """Number of times a fit is repeated without outlying pairs."""
 
 
-class Closure(NamedTuple):
+class ClosureError(NamedTuple):
     """The closure error that remains with the best hand-eye transform.
 
     Attributes:
@@ -39,96 +39,127 @@ class Closure(NamedTuple):
     score: float
 
 
-class Motion(NamedTuple):
+class RelativeMotions(NamedTuple):
     """The motions between pairs of views, expressed with the best hand-eye rotation R.
 
-    The hand-eye translation t then solves `left t = turned - moved`.
+    The hand-eye translation t then solves
+    `rotation_minus_identity t = robot_translation - camera_translation`.
 
     Attributes:
-        left: `R_A - I` of every pair.
-        turned: translations of the robot's motions in the camera's axes, `R t_B`, m.
-        moved: translations of the camera's motions, `t_A`, m.
-        gap: angle between `R_A` and `R R_B R^T`, rad.
-        away: median distance of the target from the camera, m.
-        second_axis: second over first singular value of the camera's rotation vectors. Near zero
-            all rotations have the same axis, and the hand-eye rotation is not determined.
+        rotation_minus_identity: `R_A - I` of every pair.
+        robot_translation: translations of the robot's motions in the camera's axes, `R t_B`, m.
+        camera_translation: translations of the camera's motions, `t_A`, m.
+        rotation_error: angle between `R_A` and `R R_B R^T`, rad.
+        target_distance: median distance of the target from the camera, m.
+        second_axis_ratio: second over first singular value of the camera's rotation vectors. Near
+            zero all rotations have the same axis, and the hand-eye rotation is not determined.
     """
 
-    left: Float[np.ndarray, "pairs 3 3"]
-    turned: Float[np.ndarray, "pairs 3"]
-    moved: Float[np.ndarray, "pairs 3"]
-    gap: Float[np.ndarray, "pairs"]
-    away: float
-    second_axis: float
+    rotation_minus_identity: Float[np.ndarray, "pairs 3 3"]
+    robot_translation: Float[np.ndarray, "pairs 3"]
+    camera_translation: Float[np.ndarray, "pairs 3"]
+    rotation_error: Float[np.ndarray, "pairs"]
+    target_distance: float
+    second_axis_ratio: float
 
 
-def motion(mount_from_holder: Poses, camera_from_world: Poses) -> Motion:
+def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> RelativeMotions:
     """Compute the motions of robot and camera between all pairs of three or more views."""
-    pick = np.unique(np.linspace(0, len(camera_from_world) - 1, MOST_VIEWS).astype(int))
-    M, C = mount_from_holder[pick], camera_from_world[pick]
-    i, j = np.triu_indices(len(pick), 1)
+    indices = np.unique(np.linspace(0, len(camera_from_world) - 1, MAX_VIEWS).astype(int))
+    M, C = mount_from_holder[indices], camera_from_world[indices]
+    i, j = np.triu_indices(len(indices), 1)
     A, B = C[j] @ np.linalg.inv(C[i]), M[j] @ np.linalg.inv(M[i])
     a, b = (Rotation.from_matrix(motions[:, :3, :3]).as_rotvec() for motions in (A, B))
-    X = _aligned(a, b)
+    # R_A R = R R_B: R takes the rotation vectors b to a.
+    R = _procrustes_rotation(a, b)
     # Repeated without outlying pairs: one wrong view spoils all pairs that contain it.
-    for _ in range(TRIMMED):
-        used = _near(np.linalg.norm(a - b @ X.T, axis=1))
-        X = _aligned(a[used], b[used])
+    for _ in range(TRIMMING_ITERATIONS):
+        used = _inlier_pairs(np.linalg.norm(a - b @ R.T, axis=1))
+        R = _procrustes_rotation(a[used], b[used])
     # The residual as the angle of a rotation, not as a difference of rotation vectors: for motions
     # near 180 degrees the axis may have either sign.
-    expected = X @ B[:, :3, :3] @ X.T
+    expected = R @ B[:, :3, :3] @ R.T
     cosine = 0.5 * (np.einsum("pab,pab->p", A[:, :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    away = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
+    target_distance = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
     # Singular values of all rotation vectors: how much rotation there is about each axis.
-    turns = np.linalg.svd(a, compute_uv=False)
-    second = float(turns[1] / max(turns[0], 1e-12))
-    return Motion(A[:, :3, :3] - np.eye(3), B[:, :3, 3] @ X.T, A[:, :3, 3], angle, away, second)
+    singular_values = np.linalg.svd(a, compute_uv=False)
+    second_axis_ratio = float(singular_values[1] / max(singular_values[0], 1e-12))
+    return RelativeMotions(
+        A[:, :3, :3] - np.eye(3),
+        B[:, :3, 3] @ R.T,
+        A[:, :3, 3],
+        angle,
+        target_distance,
+        second_axis_ratio,
+    )
 
 
-def closure(pairs: Motion, scale: float = 1.0) -> Closure:
+def closure_error(motions: RelativeMotions, scale: float = 1.0) -> ClosureError:
     """Return the closure error with the robot's positions multiplied by a scale."""
-    right = scale * pairs.turned - pairs.moved
-    gap = np.linalg.norm(pairs.left @ _shift(pairs.left, right) - right, axis=1)
-    for _ in range(TRIMMED):
-        used = _near(gap)
-        gap = np.linalg.norm(pairs.left @ _shift(pairs.left[used], right[used]) - right, axis=1)
-    rotation, translation = float(np.median(pairs.gap)), float(np.median(gap))
-    return Closure(rotation, translation, rotation + translation / pairs.away)
+    # (R_A - I) t = scale R t_B - t_A, the translations of A X = X B, solved for t over all pairs.
+    right_hand_side = scale * motions.robot_translation - motions.camera_translation
+    residual = np.linalg.norm(
+        motions.rotation_minus_identity
+        @ _solve_translation(motions.rotation_minus_identity, right_hand_side)
+        - right_hand_side,
+        axis=1,
+    )
+    for _ in range(TRIMMING_ITERATIONS):
+        used = _inlier_pairs(residual)
+        residual = np.linalg.norm(
+            motions.rotation_minus_identity
+            @ _solve_translation(motions.rotation_minus_identity[used], right_hand_side[used])
+            - right_hand_side,
+            axis=1,
+        )
+    rotation, translation = float(np.median(motions.rotation_error)), float(np.median(residual))
+    return ClosureError(rotation, translation, rotation + translation / motions.target_distance)
 
 
-def length_ratio(pairs: Motion) -> float:
+def length_ratio(motions: RelativeMotions) -> float:
     """Estimate the ratio of camera motion to robot motion, or return 1 if it is not determined.
 
-    The unknowns are the hand-eye translation t and the ratio s in `left t - s turned = -moved`. An
-    orbit about the target fits any ratio; its standard deviation is then large.
+    The unknowns are the hand-eye translation t and the ratio s in
+    `rotation_minus_identity t - s robot_translation = -camera_translation`. An orbit about the
+    target fits any ratio; its standard deviation is then large.
     """
-    rows = np.concatenate([pairs.left, -pairs.turned[:, :, None]], axis=2).reshape(-1, 4)
+    rows = np.concatenate(
+        [motions.rotation_minus_identity, -motions.robot_translation[:, :, None]], axis=2
+    ).reshape(-1, 4)
     # Columns are scaled to unit length, so that the rank decision does not depend on units.
-    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    right = -pairs.moved.reshape(-1)
-    answer, _, rank, _ = np.linalg.lstsq(rows / size, right, rcond=1e-6)
-    if rank < 4 or not len(right) > 4:
+    column_norms = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    right_hand_side = -motions.camera_translation.reshape(-1)
+    solution, _, rank, _ = np.linalg.lstsq(rows / column_norms, right_hand_side, rcond=1e-6)
+    if rank < 4 or not len(right_hand_side) > 4:
         return 1.0
-    gap = right - rows / size @ answer
-    spread = np.linalg.inv((rows / size).T @ (rows / size))[3, 3]
+    residuals = right_hand_side - rows / column_norms @ solution
+    # Variance of the scale for residuals of unit variance: the last entry of (J' J)^-1.
+    unit_variance = np.linalg.inv((rows / column_norms).T @ (rows / column_norms))[3, 3]
     # n (n - 1) / 2 pairs of n views are not independent; count n of them as independent.
-    views = 0.5 * (1.0 + np.sqrt(1.0 + 8.0 * len(pairs.moved)))
-    std = np.sqrt(spread * np.mean(gap**2) * len(pairs.moved) / views)
-    return float(answer[3] / size[3]) if std < SCALE_TOLD * abs(answer[3]) else 1.0
+    view_count = 0.5 * (1.0 + np.sqrt(1.0 + 8.0 * len(motions.camera_translation)))
+    std = np.sqrt(
+        unit_variance * np.mean(residuals**2) * len(motions.camera_translation) / view_count
+    )
+    return (
+        float(solution[3] / column_norms[3])
+        if std < MAX_SCALE_RELATIVE_STD * abs(solution[3])
+        else 1.0
+    )
 
 
-def _near(gap: np.ndarray) -> np.ndarray:
+def _inlier_pairs(residual: np.ndarray) -> np.ndarray:
     """Return which pairs have a residual within three times the median."""
-    return gap <= 3.0 * np.median(gap) + 1e-12
+    return residual <= 3.0 * np.median(residual) + 1e-12
 
 
-def _shift(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solve_translation(matrix: np.ndarray, right_hand_side: np.ndarray) -> np.ndarray:
     """Compute the translation of the hand-eye transform by least squares, m."""
-    return np.linalg.lstsq(left.reshape(-1, 3), right.reshape(-1), rcond=1e-6)[0]
+    return np.linalg.lstsq(matrix.reshape(-1, 3), right_hand_side.reshape(-1), rcond=1e-6)[0]
 
 
-def _aligned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _procrustes_rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Compute the rotation that takes vectors `b` closest to `a` (orthogonal Procrustes)."""
+    # The sign of the last singular vector keeps the determinant at +1: no reflection.
     U, _, Vt = np.linalg.svd(a.T @ b)
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

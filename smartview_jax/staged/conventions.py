@@ -20,22 +20,29 @@ from jaxtyping import Array, Float
 
 from ..calibration import mount_frames
 from ..geometry import host_matrices
-from .closure import Closure, Motion, Poses, closure, length_ratio, motion
+from .closure import (
+    ClosureError,
+    Poses,
+    RelativeMotions,
+    closure_error,
+    length_ratio,
+    relative_motions,
+)
 from .mistakes import mistakes
 
 
-class Explanation(NamedTuple):
+class ConventionHypothesis(NamedTuple):
     """A mistake, and the closure error that remains when it is corrected.
 
     Attributes:
         name: of the mistake.
-        words: what was done wrong, as a clause.
-        closure: the closure error with the mistake corrected.
+        description: what was done wrong, as a clause.
+        closure_error: the closure error with the mistake corrected.
     """
 
     name: str
-    words: str
-    closure: Closure
+    description: str
+    closure_error: ClosureError
 
 
 class ConventionReport(NamedTuple):
@@ -46,8 +53,9 @@ class ConventionReport(NamedTuple):
         suspicious_views: view index and sentence, for views that fit the others badly.
         angle_mismatch: median difference of the rotation angles, rad.
         length_ratio: camera motion over robot motion; 1 if it is not determined.
-        misfit: median rotation and translation error with the best hand-eye transform, rad, m.
-        explanations: every mistake that was tried, smallest closure error first; empty if the
+        closure_error: median rotation and translation error with the best hand-eye transform, rad
+            and m.
+        hypotheses: every mistake that was tried, smallest closure error first; empty if the
             data are plausible as given.
     """
 
@@ -55,30 +63,30 @@ class ConventionReport(NamedTuple):
     suspicious_views: tuple[tuple[int, str], ...]
     angle_mismatch: float
     length_ratio: float
-    misfit: tuple[float, float]
-    explanations: tuple[Explanation, ...]
+    closure_error: tuple[float, float]
+    hypotheses: tuple[ConventionHypothesis, ...]
 
 
 ANGLE_TOLERANCE = np.deg2rad(4.0)
 """Largest acceptable median rotation error, rad."""
 
-SOUND = 0.03
+MAX_CLOSURE_SCORE = 0.03
 """Closure score below which data are accepted: about 10 mm and a degree at half a metre."""
 
-BETTER = 0.3
+MAX_CORRECTED_SCORE_RATIO = 0.3
 """Ratio of corrected to given closure score below which a mistake counts as an explanation."""
 
-ALIKE = 2.0
+MAX_RIVAL_SCORE_RATIO = 2.0
 """Ratio to the best closure score up to which another mistake explains the data as well."""
 
-NOTHING = 1e-4
+CLOSURE_SCORE_FLOOR = 1e-4
 """Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
 
-ONE_AXIS = 0.05
+MIN_SECOND_AXIS_RATIO = 0.05
 """Ratio of rotation about a second axis to rotation about the first, up to which the motions do not
 determine a hand-eye rotation and cannot be compared."""
 
-REACH = 30.0
+MAX_PLAUSIBLE_DISTANCE = 30.0
 """Distance in metres beyond the reach of any arm and beyond any target's distance."""
 
 
@@ -100,40 +108,44 @@ def check_conventions(
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0
     used = used & np.isfinite(robot).all(axis=(1, 2)) & np.isfinite(camera).all(axis=(1, 2))
-    angles = _angle_differences(robot, camera, used)
-    mismatch = float(np.nanmedian(angles)) if used.sum() > 1 else 0.0
+    angle_differences = _angle_differences(robot, camera, used)
+    mismatch = float(np.nanmedian(angle_differences)) if used.sum() > 1 else 0.0
     # Two views give a single motion, which does not test the hand-eye transform.
     if used.sum() < 3:
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
-    pairs = _motion(robot, camera, used, in_hand)
-    comparable = pairs.second_axis > ONE_AXIS
-    given, ratio = closure(pairs), length_ratio(pairs) if comparable else 1.0
-    problems, explanations = (), ()
+    motions = _relative_motions(robot, camera, used, in_hand)
+    comparable = motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
+    given_error, ratio = closure_error(motions), length_ratio(motions) if comparable else 1.0
+    problems, hypotheses = (), ()
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave
     # it small; the ratio of the motions shows it.
-    if comparable and (given.score > SOUND or not 0.2 < ratio < 5.0):
-        explanations = _explanations(robot, camera, used, in_hand, pairs)
-        problems = _problems(given, explanations, mismatch, _turns(robot, camera, used))
+    if comparable and (given_error.score > MAX_CLOSURE_SCORE or not 0.2 < ratio < 5.0):
+        hypotheses = _ranked_hypotheses(robot, camera, used, in_hand, motions)
+        problems = _convention_problems(
+            given_error, hypotheses, mismatch, _median_rotation_angles(robot, camera, used)
+        )
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
-        problems = _other_lengths(ratio, robot, camera, used)
+        problems = _length_unit_problems(ratio, robot, camera, used)
     return ConventionReport(
         problems,
-        _suspicious(angles),
+        _suspicious_views(angle_differences),
         mismatch,
         ratio,
-        (given.rotation, given.translation),
-        explanations,
+        (given_error.rotation, given_error.translation),
+        hypotheses,
     )
 
 
-def _motion(robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool) -> Motion:
+def _relative_motions(
+    robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool
+) -> RelativeMotions:
     """Compute the motions of the used views for the stated mount."""
     mount_from_holder = np.linalg.inv(robot) if in_hand else robot
-    return motion(mount_from_holder[used], camera[used])
+    return relative_motions(mount_from_holder[used], camera[used])
 
 
-_LENGTHS = {
+_LENGTH_UNIT_MISTAKES = {
     1e-3: "the robot's positions look like millimetres where metres are expected",
     1e-2: "the robot's positions look like centimetres where metres are expected",
     0.0254: "the robot's positions look like inches where metres are expected",
@@ -143,69 +155,98 @@ _LENGTHS = {
 """Explanations in words, by the ratio of camera motion to robot motion."""
 
 
-def _explanations(
-    robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, pairs: Motion
-) -> tuple[Explanation, ...]:
+def _ranked_hypotheses(
+    robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, motions: RelativeMotions
+) -> tuple[ConventionHypothesis, ...]:
     """Return every mistake, alone and with another unit of length, by ascending closure error."""
-    found = [
-        Explanation("length", words, closure(pairs, scale)) for scale, words in _LENGTHS.items()
+    hypotheses = [
+        ConventionHypothesis("length", words, closure_error(motions, scale))
+        for scale, words in _LENGTH_UNIT_MISTAKES.items()
     ]
     for mistake in mistakes(in_hand, len(robot)):
-        undone = _motion(*mistake.undo(robot, camera), used, in_hand)
-        alone = Explanation(mistake.name, mistake.words, closure(undone))
-        found.append(alone)
-        for scale, words in _LENGTHS.items():
-            both = closure(undone, scale)
+        corrected = _relative_motions(*mistake.undo(robot, camera), used, in_hand)
+        single = ConventionHypothesis(mistake.name, mistake.description, closure_error(corrected))
+        hypotheses.append(single)
+        for scale, words in _LENGTH_UNIT_MISTAKES.items():
+            combined = closure_error(corrected, scale)
             # Two mistakes at once are considered only if they leave less than a tenth of the
             # closure error of the first alone.
-            if both.rotation < ANGLE_TOLERANCE and both.score < 0.1 * alone.closure.score:
-                found.append(Explanation(mistake.name, f"{mistake.words}, and {words}", both))
-    # Scores below NOTHING are equal; the sort is stable and `mistakes` yields simple ones first.
-    return tuple(sorted(found, key=lambda one: max(one.closure.score, NOTHING)))
+            if (
+                combined.rotation < ANGLE_TOLERANCE
+                and combined.score < 0.1 * single.closure_error.score
+            ):
+                hypotheses.append(
+                    ConventionHypothesis(
+                        mistake.name, f"{mistake.description}, and {words}", combined
+                    )
+                )
+    # Scores below CLOSURE_SCORE_FLOOR are equal; the sort is stable and `mistakes` yields simple
+    # ones first.
+    return tuple(
+        sorted(
+            hypotheses,
+            key=lambda hypothesis: max(hypothesis.closure_error.score, CLOSURE_SCORE_FLOOR),
+        )
+    )
 
 
-def _problems(
-    given: Closure,
-    explanations: tuple[Explanation, ...],
+def _convention_problems(
+    given_error: ClosureError,
+    hypotheses: tuple[ConventionHypothesis, ...],
     mismatch: float,
-    turns: tuple[float, float],
+    rotation_angles: tuple[float, float],
 ) -> tuple[str, ...]:
     """Return the best explanation with its closure error, or nothing if the data are acceptable."""
-    best = explanations[0]
+    best = hypotheses[0]
     explained = (
-        best.closure.rotation < ANGLE_TOLERANCE and best.closure.score < BETTER * given.score
+        best.closure_error.rotation < ANGLE_TOLERANCE
+        and best.closure_error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
     )
-    as_given = f"robot and camera do not move alike as given ({_left_over(given)})"
+    as_given = f"robot and camera do not move alike as given ({_closure_error_text(given_error)})"
     if not explained:
-        unbelievable = max(mismatch, given.rotation) > ANGLE_TOLERANCE
-        return (f"{as_given}: {_unexplained(best, mismatch, turns)}",) if unbelievable else ()
+        implausible = max(mismatch, given_error.rotation) > ANGLE_TOLERANCE
+        return (
+            (f"{as_given}: {_unexplained_text(best, mismatch, rotation_angles)}",)
+            if implausible
+            else ()
+        )
     # Mistakes with nearly the same closure error cannot be distinguished: report all of them.
     rivals = [
-        one
-        for one in explanations[1:]
-        if one.name != best.name
-        and one.closure.score < min(ALIKE * max(best.closure.score, NOTHING), BETTER * given.score)
+        hypothesis
+        for hypothesis in hypotheses[1:]
+        if hypothesis.name != best.name
+        and hypothesis.closure_error.score
+        < min(
+            MAX_RIVAL_SCORE_RATIO * max(best.closure_error.score, CLOSURE_SCORE_FLOOR),
+            MAX_CORRECTED_SCORE_RATIO * given_error.score,
+        )
     ]
     if rivals:
-        several = "; or ".join(f"{r.words} ({_left_over(r.closure)})" for r in (best, *rivals[:3]))
+        several = "; or ".join(
+            f"{r.description} ({_closure_error_text(r.closure_error)})" for r in (best, *rivals[:3])
+        )
         return (f"{as_given}; {1 + len(rivals)} mistakes explain it about as well: {several}",)
-    other = next(one for one in explanations[1:] if one.name != best.name)
+    runner_up = next(other for other in hypotheses[1:] if other.name != best.name)
+    best_text = _closure_error_text(best.closure_error)
+    runner_up_text = _closure_error_text(runner_up.closure_error, short=True)
     return (
-        f"{as_given}, but do if {best.words} ({_left_over(best.closure)}); the next best "
-        f"explanation, that {other.words}, leaves {_left_over(other.closure, short=True)}",
+        f"{as_given}, but do if {best.description} ({best_text}); the next best explanation, that "
+        f"{runner_up.description}, leaves {runner_up_text}",
     )
 
 
-def _left_over(found: Closure, short: bool = False) -> str:
+def _closure_error_text(error: ClosureError, short: bool = False) -> str:
     """Return a closure error in words, in degrees and millimetres."""
-    angle, length = np.rad2deg(found.rotation), 1e3 * found.translation
+    angle, length = np.rad2deg(error.rotation), 1e3 * error.translation
     numbers = f"{angle:.2f} degrees and {length:.3g} mm"
     return numbers if short else f"{numbers} left over between two views, in the median"
 
 
-def _unexplained(best: Explanation, mismatch: float, turns: tuple[float, float]) -> str:
+def _unexplained_text(
+    best: ConventionHypothesis, mismatch: float, rotation_angles: tuple[float, float]
+) -> str:
     """Return what may be wrong, in words, when correcting no known mistake explains the motions."""
-    robot, camera = (float(np.rad2deg(turn)) for turn in turns)
+    robot, camera = (float(np.rad2deg(angle)) for angle in rotation_angles)
     # Equal rotation angles in every pair exclude wrong pairing and wrong angle units.
     if mismatch < ANGLE_TOLERANCE:
         likely = "they turn by the same angles, but about other axes"
@@ -220,51 +261,56 @@ def _unexplained(best: Explanation, mismatch: float, turns: tuple[float, float])
             f"{camera:.0f} (medians): the angles are in another unit (degrees?) or convention"
         )
     return (
-        f"{likely}; no mistake that is known explains it, the nearest being that {best.words} "
-        f"({_left_over(best.closure, short=True)})"
+        f"{likely}; no mistake that is known explains it, the nearest being that "
+        f"{best.description} ({_closure_error_text(best.closure_error, short=True)})"
     )
 
 
-def _turns(robot: Poses, camera: Poses, used: np.ndarray) -> tuple[float, float]:
+def _median_rotation_angles(robot: Poses, camera: Poses, used: np.ndarray) -> tuple[float, float]:
     """Return the median rotation angle between two views, of robot and of camera, rad."""
     upper = np.triu_indices(int(used.sum()), 1)
-    robot_turn, camera_turn = (float(np.median(_angles(p[used])[upper])) for p in (robot, camera))
-    return robot_turn, camera_turn
+    robot_angle, camera_angle = (
+        float(np.median(_pairwise_rotation_angles(p[used])[upper])) for p in (robot, camera)
+    )
+    return robot_angle, camera_angle
 
 
-def _other_lengths(ratio: float, robot: Poses, camera: Poses, used: np.ndarray) -> tuple[str, ...]:
+def _length_unit_problems(
+    ratio: float, robot: Poses, camera: Poses, used: np.ndarray
+) -> tuple[str, ...]:
     """Return problems with units of length, by the ratio of motions or by impossible distances."""
     if not 0.2 < ratio < 5.0:
         power = 10.0 ** round(math.log10(abs(ratio)))
         different = "robot positions and target points are not in the same unit"
-        words = _LENGTHS.get(power, different) if ratio > 0.0 else different
+        words = _LENGTH_UNIT_MISTAKES.get(power, different) if ratio > 0.0 else different
         return (f"{words}: the camera moved {ratio:.3g} times as far as the robot",)
     # Both may be in the same wrong unit: their ratio is then 1, and only the distances show it.
-    found = []
-    for poses, what in (
+    problems = []
+    for poses, template in (
         (robot, "the tool is reported {:.0f} m from the base"),
         (camera, "the target seems to be {:.0f} m from the camera"),
     ):
         distance = float(np.median(np.linalg.norm(poses[used, :3, 3], axis=1)))
-        if distance > REACH:
-            found.append(f"{what.format(distance)}: millimetres where metres are expected?")
-    return tuple(found)
+        if distance > MAX_PLAUSIBLE_DISTANCE:
+            problems.append(f"{template.format(distance)}: millimetres where metres are expected?")
+    return tuple(problems)
 
 
-def _suspicious(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[int, str], ...]:
+def _suspicious_views(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[int, str], ...]:
     """Return views whose rotation angles disagree with most others, which agree with each other."""
     used = np.isfinite(angles).any(axis=1)
-    typical = np.zeros(len(angles))
-    typical[used] = np.nanmedian(angles[used], axis=1)
+    median_differences = np.zeros(len(angles))
+    median_differences[used] = np.nanmedian(angles[used], axis=1)
     # Relative to the typical view, because an inaccurate robot makes all views differ.
-    limit = max(6.0 * float(np.median(typical[used])), np.deg2rad(3.0))
+    limit = max(6.0 * float(np.median(median_differences[used])), np.deg2rad(3.0))
+    degrees = np.rad2deg(median_differences)
     return tuple(
         (
             int(view),
-            f"its rotation differs from the robot's by {np.rad2deg(typical[view]):.1f} degrees "
-            f"(median over the other views): is this picture paired with the right pose?",
+            f"its rotation differs from the robot's by {degrees[view]:.1f} degrees (median over "
+            "the other views): is this picture paired with the right pose?",
         )
-        for view in np.flatnonzero(typical > limit)
+        for view in np.flatnonzero(median_differences > limit)
     )
 
 
@@ -275,17 +321,21 @@ def _angle_differences(
 
     The angle is the same in every frame, so this needs no hand-eye transform.
     """
-    gap = np.abs(_angles(np.linalg.inv(_finite(robot))) - _angles(_finite(camera)))
-    unused = np.eye(len(gap), dtype=bool) | ~np.outer(used, used)
-    return np.where(unused, np.nan, gap)
+    differences = np.abs(
+        _pairwise_rotation_angles(np.linalg.inv(_replace_nonfinite(robot)))
+        - _pairwise_rotation_angles(_replace_nonfinite(camera))
+    )
+    unused = np.eye(len(differences), dtype=bool) | ~np.outer(used, used)
+    return np.where(unused, np.nan, differences)
 
 
-def _finite(poses: Poses) -> Poses:
+def _replace_nonfinite(poses: Poses) -> Poses:
     """Return the poses with the identity in place of poses that are not finite."""
     return np.where(np.isfinite(poses).all(axis=(1, 2), keepdims=True), poses, np.eye(4))
 
 
-def _angles(poses: Poses) -> Float[np.ndarray, "views views"]:
+def _pairwise_rotation_angles(poses: Poses) -> Float[np.ndarray, "views views"]:
     """Return the angle of `R_i R_j^T` for all pairs of views, rad: `2 cos(angle) + 1 = trace`."""
+    # trace(R_i R_j^T) is the sum of the products of their entries.
     R = poses[:, :3, :3].reshape(len(poses), 9)
     return np.arccos(np.clip(0.5 * (R @ R.T - 1.0), -1.0, 1.0))

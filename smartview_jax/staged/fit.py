@@ -14,24 +14,24 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration, mount_from_holder
-from ..cameras import AbstractLens, Camera, Pinhole, Radial, start_lens
+from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..dataset import Dataset, Observations, chain_residuals
 from ..fit_result import FitCode, FitResult, Rejection
-from .agreement import agreeing_views, median_deviation
 from .conventions import ConventionReport, check_conventions
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
-from .own_fit import on_one_line, unlike_the_target
 from .region import with_region
-from .weng import ViewCalibrations, calibrate_views, locate_views
+from .target_checks import collinear_views, mismatched_views
+from .view_consistency import find_consistent_views, median_reprojection_errors
+from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
 MINIMUM_POINTS = 6
 """Smallest number of points with which a view can be calibrated by itself."""
 
 
 @runtime_checkable
-class CommonCamera(Protocol):
+class CommonCameraFit(Protocol):
     """The interface of a result of Step 2: a `KalmanResult`, or the result of the batch fit.
 
     Attributes:
@@ -78,7 +78,7 @@ class StagedFit(eqx.Module):
 
     calibration: Calibration
     step1: ViewCalibrations | None
-    step2: CommonCamera
+    step2: CommonCameraFit
     step3: HandEyeResult
     residuals: Float[Array, "views points 2"]
     inliers: Bool[Array, "views points"]
@@ -91,8 +91,8 @@ class StagedFit(eqx.Module):
         """Return the paper's comparison method: interpolation between the viewpoints of `data`."""
         views = np.array(self.views)
         robot = SE3(data.base_from_tool.wxyz_xyz[views])
-        seen = SE3(self.step2.camera_from_world.wxyz_xyz[views])
-        return Interpolation(self.step2.camera, robot, seen)
+        camera_from_world = SE3(self.step2.camera_from_world.wxyz_xyz[views])
+        return Interpolation(self.step2.camera, robot, camera_from_world)
 
 
 def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
@@ -101,25 +101,25 @@ def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
     Raises:
         ValueError: fewer than three are left; the message says what is wrong with the others.
     """
-    unusable = _unusable(data, _least_points(camera))
-    _require_enough(data, unusable, _least_points(camera))
+    unusable = _unusable_views(data, _minimum_points(camera))
+    _require_minimum_views(data, unusable, _minimum_points(camera))
     return np.setdiff1d(np.arange(data.view_count), list(unusable))
 
 
-def _require_enough(data: Dataset, unusable: dict[int, str], minimum: int) -> None:
+def _require_minimum_views(data: Dataset, unusable: dict[int, str], minimum: int) -> None:
     """Raise a ValueError that names the unusable views if fewer than three are left."""
-    left = data.view_count - len(unusable)
-    if left >= 3:
+    remaining = data.view_count - len(unusable)
+    if remaining >= 3:
         return
-    wrong = [f"view {data.view_ids[view]}: {text}" for view, text in unusable.items()]
-    tail = f" ({'; '.join(wrong[:10])})" if wrong else ""
+    reasons = [f"view {data.view_ids[view]}: {text}" for view, text in unusable.items()]
+    tail = f" ({'; '.join(reasons[:10])})" if reasons else ""
     raise ValueError(
         f"a calibration needs at least 3 views with {minimum} points each; "
-        f"{left} of {data.view_count} views have them{tail}"
+        f"{remaining} of {data.view_count} views have them{tail}"
     )
 
 
-def _only_usable(
+def _mask_unusable_views(
     data: Dataset, unusable: dict[int, str]
 ) -> tuple[Observations, Bool[np.ndarray, "views"]]:
     """Return the observations with unusable views masked, and the mask of usable views.
@@ -132,22 +132,22 @@ def _only_usable(
     return eqx.tree_at(lambda o: o.visible, data.observations, visible), used
 
 
-def _unusable(data: Dataset, minimum: int) -> dict[int, str]:
+def _unusable_views(data: Dataset, minimum: int) -> dict[int, str]:
     """Return the views whose pose cannot be determined, with the reason."""
     reasons, visible = dict(data.masked_views), np.asarray(data.visible)
-    seen, line = visible.sum(axis=1), on_one_line(np.asarray(data.points), visible)
+    point_counts, collinear = visible.sum(axis=1), collinear_views(np.asarray(data.points), visible)
     return {
         view: reasons.get(
             data.view_ids[view],
-            f"{seen[view]} points seen, {minimum} needed"
-            if seen[view] < minimum
-            else f"the {seen[view]} points seen lie on one line",
+            f"{point_counts[view]} points seen, {minimum} needed"
+            if point_counts[view] < minimum
+            else f"the {point_counts[view]} points seen lie on one line",
         )
-        for view in np.flatnonzero((seen < minimum) | line).tolist()
+        for view in np.flatnonzero((point_counts < minimum) | collinear).tolist()
     }
 
 
-def _least_points(camera: Camera | None) -> int:
+def _minimum_points(camera: Camera | None) -> int:
     """Return the number of points that a view must show; 4 if the camera is known."""
     return MINIMUM_POINTS if camera is None else 4
 
@@ -162,7 +162,7 @@ def fit_staged(
     pixel_sigma: float | None = None,
     gate_probability: float = 0.9999,
     conventions: str = "raise",
-    step2: Callable[..., CommonCamera] = kalman_filter,
+    step2: Callable[..., CommonCameraFit] = kalman_filter,
     progress: Callable[[str], None] | None = None,
 ) -> StagedFit:
     """Calibrate in three steps: each view (Weng), all views (Kalman), hand-eye (BFGS).
@@ -178,7 +178,7 @@ def fit_staged(
         conventions: `"raise"` an error if robot and camera motion contradict each other, or
             `"report"` it in the result.
         step2: the paper's filter, or a function with the same arguments, such as
-            `joint.batch_filter`.
+            `joint.batch_least_squares`.
         progress: called with a sentence about each step.
 
     Raises:
@@ -188,25 +188,25 @@ def fit_staged(
     if conventions not in ("raise", "report"):
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
     views_to_use(data, camera)
-    unusable = _unusable(data, _least_points(camera))
+    unusable = _unusable_views(data, _minimum_points(camera))
     say(f"Step 1: each of {data.view_count - len(unusable)} views by itself")
-    observations, used = _only_usable(data, unusable)
-    step1, start_camera, start_poses, start_inliers, rms = _step_one(
+    observations, used = _mask_unusable_views(data, unusable)
+    step1, start_camera, start_poses, start_inliers, rms = _run_step1(
         observations, data.image_size, used, lens, camera
     )
     # Views that Step 1 could not fit to the target (wrong corner numbering, another object).
-    unlike = unlike_the_target(rms, used, data.image_size)
-    if unlike:
+    mismatched = mismatched_views(rms, used, data.image_size)
+    if mismatched:
         # Repeat without them: they entered the median intrinsics from which Step 2 starts.
-        unusable = {**unusable, **unlike}
-        _require_enough(data, unusable, _least_points(camera))
-        observations, used = _only_usable(data, unusable)
-        step1, start_camera, start_poses, start_inliers, _ = _step_one(
+        unusable = {**unusable, **mismatched}
+        _require_minimum_views(data, unusable, _minimum_points(camera))
+        observations, used = _mask_unusable_views(data, unusable)
+        step1, start_camera, start_poses, start_inliers, _ = _run_step1(
             observations, data.image_size, used, lens, camera
         )
     weights = jnp.asarray(used.astype(float))
     say("Step 2: one camera for all views")
-    common = step2(
+    common_fit = step2(
         observations,
         start_camera,
         start_poses,
@@ -218,56 +218,61 @@ def fit_staged(
     )
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
-    report = check_conventions(data.base_from_tool, common.camera_from_world, data.mount, weights)
+    report = check_conventions(
+        data.base_from_tool, common_fit.camera_from_world, data.mount, weights
+    )
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
     robot = mount_from_holder(data.mount, data.base_from_tool)
     # Step 3 has no outlier gate of its own: Eq. 17 is a sum of squares, which one wrong pair of
     # picture and pose can dominate.
-    agreement = agreeing_views(
+    consistency = find_consistent_views(
         robot,
-        common.camera_from_world,
+        common_fit.camera_from_world,
         weights,
-        lambda eye, world: median_deviation(
-            Calibration(common.camera, eye, world, data.mount), observations, common.inliers
+        lambda camera_from_mount, holder_from_world: median_reprojection_errors(
+            Calibration(common_fit.camera, camera_from_mount, holder_from_world, data.mount),
+            observations,
+            common_fit.inliers,
         ),
         data.view_ids,
     )
-    agreeing, doubts = agreement.kept, agreement.words
-    for view in agreement.unsure:
-        say(f"view {data.view_ids[view]}: its points tell its pose badly; Step 3 does without it")
+    consistent, reasons = consistency.consistent, consistency.reasons
+    for view in consistency.uncertain:
+        view_id = data.view_ids[view]
+        say(f"view {view_id}: its points determine its pose poorly; Step 3 does without it")
     step3 = solve_hand_eye(
         robot,
-        common.camera_from_world,
-        jnp.asarray(agreeing, float),
+        common_fit.camera_from_world,
+        jnp.asarray(consistent, float),
         rough_translation,
         length_scale,
     )
     calibration = Calibration(
-        common.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
+        common_fit.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )
     # Views with an uncertain pose do not enter Step 3, but their points are good observations.
-    sound = agreeing.copy()
-    sound[list(agreement.unsure)] = True
-    inliers = common.inliers & jnp.asarray(sound)[:, None]
+    trusted = consistent.copy()
+    trusted[list(consistency.uncertain)] = True
+    inliers = common_fit.inliers & jnp.asarray(trusted)[:, None]
     ids = data.view_ids
     return StagedFit(
-        with_region(calibration, data, np.flatnonzero(agreeing)),
+        with_region(calibration, data, np.flatnonzero(consistent)),
         step1,
-        common,
+        common_fit,
         step3,
         chain_residuals(calibration, data.observations),
         inliers,
-        _rejected(data, unusable, np.asarray(common.inliers))
-        + tuple(Rejection(ids[view], None, text) for view, text in doubts.items()),
-        tuple(int(view) for view in np.flatnonzero(agreeing)),
+        _rejections(data, unusable, np.asarray(common_fit.inliers))
+        + tuple(Rejection(ids[view], None, text) for view, text in reasons.items()),
+        tuple(int(view) for view in np.flatnonzero(consistent)),
         report,
-        _result(common, step3, calibration),
+        _fit_result(common_fit, step3, calibration),
     )
 
 
-def _step_one(
+def _run_step1(
     observations: Observations,
     image_size: tuple[int, int],
     used: np.ndarray,
@@ -281,26 +286,28 @@ def _step_one(
         that are not gross errors, and the RMS reprojection error of each view, px.
     """
     if camera is not None:
-        poses, rms, kept = locate_views(observations, camera)
-        return None, camera, _safe(poses, used), kept, np.asarray(rms)
+        poses, rms, inliers = estimate_view_poses(observations, camera)
+        return None, camera, _fill_unused_poses(poses, used), inliers, np.asarray(rms)
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
     step1 = calibrate_views(observations, image_size, distortion)
     # The median over views: single views with a poor focal length do not spoil the start.
-    numbers = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
-    common = Camera(*numbers[:4], lens=start_lens(lens, Radial(numbers[4])), image_size=image_size)
+    medians = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
+    start_camera = Camera(
+        *medians[:4], lens=initial_lens(lens, Radial(medians[4])), image_size=image_size
+    )
     # The size in the picture is alpha / depth. A view with a larger alpha of its own has a larger
     # depth than it has with the common alpha, so depths are rescaled by the ratio.
     poses = np.array(step1.camera_from_world.wxyz_xyz)
-    poses[:, 6] *= numbers[0] / np.asarray(step1.intrinsics.alpha_u)
-    start = _safe(SE3(jnp.asarray(poses)), used)
-    return step1, common, start, step1.used, np.asarray(step1.rms)
+    poses[:, 6] *= medians[0] / np.asarray(step1.intrinsics.alpha_u)
+    start = _fill_unused_poses(SE3(jnp.asarray(poses)), used)
+    return step1, start_camera, start, step1.inliers, np.asarray(step1.rms)
 
 
-def _safe(poses: SE3, used: np.ndarray) -> SE3:
+def _fill_unused_poses(poses: SE3, used: np.ndarray) -> SE3:
     """Return the poses with an arbitrary finite pose in the views that are not used."""
     # Identity rotation, one metre in front of the camera: everything stays finite.
-    ahead = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    return SE3(jnp.asarray(np.where(used[:, None], np.asarray(poses.wxyz_xyz), ahead)))
+    placeholder = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    return SE3(jnp.asarray(np.where(used[:, None], np.asarray(poses.wxyz_xyz), placeholder)))
 
 
 def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:
@@ -316,25 +323,27 @@ def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -
     # Step 1 runs here on its own first, only to find the camera; `fit_staged` then holds it fixed.
     used = data.select(data.usable_views(MINIMUM_POINTS))
     step1 = calibrate_views(used.observations, data.image_size)
-    chosen = int(np.argmin(np.asarray(step1.alpha_std))) if view is None else view
+    chosen = int(np.argmin(np.asarray(step1.alpha_relative_std))) if view is None else view
     return fit_staged(data, camera=step1.camera(chosen, data.image_size), **options)
 
 
-def _rejected(
+def _rejections(
     data: Dataset, unusable: dict[int, str], inliers: np.ndarray
 ) -> tuple[Rejection, ...]:
     """Return every rejected view and every point rejected by Step 2, with reasons."""
     # Points of unusable views are not listed one by one; the reason for the view covers them.
-    whole = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
-    points = [
+    rejected_views = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
+    rejected_points = [
         Rejection(data.view_ids[view], int(point), "outside the gate of Step 2")
         for view, point in np.argwhere(np.asarray(data.visible) & ~inliers)
         if view not in unusable
     ]
-    return tuple(whole + points)
+    return tuple(rejected_views + rejected_points)
 
 
-def _result(step2: CommonCamera, step3: HandEyeResult, calibration: Calibration) -> FitResult:
+def _fit_result(
+    step2: CommonCameraFit, step3: HandEyeResult, calibration: Calibration
+) -> FitResult:
     """Return whether all steps converged, with a message."""
     finite = all(
         np.isfinite(np.asarray(pose.wxyz_xyz)).all()
@@ -344,5 +353,5 @@ def _result(step2: CommonCamera, step3: HandEyeResult, calibration: Calibration)
         return FitResult(FitCode.DIVERGED, "Step 3: the answer is not finite")
     return FitResult(
         FitCode.CONVERGED if step2.converged and step3.converged else FitCode.STOPPED_EARLY,
-        f"Step 2: {step2.message}; Step 3: {step3.message}, started by {step3.chosen[0]}",
+        f"Step 2: {step2.message}; Step 3: {step3.message}, started by {step3.best_starts[0]}",
     )

@@ -23,18 +23,18 @@ from ..cameras import Camera
 from ..geometry import transform_points
 from ..robots import CommandLike, as_command
 
-FLAT = 0.1
+MIN_SPREAD_RATIO = 0.1
 """Ratio of the spread of the viewpoints along a direction to their largest spread, below which they
 do not span that direction.
 
 Viewpoints within 19 degrees around an object have at most 0.07 normal to their plane, views at
 various distances and angles 0.1 to 0.4."""
 
-ON_THE_HULL = 0.01
+HULL_TOLERANCE = 0.01
 """Distance by which a position may lie outside the convex hull and still count as inside, as a
 fraction of the farthest viewpoint's distance from the centroid. It allows for robot error."""
 
-_SUM_TO_ONE = 10.0
+_SUM_TO_ONE_WEIGHT = 10.0
 """Row weight of the sum-to-one condition, beside position rows of size about 1."""
 
 
@@ -45,64 +45,71 @@ class Interpolation(eqx.Module):
         camera: intrinsics common to all viewpoints (Step 2).
         positions: tool position at each viewpoint, in the base frame, m.
         extrinsics: yaw, pitch, roll (rad, unwrapped) and translation (m) of each.
-        axes: unit vectors in the base frame that the positions span, `(dimensions, 3)`: three,
-            two for a plane, one for a line, none for a single point.
-        gains: the weights as linear functions of `(1, x, y, z)`, the position in the base frame.
+        spanned_axes: unit vectors in the base frame that the positions span, `(dimensions, 3)`:
+            three, two for a plane, one for a line, none for a single point.
+        weight_coefficients: the weights as linear functions of `(1, x, y, z)`, the position in the
+            base frame.
     """
 
     camera: Camera
     positions: Float[Array, "views 3"]
     extrinsics: Float[Array, "views 6"]
-    axes: Float[Array, "dimensions 3"]
-    gains: Float[Array, "views 4"]
+    spanned_axes: Float[Array, "dimensions 3"]
+    weight_coefficients: Float[Array, "views 4"]
 
     def __init__(self, camera: Camera, base_from_tool: SE3, camera_from_world: SE3):
-        """Compute the gains of the weights from robot and camera poses of the viewpoints."""
+        """Compute the coefficients of the weights from robot and camera poses of the viewpoints."""
         angles = jnp.stack(camera_from_world.rotation().as_rpy_radians()[::-1], axis=-1)
         # Unwrap the angles: 179 and -179 degrees must not average to 0.
-        turns = jnp.round((angles - angles[:1]) / (2.0 * jnp.pi))
+        revolutions = jnp.round((angles - angles[:1]) / (2.0 * jnp.pi))
         self.camera = camera
         self.positions = base_from_tool.translation()
         self.extrinsics = jnp.concatenate(
-            [angles - 2.0 * jnp.pi * turns, camera_from_world.translation()], axis=1
+            [angles - 2.0 * jnp.pi * revolutions, camera_from_world.translation()], axis=1
         )
-        placed = np.asarray(self.positions)
-        middle = placed.mean(axis=0)
-        U, spread, Vt = np.linalg.svd(placed - middle, full_matrices=False)
-        # Minimum-norm weights: w = 1/n + (centred positions^T)^+ (position - middle), with
-        # the pseudoinverse restricted to the directions that the viewpoints span.
-        spanned = spread > FLAT * max(spread[0], np.finfo(float).tiny)
-        slopes = (U[:, spanned] / spread[spanned]) @ Vt[spanned]
-        self.axes = jnp.asarray(Vt[spanned])
-        self.gains = jnp.asarray(np.column_stack([1.0 / len(placed) - slopes @ middle, slopes]))
+        positions = np.asarray(self.positions)
+        centroid = positions.mean(axis=0)
+        U, singular_values, Vt = np.linalg.svd(positions - centroid, full_matrices=False)
+        # Minimum-norm weights: w = 1/n + gradient (position - centroid), where the gradient is the
+        # pseudoinverse of the centred positions' transpose, restricted to the directions that the
+        # viewpoints span.
+        spanned = singular_values > MIN_SPREAD_RATIO * max(singular_values[0], np.finfo(float).tiny)
+        gradient = (U[:, spanned] / singular_values[spanned]) @ Vt[spanned]
+        self.spanned_axes = jnp.asarray(Vt[spanned])
+        self.weight_coefficients = jnp.asarray(
+            np.column_stack([1.0 / len(positions) - gradient @ centroid, gradient])
+        )
 
     def weights(self, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch views"]:
         """Return minimum-norm weights of sum 1 that reproduce the given positions.
 
         The component of a position (m) normal to the viewpoints' plane or line is ignored.
         """
-        one = jnp.ones_like(position[..., :1])
-        return jnp.concatenate([one, position], axis=-1) @ self.gains.T
+        ones = jnp.ones_like(position[..., :1])
+        return jnp.concatenate([ones, position], axis=-1) @ self.weight_coefficients.T
 
-    def inside(self, base_from_tool: CommandLike) -> Bool[np.ndarray, "*views"]:
+    def is_inside(self, base_from_tool: CommandLike) -> Bool[np.ndarray, "*views"]:
         """Return whether robot poses lie between the viewpoints, so that none is extrapolated.
 
         A position must be within the convex hull of the viewpoints along the directions they span,
-        and no farther from their plane or line than the farthest viewpoint, or than `FLAT` times
-        the distance of the farthest viewpoint from the centroid.
+        and no farther from their plane or line than the farthest viewpoint, or than
+        `MIN_SPREAD_RATIO` times the distance of the farthest viewpoint from the centroid.
         """
         positions = np.asarray(as_command(base_from_tool).base_from_tool.translation())
-        corners, axes = np.asarray(self.positions), np.asarray(self.axes)
-        middle = corners.mean(axis=0)
-        size = max(np.linalg.norm(corners - middle, axis=1).max(), np.finfo(float).tiny)
-        corners, places = (corners - middle) / size, (positions.reshape(-1, 3) - middle) / size
+        viewpoints, axes = np.asarray(self.positions), np.asarray(self.spanned_axes)
+        centroid = viewpoints.mean(axis=0)
+        radius = max(np.linalg.norm(viewpoints - centroid, axis=1).max(), np.finfo(float).tiny)
+        viewpoints = (viewpoints - centroid) / radius
+        queries = (positions.reshape(-1, 3) - centroid) / radius
         # A point is in the convex hull if non-negative weights of sum 1 reproduce it. The residual
         # of non-negative least squares is then zero.
-        A = np.vstack([np.full(len(corners), _SUM_TO_ONE), axes @ corners.T])
-        gaps = np.array([nnls(A, np.r_[_SUM_TO_ONE, axes @ place])[1] for place in places])
-        thickness = max(_distance_across(corners, axes).max(), FLAT)
-        near = _distance_across(places, axes) <= thickness + ON_THE_HULL
-        return (near & (gaps <= ON_THE_HULL)).reshape(positions.shape[:-1])
+        A = np.vstack([np.full(len(viewpoints), _SUM_TO_ONE_WEIGHT), axes @ viewpoints.T])
+        hull_residuals = np.array(
+            [nnls(A, np.r_[_SUM_TO_ONE_WEIGHT, axes @ query])[1] for query in queries]
+        )
+        thickness = max(_distance_from_subspace(viewpoints, axes).max(), MIN_SPREAD_RATIO)
+        near_subspace = _distance_from_subspace(queries, axes) <= thickness + HULL_TOLERANCE
+        return (near_subspace & (hull_residuals <= HULL_TOLERANCE)).reshape(positions.shape[:-1])
 
     def camera_from_world(self, base_from_tool: CommandLike) -> SE3:
         """Return the interpolated extrinsics at the given robot poses, `(*views)`."""
@@ -112,7 +119,7 @@ class Interpolation(eqx.Module):
 
     def points_in_camera(
         self, base_from_tool: CommandLike, points: Float[Array, "*points 3"]
-    ) -> Float[Array, "*moved 3"]:
+    ) -> Float[Array, "*transformed 3"]:
         """Return target points in the camera frame, m."""
         return transform_points(self.camera_from_world(base_from_tool), jnp.asarray(points, float))
 
@@ -123,8 +130,9 @@ class Interpolation(eqx.Module):
         return self.camera.project(self.points_in_camera(base_from_tool, points))
 
 
-def _distance_across(
-    places: Float[np.ndarray, "places 3"], axes: Float[np.ndarray, "dimensions 3"]
-) -> Float[np.ndarray, "places"]:
+def _distance_from_subspace(
+    points: Float[np.ndarray, "points 3"], axes: Float[np.ndarray, "dimensions 3"]
+) -> Float[np.ndarray, "points"]:
     """Return the distance of points from the subspace spanned by the axes, in the points' unit."""
-    return np.linalg.norm(places - places @ axes.T @ axes, axis=1)
+    # What remains of a point after its projection onto the orthonormal axes is subtracted.
+    return np.linalg.norm(points - points @ axes.T @ axes, axis=1)

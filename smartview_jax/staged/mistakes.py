@@ -23,21 +23,21 @@ class Mistake(NamedTuple):
 
     Attributes:
         name: short, for programs.
-        words: what was done wrong, as a clause.
+        description: what was done wrong, as a clause.
         undo: maps robot and camera poses with the mistake to poses without it.
     """
 
     name: str
-    words: str
+    description: str
     undo: Callable[[Poses, Poses], tuple[Poses, Poses]]
 
 
-def mistakes(in_hand: bool, views: int) -> Iterator[Mistake]:
+def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
     """Yield every known mistake, simple ones first.
 
     Args:
         in_hand: whether the camera is stated to be on the hand.
-        views: number of views.
+        view_count: number of views.
     """
     other = "beside the arm (eye_to_hand)" if in_hand else "on the hand (eye_in_hand)"
     yield Mistake(
@@ -46,11 +46,11 @@ def mistakes(in_hand: bool, views: int) -> Iterator[Mistake]:
         f"expected, or the camera is {other}",
         lambda robot, camera: (np.linalg.inv(robot), camera),
     )
-    yield _of_rotations(
+    yield _rotation_mistake(
         "transposed", "the rotations are transposed, the positions are not", lambda r: r.inv()
     )
     for read, true, order in (("wxyz", "xyzw", [3, 0, 1, 2]), ("xyzw", "wxyz", [1, 2, 3, 0])):
-        yield _of_rotations(
+        yield _rotation_mistake(
             f"quaternion_{true}",
             f"quaternions in the order {true} were read as {read}",
             lambda r, order=order: Rotation.from_quat(r.as_quat()[:, order]),
@@ -58,25 +58,27 @@ def mistakes(in_hand: bool, views: int) -> Iterator[Mistake]:
     yield Mistake(
         "mirrored",
         "the pictures are mirrored (left and right, or top and bottom, are swapped)",
-        lambda robot, camera: (robot, _mirrored(camera)),
+        lambda robot, camera: (robot, _mirror_camera_poses(camera)),
     )
-    yield from _angles()
-    yield from _pairings(views)
+    yield from _angle_format_mistakes()
+    yield from _pairing_mistakes(view_count)
 
 
-def _of_rotations(name: str, words: str, change: Callable[[Rotation], Rotation]) -> Mistake:
+def _rotation_mistake(
+    name: str, description: str, correction: Callable[[Rotation], Rotation]
+) -> Mistake:
     """Return a mistake that concerns the robot's rotations only."""
 
     def undo(robot: Poses, camera: Poses) -> tuple[Poses, Poses]:
         """Return the poses with corrected robot rotations."""
-        changed = robot.copy()
-        changed[:, :3, :3] = change(Rotation.from_matrix(robot[:, :3, :3])).as_matrix()
-        return changed, camera
+        corrected = robot.copy()
+        corrected[:, :3, :3] = correction(Rotation.from_matrix(robot[:, :3, :3])).as_matrix()
+        return corrected, camera
 
-    return Mistake(name, words, undo)
+    return Mistake(name, description, undo)
 
 
-def _mirrored(camera: Poses) -> Poses:
+def _mirror_camera_poses(camera: Poses) -> Poses:
     """Return the camera poses of a flat target with every picture mirrored left to right.
 
     A mirrored view of a plane is a view of it from behind: `F R diag(1, 1, -1)` and `F t`, with F
@@ -87,156 +89,184 @@ def _mirrored(camera: Poses) -> Poses:
     return mirror @ camera @ np.diag([1.0, 1.0, -1.0, 1.0])
 
 
-_VAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+_VAL_M0 = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 """The matrix M0 of VAL's angles, `R = Rz(O) Rx(A) M0 Rz(T)` (Eq. 18).
 
 Since `M0 Rz(T) = Ry(-T) M0`, also `R M0^T = Rz(O) Rx(A) Ry(-T)`: Euler angles with one sign
 reversed."""
 
 
-class _Format(NamedTuple):
+class _RotationFormat(NamedTuple):
     """A format that describes a rotation by three numbers.
 
     Attributes:
         name: of the pose format.
-        words: its name, with the names of equal formats.
-        numbers: function from rotations to numbers, `(views, 3)`, rad.
-        rotation: its inverse.
-        middle: range of the second angle as controllers report it, rad; None for a vector.
+        description: its name, with the names of equal formats.
+        from_rotation: function from rotations to numbers, `(views, 3)`, rad.
+        to_rotation: its inverse.
+        second_angle_range: range of the second angle as controllers report it, rad; None for a
+            vector.
     """
 
     name: str
-    words: str
-    numbers: Callable[[Rotation], np.ndarray]
-    rotation: Callable[[np.ndarray], Rotation]
-    middle: tuple[float, float] | None
+    description: str
+    from_rotation: Callable[[Rotation], np.ndarray]
+    to_rotation: Callable[[np.ndarray], Rotation]
+    second_angle_range: tuple[float, float] | None
 
 
-def _euler(name: str, words: str, axes: str, middle: tuple[float, float]) -> _Format:
+def _euler_format(
+    name: str, description: str, axes: str, second_angle_range: tuple[float, float]
+) -> _RotationFormat:
     """Return a format of Euler angles about the given axes, in SciPy's notation."""
-    return _Format(
-        name, words, lambda r: r.as_euler(axes), lambda x: Rotation.from_euler(axes, x), middle
+    return _RotationFormat(
+        name,
+        description,
+        lambda r: r.as_euler(axes),
+        lambda x: Rotation.from_euler(axes, x),
+        second_angle_range,
     )
 
 
-_UPRIGHT = (-0.5 * np.pi, 0.5 * np.pi)
+_SECOND_ANGLE_RANGE = (-0.5 * np.pi, 0.5 * np.pi)
 """Range of the second angle of most formats, rad."""
-_SIGN = np.array([1.0, 1.0, -1.0])
-"""Signs of O, A, T in the Euler angles of `R M0^T` (see `_VAL`)."""
+_VAL_ANGLE_SIGNS = np.array([1.0, 1.0, -1.0])
+"""Signs of O, A, T in the Euler angles of `R M0^T` (see `_VAL_M0`)."""
 # KUKA's angles are the yaw, pitch, roll of Eq. 16.
-_KUKA = _euler("kuka_abc", "kuka_abc (yaw_pitch_roll)", "ZYX", _UPRIGHT)
-_FANUC = _euler("fanuc_wpr", "fanuc_wpr", "xyz", _UPRIGHT)
+_KUKA = _euler_format("kuka_abc", "kuka_abc (yaw_pitch_roll)", "ZYX", _SECOND_ANGLE_RANGE)
+_FANUC = _euler_format("fanuc_wpr", "fanuc_wpr", "xyz", _SECOND_ANGLE_RANGE)
 _FORMATS = (
     _KUKA,
     _FANUC,
-    _euler("kawasaki_oat", "kawasaki_oat", "ZYZ", (0.0, np.pi)),
-    _Format(
+    _euler_format("kawasaki_oat", "kawasaki_oat", "ZYZ", (0.0, np.pi)),
+    _RotationFormat(
         "val_oat",
         "val_oat",
-        lambda r: _SIGN * (r * Rotation.from_matrix(_VAL.T)).as_euler("ZXY"),
-        lambda x: Rotation.from_euler("ZXY", _SIGN * x) * Rotation.from_matrix(_VAL),
-        _UPRIGHT,
+        lambda r: _VAL_ANGLE_SIGNS * (r * Rotation.from_matrix(_VAL_M0.T)).as_euler("ZXY"),
+        lambda x: Rotation.from_euler("ZXY", _VAL_ANGLE_SIGNS * x) * Rotation.from_matrix(_VAL_M0),
+        _SECOND_ANGLE_RANGE,
     ),
-    _Format("ur", "ur (rotation_vector)", Rotation.as_rotvec, Rotation.from_rotvec, None),
+    _RotationFormat("ur", "ur (rotation_vector)", Rotation.as_rotvec, Rotation.from_rotvec, None),
 )
 
 
-def _angles() -> Iterator[Mistake]:
+def _angle_format_mistakes() -> Iterator[Mistake]:
     """Yield the mistakes of angles read in a different format or unit than they were written in."""
-    yield _of_rotations(
+    yield _rotation_mistake(
         "kuka_abc_for_fanuc_wpr",
         "the angles are kuka_abc (yaw_pitch_roll) and were read as fanuc_wpr, or the reverse "
         "(first and third angle swapped)",
-        lambda r: _KUKA.rotation(_numbers(r, _FANUC)),
+        lambda r: _KUKA.to_rotation(_format_numbers(r, _FANUC)),
     )
-    for read, true in itertools.permutations(_FORMATS, 2):
-        if {read, true} == {_KUKA, _FANUC}:
+    for read_format, true_format in itertools.permutations(_FORMATS, 2):
+        if {read_format, true_format} == {_KUKA, _FANUC}:
             continue
         # Two triples of numbers describe the rotation that was read, and the true format may
         # produce either of them; try both.
-        either = read.middle is None or true.middle == (0.0, np.pi)
-        for second in (False, True) if either else (False,):
-            yield _of_rotations(
-                f"{true.name}_read_as_{read.name}",
-                f"the angles are {true.words} and were read as {read.words}",
-                lambda r, read=read, true=true, second=second: true.rotation(
-                    _as_written(r, read, true, second)
+        is_vector = read_format.second_angle_range is None
+        ambiguous = is_vector or true_format.second_angle_range == (0.0, np.pi)
+        for prefer_alternative in (False, True) if ambiguous else (False,):
+            yield _rotation_mistake(
+                f"{true_format.name}_read_as_{read_format.name}",
+                f"the angles are {true_format.description} and were read as "
+                f"{read_format.description}",
+                # Defaults bind the loop's values now; the function is called later.
+                lambda r, read=read_format, true=true_format, alternative=prefer_alternative: (
+                    true.to_rotation(_numbers_in_true_range(r, read, true, alternative))
                 ),
             )
-    for form in _FORMATS:
+    for rotation_format in _FORMATS:
         # Radians read as degrees: KUKA's and Fanuc's angles are the same three, in reverse order.
-        if form is not _FANUC:
-            yield _of_rotations(
-                f"radians_as_degrees_{form.name}",
-                f"the angles ({form.words}) are in radians and were read as degrees",
-                lambda r, form=form: form.rotation(np.rad2deg(_numbers(r, form))),
+        if rotation_format is not _FANUC:
+            yield _rotation_mistake(
+                f"radians_as_degrees_{rotation_format.name}",
+                f"the angles ({rotation_format.description}) are in radians and were read as "
+                "degrees",
+                lambda r, form=rotation_format: form.to_rotation(
+                    np.rad2deg(_format_numbers(r, form))
+                ),
             )
 
 
-def _numbers(rotation: Rotation, form: _Format) -> np.ndarray:
+def _format_numbers(rotation: Rotation, rotation_format: _RotationFormat) -> np.ndarray:
     """Return the numbers of rotations in a format, without warnings at gimbal lock."""
     with warnings.catch_warnings():
         # At gimbal lock only the sum or difference of two angles is determined; any split is right.
         warnings.filterwarnings("ignore", message="Gimbal lock")
-        return form.numbers(rotation)
+        return rotation_format.from_rotation(rotation)
 
 
-def _as_written(
-    rotation: Rotation, read: _Format, true: _Format, other_first: bool = False
+def _numbers_in_true_range(
+    rotation: Rotation,
+    read_format: _RotationFormat,
+    true_format: _RotationFormat,
+    prefer_alternative: bool = False,
 ) -> np.ndarray:
     """Return the numbers that were read, in the form that the true format produces.
 
-    Two triples of numbers describe the same rotation in the format `read`; the one within the
-    ranges of the format `true` is returned. If both or neither are, the principal one is returned,
-    or the other one with `other_first`.
+    Two triples of numbers describe the same rotation in the format `read_format`; the one within
+    the ranges of the format `true_format` is returned. If both or neither are, the principal one is
+    returned, or the other one with `prefer_alternative`.
     """
-    first = _numbers(rotation, read)
-    if read.middle is None:
-        length = np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    principal = _format_numbers(rotation, read_format)
+    if read_format.second_angle_range is None:
+        length = np.maximum(np.linalg.norm(principal, axis=1, keepdims=True), 1e-12)
         # A rotation by |v| about v is also one by |v| - 2 pi.
-        second = first * (1.0 - 2.0 * np.pi / length)
+        alternative = principal * (1.0 - 2.0 * np.pi / length)
     else:
         # Euler angles (a, b, c) describe the same rotation as (a + pi, pi - b, c + pi), and with
         # equal outer axes (ZYZ) the same as (a + pi, -b, c + pi).
-        inner = -first[:, 1] if read.middle[0] == 0.0 else np.pi - first[:, 1]
-        second = np.stack([first[:, 0] + np.pi, inner, first[:, 2] + np.pi], axis=1)
-        second = (second + np.pi) % (2.0 * np.pi) - np.pi
-    if other_first:
-        first, second = second, first
-    return np.where(_written(first, true) | ~_written(second, true), first, second)
+        second_angle = (
+            -principal[:, 1]
+            if read_format.second_angle_range[0] == 0.0
+            else np.pi - principal[:, 1]
+        )
+        alternative = np.stack(
+            [principal[:, 0] + np.pi, second_angle, principal[:, 2] + np.pi], axis=1
+        )
+        alternative = (alternative + np.pi) % (2.0 * np.pi) - np.pi
+    if prefer_alternative:
+        principal, alternative = alternative, principal
+    return np.where(
+        _is_in_range(principal, true_format) | ~_is_in_range(alternative, true_format),
+        principal,
+        alternative,
+    )
 
 
-def _written(numbers: np.ndarray, true: _Format) -> np.ndarray:
+def _is_in_range(numbers: np.ndarray, true_format: _RotationFormat) -> np.ndarray:
     """Return whether a controller with this format would report these numbers, `(views, 1)`."""
-    if true.middle is None:
+    if true_format.second_angle_range is None:
         return np.linalg.norm(numbers, axis=1, keepdims=True) <= np.pi + 1e-9
-    low, high = true.middle
+    low, high = true_format.second_angle_range
     return ((numbers[:, 1:2] >= low - 1e-9) & (numbers[:, 1:2] <= high + 1e-9)) & (
         np.abs(numbers).max(axis=1, keepdims=True) <= np.pi + 1e-9
     )
 
 
-def _pairings(views: int) -> Iterator[Mistake]:
+def _pairing_mistakes(view_count: int) -> Iterator[Mistake]:
     """Yield the mistakes of pictures paired with the poses of other views, in the usual orders."""
 
-    def paired(name: str, words: str, order: np.ndarray) -> Mistake:
+    def pairing_mistake(name: str, description: str, order: np.ndarray) -> Mistake:
         """Return the mistake that a reordering of the robot's poses corrects."""
         return Mistake(
             f"paired_{name}",
-            f"the pictures are paired with wrong poses: {words}",
+            f"the pictures are paired with wrong poses: {description}",
             lambda robot, camera: (robot[order], camera),
         )
 
-    count = np.arange(views)
+    indices = np.arange(view_count)
     for shift in (1, -1, 2, -2):
         where = f"{abs(shift)} view{'s' * (abs(shift) > 1)} {'after' if shift > 0 else 'before'}"
-        yield paired(
-            f"shifted_{shift}", f"each fits the pose {where} its own", np.roll(count, -shift)
+        yield pairing_mistake(
+            f"shifted_{shift}", f"each fits the pose {where} its own", np.roll(indices, -shift)
         )
-    yield paired("reversed", "they fit the poses in reverse order", count[::-1])
-    for first in (0, 1) if views + 1 > 10 else ():
+    yield pairing_mistake("reversed", "they fit the poses in reverse order", indices[::-1])
+    for first in (0, 1) if view_count + 1 > 10 else ():
         # File names sorted as text: 1, 10, 11, 2, ... Numbering may start at 0 or 1, and either
         # the pictures or the poses may be the sorted ones.
-        by_words = np.array(sorted(count, key=lambda k, first=first: str(k + first)))
-        for order in (by_words, np.argsort(by_words)):
-            yield paired("sorted", "one of the two is sorted as words (1, 10, 11, 2, ...)", order)
+        sorted_as_text = np.array(sorted(indices, key=lambda k, first=first: str(k + first)))
+        for order in (sorted_as_text, np.argsort(sorted_as_text)):
+            yield pairing_mistake(
+                "sorted", "one of the two is sorted as words (1, 10, 11, 2, ...)", order
+            )

@@ -37,6 +37,6 @@ def with_region(
     seen = np.asarray(data.visible)[used]
     points = float(calibration.target_scale) * np.asarray(data.points)[used][seen]
     # How low the tool came over the target matters only if the tool carries the camera.
-    tools = world_from_mount[:, :3, 3] if in_hand else None
-    region = ViewedRegion.of(world_from_camera[:, :3, 3], points, tools)
+    tool_positions = world_from_mount[:, :3, 3] if in_hand else None
+    region = ViewedRegion.from_positions(world_from_camera[:, :3, 3], points, tool_positions)
     return dataclasses.replace(calibration, region=region)

@@ -21,20 +21,18 @@ from jaxtyping import Array, Bool, Float
 from ..cameras import Camera
 from ..compilation import compiled
 from ..dataset import Observations
-from .weng_alternation import Found, alternate
+from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, coplanar, extents, linear_start, planar_start
 
-LINEAR, PLANAR, MEDIAN, NONE = (
-    "linear",
-    "one plane: centre held, alpha_u = alpha_v",
-    "frontal: alpha of the other views",
-    "none",
-)
-"""Names of the linear starts, reported in `ViewCalibrations.starts`."""
+# Names of the starts, reported in `ViewCalibrations.starts`.
+LINEAR_START = "linear"
+PLANAR_START = "one plane: centre held, alpha_u = alpha_v"
+MEDIAN_ALPHA_START = "frontal: alpha of the other views"
+NO_START = "none"
 
-_DETERMINED = 0.03
+_MAX_ALPHA_RELATIVE_STD = 0.03
 """Largest relative standard deviation of alpha at which a view counts as determining it."""
-_COLLINEAR = 1e-3
+_COLLINEARITY_TOLERANCE = 1e-3
 """Ratio of second to largest extent of the points below which they count as one line."""
 
 
@@ -45,8 +43,8 @@ class ViewCalibrations(eqx.Module):
         intrinsics: the view's own; `starts` says which of them were held fixed.
         camera_from_world: the view's pose.
         rms: root mean square reprojection error over the points used, px.
-        alpha_std: relative standard deviation of alpha in that view.
-        used: the points that were not rejected as gross errors.
+        alpha_relative_std: relative standard deviation of alpha in that view.
+        inliers: the points that were not rejected as gross errors.
         starts: name of the start used for each view.
         problems: why a view could not be calibrated; empty where it could.
     """
@@ -54,8 +52,8 @@ class ViewCalibrations(eqx.Module):
     intrinsics: Intrinsics
     camera_from_world: SE3
     rms: Float[Array, "views"]
-    alpha_std: Float[Array, "views"]
-    used: Bool[Array, "views points"]
+    alpha_relative_std: Float[Array, "views"]
+    inliers: Bool[Array, "views points"]
     starts: tuple[str, ...] = eqx.field(static=True)
     problems: tuple[str, ...] = eqx.field(static=True)
 
@@ -82,51 +80,58 @@ def calibrate_views(
     """
     centre = (np.array(image_size, dtype=float) - 1.0) / 2.0
     extent = np.asarray(extents(observations.points, observations.visible))
+    # Whether the points of a view lie in one plane (any plane), which decides how it is started.
     flat = np.asarray(coplanar(jnp.asarray(extent)))
-    problems = _too_little(np.asarray(observations.visible).sum(axis=1), extent, flat)
-    size = jnp.asarray(float(max(image_size)))
+    problems = _view_problems(np.asarray(observations.visible).sum(axis=1), extent, flat)
+    longer_side = jnp.asarray(float(max(image_size)))
     # Both linear starts are computed for every view and one is selected: the shapes stay fixed.
-    start = _starts(observations, jnp.asarray(centre), size, jnp.asarray(flat))
+    start = _linear_starts(observations, jnp.asarray(centre), longer_side, jnp.asarray(flat))
     # One plane: only alpha (and k1) are free; alpha_v / alpha_u, u0 and v0 are held.
     free = np.ones((len(flat), 5), dtype=bool)
     free[flat, 1:4] = False
     free[:, 4] = distortion
-    found = _calibrate_all(observations, start, jnp.asarray(free), jnp.asarray(flat))
+    view_fits = _fit_all_views(observations, start, jnp.asarray(free), jnp.asarray(flat))
 
-    alpha_std = found.alpha_std
-    usable = np.array([not problem for problem in problems]) & np.isfinite(np.asarray(found.rms))
-    frontal = usable & ~(np.asarray(alpha_std) < _DETERMINED)
+    alpha_relative_std = view_fits.alpha_relative_std
+    is_finite = np.isfinite(np.asarray(view_fits.rms))
+    usable = np.array([not problem for problem in problems]) & is_finite
+    frontal = usable & ~(np.asarray(alpha_relative_std) < _MAX_ALPHA_RELATIVE_STD)
     if frontal.any():
         # Focal length and distance are exchangeable in a frontal view of a plane. Fit its pose
         # again with the median intrinsics, or its focal length would be arbitrary.
-        median = _median(found, usable, frontal)
-        held = _hold_alpha(start, median, jnp.asarray(frontal), jnp.asarray(centre))
+        median = _median_intrinsics(view_fits, usable, frontal)
+        held_start = _hold_intrinsics(start, median, jnp.asarray(frontal), jnp.asarray(centre))
         free[:, :4] = False
-        again = _calibrate_all(
-            _only(observations, frontal), held, jnp.asarray(free), jnp.asarray(flat)
-        )
-        found = _where(jnp.asarray(frontal), again, found)
+        frontal_only = _mask_other_views(observations, frontal)
+        refit = _fit_all_views(frontal_only, held_start, jnp.asarray(free), jnp.asarray(flat))
+        view_fits = _select_by_view(jnp.asarray(frontal), refit, view_fits)
     starts = tuple(
-        NONE if not ok else MEDIAN if far else PLANAR if plane else LINEAR
-        for ok, far, plane in zip(usable, frontal, flat, strict=True)
+        NO_START
+        if not is_usable
+        else MEDIAN_ALPHA_START
+        if is_frontal
+        else PLANAR_START
+        if plane
+        else LINEAR_START
+        for is_usable, is_frontal, plane in zip(usable, frontal, flat, strict=True)
     )
-    lost = ~np.isfinite(np.asarray(found.rms))
+    diverged = ~np.isfinite(np.asarray(view_fits.rms))
     problems = tuple(
-        text or ("the calibration diverged" if gone else "")
-        for text, gone in zip(problems, lost, strict=True)
+        text or ("the calibration diverged" if has_diverged else "")
+        for text, has_diverged in zip(problems, diverged, strict=True)
     )
     return ViewCalibrations(
-        found.intrinsics,
-        found.camera_from_world,
-        found.rms,
-        alpha_std,
-        found.used,
+        view_fits.intrinsics,
+        view_fits.camera_from_world,
+        view_fits.rms,
+        alpha_relative_std,
+        view_fits.inliers,
         starts,
         problems,
     )
 
 
-def locate_views(
+def estimate_view_poses(
     observations: Observations, camera: Camera
 ) -> tuple[SE3, Float[Array, "views"], Bool[Array, "views points"]]:
     """Compute the pose of every view for a known camera.
@@ -142,68 +147,75 @@ def locate_views(
     rays, valid = camera.unproject(pixels)
     valid = valid & (rays[..., 2] > 1e-3)
     rays = jnp.where(valid[..., None], rays, 1.0)
-    straight = Observations(
+    undistorted = Observations(
         observations.points,
         camera.alpha_u * rays[..., :2] / rays[..., 2:],
         observations.visible & valid,
         observations.base_from_tool,
     )
-    flat = coplanar(extents(straight.points, straight.visible))
-    every = jnp.ones(len(flat), dtype=bool)
+    flat = coplanar(extents(undistorted.points, undistorted.visible))
+    all_views = jnp.ones(len(flat), dtype=bool)
     alpha, zero = camera.alpha_u, jnp.zeros(())
     # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
-    known = Intrinsics(alpha, alpha, zero, zero, zero)
-    size = jnp.asarray(float(max(camera.image_size)))
-    start = _starts(straight, jnp.zeros(2), size, flat)
-    held = _hold_alpha(start, known, every, jnp.zeros(2))
-    nothing = jnp.zeros((len(flat), 5), dtype=bool)
-    found = _calibrate_all(straight, held, nothing, flat)
-    return found.camera_from_world, found.rms, found.used
+    pinhole = Intrinsics(alpha, alpha, zero, zero, zero)
+    longer_side = jnp.asarray(float(max(camera.image_size)))
+    start = _linear_starts(undistorted, jnp.zeros(2), longer_side, flat)
+    held_start = _hold_intrinsics(start, pinhole, all_views, jnp.zeros(2))
+    none_free = jnp.zeros((len(flat), 5), dtype=bool)
+    view_fits = _fit_all_views(undistorted, held_start, none_free, flat)
+    return view_fits.camera_from_world, view_fits.rms, view_fits.inliers
 
 
-def _too_little(seen: np.ndarray, extent: np.ndarray, flat: np.ndarray) -> tuple[str, ...]:
+def _view_problems(
+    point_counts: np.ndarray, extent: np.ndarray, flat: np.ndarray
+) -> tuple[str, ...]:
     """Return for every view why it shows too few points, or an empty text if it does not."""
     problems = []
-    for count, (_, second, largest), plane in zip(seen, extent, flat, strict=True):
+    for count, (_, second, largest), plane in zip(point_counts, extent, flat, strict=True):
         needed = 4 if plane else 6
         if count < needed:
             where = "in one plane" if plane else "in space"
             problems.append(f"{count} points seen, {needed} {where} needed")
-        elif second < _COLLINEAR * largest:
+        elif second < _COLLINEARITY_TOLERANCE * largest:
             problems.append(f"the {count} points seen lie on one line")
         else:
             problems.append("")
     return tuple(problems)
 
 
-def _only(observations: Observations, views: np.ndarray) -> Observations:
+def _mask_other_views(observations: Observations, views: np.ndarray) -> Observations:
     """Return the observations with all other views masked out; shapes stay as compiled."""
     visible = observations.visible & jnp.asarray(views)[:, None]
     return eqx.tree_at(lambda o: o.visible, observations, visible)
 
 
 @compiled
-def _where(views: Array, one: Found, other: Found) -> Found:
+def _select_by_view(views: Array, selected: ViewFit, unselected: ViewFit) -> ViewFit:
     """Return the first result in the given views and the second result in all others."""
 
-    def pick(a, b):
+    def select(a, b):
         return jnp.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
 
-    return jax.tree.map(pick, one, other)
+    return jax.tree.map(select, selected, unselected)
 
 
-def _median(found: Found, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics:
+def _median_intrinsics(view_fits: ViewFit, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics:
     """Return the median intrinsics over the views that determine alpha."""
     trusted = usable & ~frontal
     if not trusted.any():
         # With no oblique view at all, use the half with the smallest uncertainty.
-        alpha_std = np.asarray(found.alpha_std)
-        trusted = usable & (alpha_std <= np.median(alpha_std[usable]))
-    return jax.tree.map(lambda x: jnp.asarray(np.median(np.asarray(x)[trusted])), found.intrinsics)
+        alpha_relative_std = np.asarray(view_fits.alpha_relative_std)
+        trusted = usable & (alpha_relative_std <= np.median(alpha_relative_std[usable]))
+
+    def median(values: Array) -> Array:
+        """Return the median over the trusted views."""
+        return jnp.asarray(np.median(np.asarray(values)[trusted]))
+
+    return jax.tree.map(median, view_fits.intrinsics)
 
 
 @compiled
-def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) -> Start:
+def _hold_intrinsics(start: Start, median: Intrinsics, chosen: Array, centre: Array) -> Start:
     """Return the starts with the median intrinsics in the chosen views, depths rescaled to match.
 
     The size in the picture is alpha / depth, so depth is multiplied by the ratio of the alphas.
@@ -220,49 +232,51 @@ def _hold_alpha(start: Start, median: Intrinsics, chosen: Array, centre: Array) 
 
 
 @compiled
-def _starts(observations: Observations, centre: Array, size: Array, flat: Array) -> Start:
+def _linear_starts(
+    observations: Observations, centre: Array, longer_side: Array, flat: Array
+) -> Start:
     """Compute the linear start of every view, for coplanar or for spatial points."""
 
-    def one(points, pixels, visible, planar):
-        plane = planar_start(points, pixels, visible, centre, size)
-        solid = linear_start(points, pixels, visible)
-        return jax.tree.map(lambda a, b: jnp.where(planar, a, b), plane, solid)
+    def view_start(points, pixels, visible, planar):
+        plane = planar_start(points, pixels, visible, centre, longer_side)
+        spatial = linear_start(points, pixels, visible)
+        return jax.tree.map(lambda a, b: jnp.where(planar, a, b), plane, spatial)
 
     pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
-    return jax.vmap(one)(observations.points, pixels, observations.visible, flat)
+    return jax.vmap(view_start)(observations.points, pixels, observations.visible, flat)
 
 
 @compiled
-def _calibrate_all(
+def _fit_all_views(
     observations: Observations,
     start: Start,
     free: Bool[Array, "views 5"],
     flat: Bool[Array, "views"],
-) -> Found:
+) -> ViewFit:
     """Fit every view from its two start poses and keep the one with the smaller RMS error.
 
     The two differ for coplanar points only: a small plane has two poses that look almost alike.
     """
     pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
 
-    def one(view):
+    def fit_one_view(view):
         # `lax.map`, not `vmap`: each view stops when it has converged. Under `vmap` every view
         # would iterate until the slowest has finished.
         points, pixels, visible, intrinsics, poses, free, planar = view
 
-        def from_pose(which):
+        def fit_from_pose(pose_index):
             """Fit the view from one of its two start poses."""
             # Spatial points have one pose only; the second fit gets no points and ends at once.
-            seen = visible & (planar | (which == 0))
-            return alternate(points, pixels, seen, intrinsics, SE3(poses[which]), free)
+            seen = visible & (planar | (pose_index == 0))
+            return fit_view(points, pixels, seen, intrinsics, SE3(poses[pose_index]), free)
 
-        both = jax.lax.map(from_pose, jnp.arange(2))
-        sound = jnp.isfinite(both.rms) & jnp.stack([jnp.asarray(True), planar])
-        best = jnp.argmin(jnp.where(sound, both.rms, jnp.inf))
-        return jax.tree.map(lambda x: x[best], both)
+        fits = jax.lax.map(fit_from_pose, jnp.arange(2))
+        valid = jnp.isfinite(fits.rms) & jnp.stack([jnp.asarray(True), planar])
+        best = jnp.argmin(jnp.where(valid, fits.rms, jnp.inf))
+        return jax.tree.map(lambda x: x[best], fits)
 
     return jax.lax.map(
-        one,
+        fit_one_view,
         (
             observations.points,
             pixels,

@@ -26,50 +26,50 @@ from jaxtyping import Array, Bool, Float
 from ..geometry import transform_points
 from .weng_start import Intrinsics
 
-_TURNS = 60
+_MAX_ITERATIONS = 60
 """Maximum number of iterations of one minimisation."""
-_ROUNDS = 8
+_MAX_TRIMMING_ROUNDS = 8
 """Maximum number of repeated fits while gross errors are being rejected."""
-_FAR = 1e4
+_UNPROJECTABLE_RESIDUAL = 1e4
 """Residual assigned to a point that cannot be projected, px."""
 
 
-class Found(NamedTuple):
-    """The result of one view; `alpha_std` is relative, and infinite where alpha was held."""
+class ViewFit(NamedTuple):
+    """The result of one view; `alpha_relative_std` is infinite where alpha was held."""
 
     intrinsics: Intrinsics
     camera_from_world: SE3
     rms: Array
-    alpha_std: Array
-    used: Array
+    alpha_relative_std: Array
+    inliers: Array
 
 
 class _State(NamedTuple):
     """The unknowns of one view."""
 
-    numbers: Array  # log alpha_u, log (alpha_v / alpha_u), u0, v0, k1
+    camera_parameters: Array  # log alpha_u, log (alpha_v / alpha_u), u0, v0, k1
     pose: SE3
 
 
-class _Progress(NamedTuple):
-    """The loop state of `_minimise`; `together` says whether k1 is in the joint step already."""
+class _LoopState(NamedTuple):
+    """The loop state of `_minimise`; `joint` says whether k1 is in the joint step already."""
 
     state: _State
     cost: Array
     damping: Array
-    together: Array
+    joint: Array
     done: Array
-    turn: Array
+    iteration: Array
 
 
-def alternate(
+def fit_view(
     points: Float[Array, "points 3"],
     pixels: Float[Array, "points 2"],
     visible: Bool[Array, "points"],
     intrinsics: Intrinsics,
     pose: SE3,
     free: Bool[Array, "5"],
-) -> Found:
+) -> ViewFit:
     """Fit one view from one start, and repeat without gross errors until none is left.
 
     Args:
@@ -82,7 +82,7 @@ def alternate(
     ratio = jnp.where(free[1], jnp.log(alpha_v / alpha_u), 0.0)
     state = _State(jnp.stack([jnp.log(alpha_u), ratio, u0, v0, k1]), pose)
 
-    def trim(carry):
+    def fit_and_trim(carry):
         """Fit, then reject points with residuals above 5 times the median residual.
 
         Repeated, because the largest errors inflate the median at first. A rejected point may
@@ -90,81 +90,86 @@ def alternate(
         """
         state, used, _, rounds = carry
         state = _minimise(state, points, pixels, used, free)
-        size = jnp.linalg.norm(_residuals(state, points, pixels, visible), axis=-1)
-        scale = jnp.nanmedian(jnp.where(visible, size, jnp.nan))
-        kept = visible & (size <= 5.0 * scale + 1e-6)
-        return state, kept, jnp.any(kept != used), rounds + 1
+        residual_norms = jnp.linalg.norm(_residuals(state, points, pixels, visible), axis=-1)
+        median_residual = jnp.nanmedian(jnp.where(visible, residual_norms, jnp.nan))
+        inliers = visible & (residual_norms <= 5.0 * median_residual + 1e-6)
+        return state, inliers, jnp.any(inliers != used), rounds + 1
 
     state, used, _, _ = jax.lax.while_loop(
-        lambda carry: carry[2] & (carry[3] < _ROUNDS),
-        trim,
+        lambda carry: carry[2] & (carry[3] < _MAX_TRIMMING_ROUNDS),
+        fit_and_trim,
         (state, visible, jnp.any(visible), 0),
     )
-    return _summary(state, points, pixels, used, free)
+    return _view_fit(state, points, pixels, used, free)
 
 
-def _summary(state: _State, points: Array, pixels: Array, used: Array, free: Array) -> Found:
+def _view_fit(state: _State, points: Array, pixels: Array, used: Array, free: Array) -> ViewFit:
     """Return the result with the relative standard deviation of alpha.
 
     `var(log alpha) = sigma^2 [(J' J)^-1]_00`, with `sigma^2 = r' r / (2 n - unknowns)`.
     """
     gram = _normal_equations(state, points, pixels, used, free)
     count = jnp.sum(used).astype(float)
-    unknowns = jnp.sum(_free11(free)).astype(float)
+    unknowns = jnp.sum(_free_mask(free)).astype(float)
     variance = gram[-1, -1] / jnp.maximum(2.0 * count - unknowns, 1.0)
     # Not below 0.05 px, the best of detectors: a handful of points can be fitted exactly, and
     # alpha would then seem to be determined.
     variance = jnp.maximum(variance, 0.05**2)
-    scale = jnp.sqrt(_where_positive(jnp.diag(gram)[:-1]))
+    # Unknowns scaled to unit curvature, as in `_damped_step`: pixels and radians differ by orders.
+    scale = jnp.sqrt(_positive_or_one(jnp.diag(gram)[:-1]))
     information = gram[:-1, :-1] / scale[:, None] / scale[None]
-    information = information + jnp.diag(jnp.where(_free11(free), 1e-14, 1.0))
-    share = jnp.linalg.inv(information)[0, 0] / scale[0] ** 2
-    determined = free[0] & jnp.isfinite(share) & (share > 0.0)
-    alpha_std = jnp.where(
-        determined, jnp.sqrt(jnp.where(determined, share * variance, 1.0)), jnp.inf
+    information = information + jnp.diag(jnp.where(_free_mask(free), 1e-14, 1.0))
+    alpha_unit_variance = jnp.linalg.inv(information)[0, 0] / scale[0] ** 2
+    determined = free[0] & jnp.isfinite(alpha_unit_variance) & (alpha_unit_variance > 0.0)
+    alpha_relative_std = jnp.where(
+        determined, jnp.sqrt(jnp.where(determined, alpha_unit_variance * variance, 1.0)), jnp.inf
     )
-    log_alpha, log_ratio, u0, v0, k1 = state.numbers
-    found = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, k1)
+    log_alpha, log_ratio, u0, v0, k1 = state.camera_parameters
+    intrinsics = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, k1)
     rms = jnp.sqrt(gram[-1, -1] / jnp.maximum(count, 1.0))
-    return Found(found, state.pose, rms, alpha_std, used)
+    return ViewFit(intrinsics, state.pose, rms, alpha_relative_std, used)
 
 
 def _minimise(state: _State, points: Array, pixels: Array, used: Array, free: Array) -> _State:
-    """Minimise Eq. 8 by alternating half-steps, and finish with all unknowns together."""
+    """Minimise the cost of Eq. 8 by alternating half-steps, then with all unknowns together."""
 
     def cost(state):
         """Return the sum of squared pixel residuals, Eq. 8."""
         return jnp.sum(_residuals(state, points, pixels, used) ** 2)
 
-    def turn(progress: _Progress) -> _Progress:
+    def iterate(progress: _LoopState) -> _LoopState:
         """Make one Levenberg-Marquardt step, and the k1 half-step while alternating.
 
         A step that lowers the cost is accepted and damping falls tenfold; otherwise the state
         stays and damping rises tenfold.
         """
-        state, before, damping, together, _, turns = progress
-        gram = _normal_equations(state, points, pixels, used, free.at[4].set(free[4] & together))
-        trial = _moved(state, _damped_step(gram, damping))
+        state, before, damping, joint, _, iteration = progress
+        gram = _normal_equations(state, points, pixels, used, free.at[4].set(free[4] & joint))
+        trial = _apply_step(state, _damped_step(gram, damping))
         after = cost(trial)
-        better = after < before
-        state, after = _choose(better, (trial, after), (state, before))
+        accepted = after < before
+        state, after = _select(accepted, (trial, after), (state, before))
         state, after = jax.lax.cond(
-            free[4] & ~together,
+            free[4] & ~joint,
             lambda: _radial_half_step(state, after, cost, points, pixels, used),
             lambda: (state, after),
         )
-        gain = before - after
+        cost_decrease = before - after
         # A rejected step does not prove convergence; damping this large does: then even a very
         # short gradient step no longer lowers the cost.
         stuck = damping > 1e6
         # The first condition is convergence, the last an exact fit (noise-free data).
-        settled = (better & (gain <= 1e-12 * before)) | stuck | (after <= 1e-18)
-        crawling = (better & (gain <= 1e-3 * before)) | stuck | (turns >= _TURNS // 3)
-        damping = jnp.maximum(jnp.where(better, damping * 0.1, damping * 10.0), 1e-12)
-        damping = jnp.where(crawling & ~together, 1e-3, damping)
-        return _Progress(state, after, damping, together | crawling, together & settled, turns + 1)
+        converged = (accepted & (cost_decrease <= 1e-12 * before)) | stuck | (after <= 1e-18)
+        slow = (
+            (accepted & (cost_decrease <= 1e-3 * before))
+            | stuck
+            | (iteration >= _MAX_ITERATIONS // 3)
+        )
+        damping = jnp.maximum(jnp.where(accepted, damping * 0.1, damping * 10.0), 1e-12)
+        damping = jnp.where(slow & ~joint, 1e-3, damping)
+        return _LoopState(state, after, damping, joint | slow, joint & converged, iteration + 1)
 
-    start = _Progress(
+    start = _LoopState(
         state,
         cost(state),
         jnp.asarray(1e-3),
@@ -172,7 +177,9 @@ def _minimise(state: _State, points: Array, pixels: Array, used: Array, free: Ar
         ~jnp.any(used),
         jnp.asarray(0),
     )
-    return jax.lax.while_loop(lambda p: ~p.done & (p.turn < _TURNS), turn, start).state
+    return jax.lax.while_loop(
+        lambda p: ~p.done & (p.iteration < _MAX_ITERATIONS), iterate, start
+    ).state
 
 
 def _radial_half_step(state, before, cost, points, pixels, used):
@@ -181,33 +188,34 @@ def _radial_half_step(state, before, cost, points, pixels, used):
     Eq. 3, `u' = u~ + k1 u~ r~^2`, maps distorted (u~) to ideal (u') coordinates, so with the pose
     given it is linear in k1: `ideal - distorted = k1 distorted r^2`, weighted by alpha (px).
     """
-    log_alpha, log_ratio, u0, v0, _ = state.numbers
+    log_alpha, log_ratio, u0, v0, _ = state.camera_parameters
     alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
     distorted = (pixels - jnp.stack([u0, v0])[None]) / alpha[None]
     p = transform_points(state.pose, points)
     weight = (used & (p[:, 2] > 0.0))[:, None].astype(float) * alpha[None]
     ideal = p[:, :2] / jnp.where(p[:, 2:] > 0.0, p[:, 2:], 1.0)
+    # k1 column = (ideal - distorted) weight, solved for the single unknown by least squares.
     column = distorted * jnp.sum(distorted**2, axis=1, keepdims=True) * weight
     k1 = jnp.sum(column * (ideal - distorted) * weight) / (jnp.sum(column**2) + 1e-300)
-    trial = state._replace(numbers=state.numbers.at[4].set(k1))
+    trial = state._replace(camera_parameters=state.camera_parameters.at[4].set(k1))
     after = cost(trial)
-    return _choose(after < before, (trial, after), (state, before))
+    return _select(after < before, (trial, after), (state, before))
 
 
-def _choose(condition, one, other):
+def _select(condition, if_true, if_false):
     """Return the first pytree where the condition holds, else the second."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)
 
 
-def _project(numbers: Array, points: Array) -> tuple[Array, Array]:
+def _project(camera_parameters: Array, points: Array) -> tuple[Array, Array]:
     """Project camera-frame points by Eq. 2 and Eq. 3 solved for the distorted pixel.
 
     Returns:
         pixels `(N, 2)`, zero where there is no projection, and the mask `(N,)` of valid ones.
     """
-    log_alpha, log_ratio, u0, v0, k1 = numbers
-    found = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, k1)
-    pixels, valid = found.camera((1, 1)).project(points)
+    log_alpha, log_ratio, u0, v0, k1 = camera_parameters
+    intrinsics = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, k1)
+    pixels, valid = intrinsics.camera((1, 1)).project(points)
     return jnp.where(valid[..., None], pixels, 0.0), valid
 
 
@@ -217,17 +225,18 @@ def _residuals(state: _State, points: Array, pixels: Array, used: Array) -> Arra
     Pose and projection together are the collinearity equations Eq. 5 and Eq. 6. Eq. 7 prints t_x
     in the rows where t_y and t_z belong, a misprint; all three translations are used here.
     """
-    predicted, valid = _project(state.numbers, transform_points(state.pose, points))
-    residual = jnp.where(valid[:, None], pixels - predicted, _FAR)
+    # Eq. 1 takes the points to the camera frame, `_project` from there to pixels.
+    predicted, valid = _project(state.camera_parameters, transform_points(state.pose, points))
+    residual = jnp.where(valid[:, None], pixels - predicted, _UNPROJECTABLE_RESIDUAL)
     return jnp.where(used[:, None], residual, 0.0)
 
 
-def _moved(state: _State, step: Array) -> _State:
+def _apply_step(state: _State, step: Array) -> _State:
     """Return the state after a step; the pose is updated as `exp(twist) @ pose`."""
-    return _State(state.numbers + step[:5], SE3.exp(step[5:]) @ state.pose)
+    return _State(state.camera_parameters + step[:5], SE3.exp(step[5:]) @ state.pose)
 
 
-def _free11(free: Array) -> Array:
+def _free_mask(free: Array) -> Array:
     """Return which of the 5 intrinsics and 6 pose unknowns are free; the pose always is."""
     return jnp.concatenate([free, jnp.ones(6, dtype=bool)])
 
@@ -240,16 +249,16 @@ def _normal_equations(
     J is the derivative of the prediction by 5 intrinsics and 6 pose unknowns, r the residual.
     """
     p = transform_points(state.pose, points)
-    J_numbers, J_point = jax.vmap(
+    J_camera, J_point = jax.vmap(
         jax.jacfwd(lambda n, q: _project(n, q)[0], argnums=(0, 1)), in_axes=(None, 0)
-    )(state.numbers, p)
+    )(state.camera_parameters, p)
     # Pose Jacobian: a twist (v, w) from the left displaces a camera-frame point p by
     #     dp = v + w x p,
     # so d pixel / dv = D and d pixel / dw = p x D (row by row), with D = d pixel / dp. Only D needs
     # automatic differentiation.
-    turned = jnp.cross(p[:, None], J_point)
-    J = jnp.concatenate([J_numbers, J_point, turned], axis=-1)
-    J = jnp.where(used[:, None, None], J, 0.0) * _free11(free)[None, None].astype(float)
+    J_rotation = jnp.cross(p[:, None], J_point)
+    J = jnp.concatenate([J_camera, J_point, J_rotation], axis=-1)
+    J = jnp.where(used[:, None, None], J, 0.0) * _free_mask(free)[None, None].astype(float)
     rows = jnp.concatenate([J, _residuals(state, points, pixels, used)[..., None]], axis=-1)
     rows = rows.reshape(-1, rows.shape[-1])
     return rows.T @ rows
@@ -260,13 +269,13 @@ def _damped_step(gram: Array, damping: Array) -> Array:
 
     `(S^-1 J'J S^-1 + damping I) (S step) = S^-1 J'r`, with `S^2` the diagonal of `J'J`.
     """
-    scale = jnp.sqrt(_where_positive(jnp.diag(gram)[:-1]))
+    scale = jnp.sqrt(_positive_or_one(jnp.diag(gram)[:-1]))
     matrix = gram[:-1, :-1] / scale[:, None] / scale[None]
     # Held unknowns have zero rows and columns; a one on the diagonal makes their step zero.
     matrix = matrix + jnp.diag(jnp.where(jnp.diag(matrix) > 0.0, damping, 1.0))
     return jnp.linalg.solve(matrix, gram[:-1, -1] / scale) / scale
 
 
-def _where_positive(values: Array) -> Array:
+def _positive_or_one(values: Array) -> Array:
     """Return the values with one in place of those not positive, for use as a scale."""
     return jnp.where(values > 0.0, values, 1.0)

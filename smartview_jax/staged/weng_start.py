@@ -16,7 +16,7 @@ from ..cameras import Camera, Radial
 from ..compilation import compiled
 from ..geometry import nearest_rotation
 
-_COPLANAR = 1e-3
+_COPLANARITY_TOLERANCE = 1e-3
 """Ratio of smallest to largest extent of the points below which they count as one plane."""
 
 
@@ -56,7 +56,7 @@ def extents(
 
 def coplanar(extent: Float[Array, "views 3"]) -> Bool[Array, "views"]:
     """Return whether the points of each view lie in one plane, of any orientation."""
-    return extent[:, 0] < _COPLANAR * extent[:, 2]
+    return extent[:, 0] < _COPLANARITY_TOLERANCE * extent[:, 2]
 
 
 def planar_start(
@@ -64,7 +64,7 @@ def planar_start(
     pixels: Float[Array, "points 2"],
     visible: Bool[Array, "points"],
     centre: Float[Array, "2"],
-    size: Float[Array, ""],
+    longer_side: Float[Array, ""],
 ) -> Start:
     """Compute alpha and the pose from the homography of a plane, given the principal point.
 
@@ -77,20 +77,26 @@ def planar_start(
     Args:
         points, pixels, visible: of one view; pixels finite everywhere.
         centre: the principal point, px.
-        size: of the picture's longer side, px; alpha is accepted between 1/5 and 30 times it.
+        longer_side: of the picture, px; alpha is accepted between 1/5 and 30 times it.
     """
-    # Coordinates within the plane: its two principal axes, and its normal as the third.
+    # Coordinates within the plane: its two principal axes; the normal completes the frame.
     origin = _mean(points, visible)
     _, axes = jnp.linalg.eigh(_scatter(points, visible))
     plane = jnp.stack([axes[:, 2], axes[:, 1], jnp.cross(axes[:, 2], axes[:, 1])])
-    local = (points - origin[None]) @ plane[:2].T
-    H = _homography(local, pixels - centre[None], visible)
+    plane_coordinates = (points - origin[None]) @ plane[:2].T
+    H = _homography(plane_coordinates, pixels - centre[None], visible)
     # The constraints are p / alpha^2 + q = 0, so 1 / alpha^2 = -p.q / p.p by least squares.
-    p = jnp.stack([H[0, 0] * H[0, 1] + H[1, 0] * H[1, 1], _norm2(H[:2, 0]) - _norm2(H[:2, 1])])
+    p = jnp.stack(
+        [H[0, 0] * H[0, 1] + H[1, 0] * H[1, 1], _squared_norm(H[:2, 0]) - _squared_norm(H[:2, 1])]
+    )
     q = jnp.stack([H[2, 0] * H[2, 1], H[2, 0] ** 2 - H[2, 1] ** 2])
     inverse_square = -jnp.sum(p * q) / jnp.maximum(jnp.sum(p * p), 1e-300)
-    usable = (inverse_square > 1.0 / (30.0 * size) ** 2) & (inverse_square < (5.0 / size) ** 2)
-    alpha = jnp.where(usable, 1.0 / jnp.sqrt(jnp.where(usable, inverse_square, 1.0)), 1.2 * size)
+    usable = (inverse_square > 1.0 / (30.0 * longer_side) ** 2) & (
+        inverse_square < (5.0 / longer_side) ** 2
+    )
+    alpha = jnp.where(
+        usable, 1.0 / jnp.sqrt(jnp.where(usable, inverse_square, 1.0)), 1.2 * longer_side
+    )
 
     # diag(alpha, alpha, 1)^-1 H = scale [r1 r2 t]; the scale makes r1, r2 unit vectors, and its
     # sign puts the target in front of the camera.
@@ -100,12 +106,15 @@ def planar_start(
     rotation = nearest_rotation(
         jnp.stack([columns[:, 0], columns[:, 1], jnp.cross(columns[:, 0], columns[:, 1])], axis=1)
     )
-    sight = columns[:, 2] / jnp.linalg.norm(columns[:, 2])
+    line_of_sight = columns[:, 2] / jnp.linalg.norm(columns[:, 2])
     # A small plane looks almost the same when its normal is mirrored about the line of sight.
     normal = rotation[:, 2]
-    mirrored = 2.0 * jnp.sum(sight * normal) * sight - normal
-    turn = _rotation_between(normal, mirrored)
-    poses = [_pose(R @ plane, columns[:, 2], origin) for R in (rotation, turn @ rotation)]
+    mirrored_normal = 2.0 * jnp.sum(line_of_sight * normal) * line_of_sight - normal
+    mirror_rotation = _rotation_between(normal, mirrored_normal)
+    poses = [
+        _pose_parameters(R @ plane, columns[:, 2], origin)
+        for R in (rotation, mirror_rotation @ rotation)
+    ]
     k1 = jnp.zeros(())
     return Start(Intrinsics(alpha, alpha, centre[0], centre[1], k1), SE3(jnp.stack(poses)))
 
@@ -121,19 +130,24 @@ def linear_start(
     camera and translation are solved for again, linearly, with that rotation held.
     """
     # Normalised points and pixels; without this the linear system is ill-conditioned.
-    (a, s), (b, r) = _similarity(points, visible), _similarity(pixels, visible)
+    a, s = _normalising_similarity(points, visible)
+    b, r = _normalising_similarity(pixels, visible)
     p = (points - a[None]) / s
     uv = (pixels - b[None]) / r
-    rotation, pinhole, translation = _take_apart(_projection(p, uv, visible), p, visible)
-    pinhole, translation = _with_rotation_held(rotation, pinhole, translation, p, uv, visible)
+    rotation, pinhole, translation = _decompose_projection(
+        _projection_matrix(p, uv, visible), p, visible
+    )
+    pinhole, translation = _solve_with_fixed_rotation(
+        rotation, pinhole, translation, p, uv, visible
+    )
     # Undo the normalisation of points and pixels: back to pixels and metres.
     alpha, centre = r * pinhole[:2], r * pinhole[2:] + b
-    pose = _pose(rotation, s * translation, a)
-    found = Intrinsics(alpha[0], alpha[1], centre[0], centre[1], jnp.zeros(()))
-    return Start(found, SE3(jnp.stack([pose, pose])))
+    pose = _pose_parameters(rotation, s * translation, a)
+    intrinsics = Intrinsics(alpha[0], alpha[1], centre[0], centre[1], jnp.zeros(()))
+    return Start(intrinsics, SE3(jnp.stack([pose, pose])))
 
 
-def _projection(p: Array, uv: Array, visible: Array) -> Array:
+def _projection_matrix(p: Array, uv: Array, visible: Array) -> Array:
     """Return the 3x4 matrix W that maps points to pixels, up to its scale.
 
     The collinearity condition (Eq. 5 and Eq. 6) with camera and pose multiplied out is
@@ -151,7 +165,7 @@ def _projection(p: Array, uv: Array, visible: Array) -> Array:
     return _null_vector(jnp.concatenate(rows)).reshape(3, 4)
 
 
-def _take_apart(W: Array, p: Array, visible: Array) -> tuple[Array, Array, Array]:
+def _decompose_projection(W: Array, p: Array, visible: Array) -> tuple[Array, Array, Array]:
     """Return rotation, `(alpha_u, alpha_v, u0, v0)` and translation of a projection matrix.
 
     With rows scaled so that `|w3| = 1`:
@@ -172,7 +186,7 @@ def _take_apart(W: Array, p: Array, visible: Array) -> tuple[Array, Array, Array
     return rotation, jnp.concatenate([alpha, centre]), translation
 
 
-def _with_rotation_held(
+def _solve_with_fixed_rotation(
     rotation: Array, pinhole: Array, translation: Array, p: Array, uv: Array, visible: Array
 ) -> tuple[Array, Array]:
     """Solve for camera and translation with the rotation held (Weng's second linear step).
@@ -182,39 +196,44 @@ def _with_rotation_held(
     or a point behind the camera, the arguments `pinhole` and `translation` are returned.
     """
     q = p @ rotation.T
-    one, zero = jnp.ones(len(q)), jnp.zeros(len(q))
+    ones, zero = jnp.ones(len(q)), jnp.zeros(len(q))
     weight = visible.astype(float)
-    rows_u = jnp.stack([q[:, 0], zero, one, zero, q[:, 2], zero, -uv[:, 0]], axis=1)
-    rows_v = jnp.stack([zero, q[:, 1], zero, one, zero, q[:, 2], -uv[:, 1]], axis=1)
+    rows_u = jnp.stack([q[:, 0], zero, ones, zero, q[:, 2], zero, -uv[:, 0]], axis=1)
+    rows_v = jnp.stack([zero, q[:, 1], zero, ones, zero, q[:, 2], -uv[:, 1]], axis=1)
     A = jnp.concatenate([rows_u * weight[:, None], rows_v * weight[:, None]])
-    right = jnp.concatenate([uv[:, 0] * q[:, 2] * weight, uv[:, 1] * q[:, 2] * weight])
+    right_hand_side = jnp.concatenate([uv[:, 0] * q[:, 2] * weight, uv[:, 1] * q[:, 2] * weight])
     # The tiny ridge only keeps views without enough points from returning NaN.
-    x = jnp.linalg.solve(A.T @ A + 1e-12 * jnp.eye(7), A.T @ right)
+    x = jnp.linalg.solve(A.T @ A + 1e-12 * jnp.eye(7), A.T @ right_hand_side)
     alpha, w, centre, depth = x[:2], x[2:4], x[4:6], x[6]
-    sound = jnp.all(alpha > 0.0) & jnp.all(jnp.where(visible, q[:, 2] + depth > 0.0, True))
-    moved = jnp.concatenate([(w - centre * depth) / jnp.where(sound, alpha, 1.0), depth[None]])
+    valid = jnp.all(alpha > 0.0) & jnp.all(jnp.where(visible, q[:, 2] + depth > 0.0, True))
+    solved_translation = jnp.concatenate(
+        [(w - centre * depth) / jnp.where(valid, alpha, 1.0), depth[None]]
+    )
     return (
-        jnp.where(sound, jnp.concatenate([alpha, centre]), pinhole),
-        jnp.where(sound, moved, translation),
+        jnp.where(valid, jnp.concatenate([alpha, centre]), pinhole),
+        jnp.where(valid, solved_translation, translation),
     )
 
 
-def _homography(local: Array, pixels: Array, visible: Array) -> Array:
+def _homography(plane_coordinates: Array, pixels: Array, visible: Array) -> Array:
     """Return the homography from plane coordinates to pixels, by the direct linear transform."""
-    (a, s), (b, r) = _similarity(local, visible), _similarity(pixels, visible)
-    x, y = ((local - a[None]) / s).T
+    a, s = _normalising_similarity(plane_coordinates, visible)
+    b, r = _normalising_similarity(pixels, visible)
+    x, y = ((plane_coordinates - a[None]) / s).T
     u, v = ((pixels - b[None]) / r).T
-    one, zero = jnp.ones_like(x), jnp.zeros_like(x)
-    rows_u = jnp.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
-    rows_v = jnp.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
+    ones, zero = jnp.ones_like(x), jnp.zeros_like(x)
+    # u (h31 x + h32 y + h33) = h11 x + h12 y + h13, and likewise for v: two equations per point,
+    # linear in H.
+    rows_u = jnp.stack([x, y, ones, zero, zero, zero, -u * x, -u * y, -u], axis=1)
+    rows_v = jnp.stack([zero, zero, zero, x, y, ones, -v * x, -v * y, -v], axis=1)
     weight = visible.astype(float)[:, None]
     H = _null_vector(jnp.concatenate([rows_u * weight, rows_v * weight])).reshape(3, 3)
     # H was found between normalised coordinates; put both similarity transforms back.
     to_pixels = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) * r
     to_pixels = to_pixels.at[:2, 2].set(b).at[2, 2].set(1.0)
-    from_local = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) / s
-    from_local = from_local.at[:2, 2].set(-a / s).at[2, 2].set(1.0)
-    return to_pixels @ H @ from_local
+    from_plane = jnp.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) / s
+    from_plane = from_plane.at[:2, 2].set(-a / s).at[2, 2].set(1.0)
+    return to_pixels @ H @ from_plane
 
 
 def _scatter(points: Array, visible: Array) -> Array:
@@ -230,21 +249,22 @@ def _mean(points: Array, visible: Array) -> Array:
     return jnp.sum(points * weight, axis=0) / jnp.maximum(jnp.sum(weight), 1.0)
 
 
-def _similarity(values: Array, visible: Array) -> tuple[Array, Array]:
+def _normalising_similarity(values: Array, visible: Array) -> tuple[Array, Array]:
     """Return centre and scale that normalise points to unit size, for a well-conditioned solve."""
     centre = _mean(values, visible)
-    spread = jnp.sum(jnp.where(visible[:, None], (values - centre[None]) ** 2, 0.0))
+    sum_of_squares = jnp.sum(jnp.where(visible[:, None], (values - centre[None]) ** 2, 0.0))
     count = jnp.maximum(jnp.sum(visible.astype(float)), 1.0)
-    return centre, jnp.sqrt(spread / count) + 1e-12
+    return centre, jnp.sqrt(sum_of_squares / count) + 1e-12
 
 
 def _null_vector(rows: Array) -> Array:
     """Return the unit vector x that minimises `|rows x|`."""
+    # The eigenvector of the smallest eigenvalue; `eigh` returns them in ascending order.
     _, vectors = jnp.linalg.eigh(rows.T @ rows)
     return vectors[:, 0]
 
 
-def _pose(rotation: Array, translation: Array, origin: Array) -> Array:
+def _pose_parameters(rotation: Array, translation: Array, origin: Array) -> Array:
     """Return the pose `x -> R (x - origin) + t` as the seven numbers of an SE3."""
     pose = SE3.from_rotation_and_translation(
         SO3.from_matrix(rotation), translation - rotation @ origin
@@ -252,7 +272,7 @@ def _pose(rotation: Array, translation: Array, origin: Array) -> Array:
     return pose.wxyz_xyz
 
 
-def _norm2(vector: Array) -> Array:
+def _squared_norm(vector: Array) -> Array:
     """Return the squared length of a vector."""
     return jnp.sum(vector**2)
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from .dictionaries import require_markers
+from .marker_dictionaries import require_markers
 from .target import AbstractTarget, grid_points, require_count, require_flag, require_positive
 
 

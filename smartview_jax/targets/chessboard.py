@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from .target import AbstractTarget, grid_points, grid_rotations, require_count, require_positive
+from .target import AbstractTarget, grid_points, grid_symmetries, require_count, require_positive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Chessboard(AbstractTarget):
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
         """The orders of the corners after rotations that map light squares to light squares."""
-        # Rotating by 180 degrees moves the first square by rows + columns - 4 squares, and rotating
-        # a square board by 90 degrees moves it by rows - 2; an odd number changes its colour.
-        turns = (0, 1, 2, 3) if self.rows % 2 == 0 else (0, 2)
+        # Rotating by 180 degrees displaces the first square by rows + columns - 4 squares, and
+        # rotating a square board by 90 degrees by rows - 2; an odd number changes its colour.
+        quarter_rotations = (0, 1, 2, 3) if self.rows % 2 == 0 else (0, 2)
         if (self.rows + self.columns) % 2:
-            turns = (0,)
-        return grid_rotations(self.rows, self.columns, turns)
+            quarter_rotations = (0,)
+        return grid_symmetries(self.rows, self.columns, quarter_rotations)

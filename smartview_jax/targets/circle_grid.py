@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from .target import (
     AbstractTarget,
     grid_points,
-    grid_rotations,
+    grid_symmetries,
     require_count,
     require_flag,
     require_positive,
@@ -53,13 +53,16 @@ class CircleGrid(AbstractTarget):
             raise ValueError("origin_mark: only a symmetric grid has a larger corner circle")
         if self.mark_radius is not None and not self.origin_mark:
             raise ValueError("mark_radius: this grid has no origin_mark")
+        # A radius is optional: only the correction of circle centres needs it.
         known = {"radius": self.radius, "mark_radius": self.mark_radius}
         require_positive(**{name: value for name, value in known.items() if value is not None})
-        if self.radius is not None and self.radius >= 0.5 * self.nearest:
-            raise ValueError(f"radius: circles {self.nearest:g} m apart would touch")
+        if self.radius is not None and self.radius >= 0.5 * self.nearest_neighbour_distance:
+            raise ValueError(
+                f"radius: circles {self.nearest_neighbour_distance:g} m apart would touch"
+            )
 
     @property
-    def nearest(self) -> float:
+    def nearest_neighbour_distance(self) -> float:
         """The distance between neighbouring centres, m."""
         # In an asymmetric grid the nearest centre is one spacing away in x and in y.
         return self.spacing * (2.0**0.5 if self.asymmetric else 1.0)
@@ -85,4 +88,4 @@ class CircleGrid(AbstractTarget):
             # same; with an odd number it is not.
             index = np.arange(self.rows * self.columns)
             return index[None] if self.rows % 2 else np.stack([index, index[::-1]])
-        return grid_rotations(self.rows, self.columns)
+        return grid_symmetries(self.rows, self.columns)

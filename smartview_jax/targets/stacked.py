@@ -48,6 +48,7 @@ class StackedTarget(AbstractTarget):
     @property
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
         """The orders of the board that look the same, applied at all heights alike."""
+        # Point p of the board has the index p + k count at height k.
         count = len(self.board.points)
         return np.stack(
             [

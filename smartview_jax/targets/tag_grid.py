@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from .dictionaries import require_markers
+from .marker_dictionaries import require_markers
 from .target import AbstractTarget, require_count, require_positive
 
 
@@ -52,6 +52,8 @@ class TagGrid(AbstractTarget):
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
         """The four corners of every tag, tags row by row, m."""
+        # Tag j of row i has its centre at x = (j - (columns - 1) / 2) pitch and
+        # y = ((rows - 1) / 2 - i) pitch: rows are counted downwards, and y points up.
         pitch = self.size + self.gap
         i, j = np.mgrid[0 : self.rows, 0 : self.columns]
         x = (j - 0.5 * (self.columns - 1)).ravel() * pitch

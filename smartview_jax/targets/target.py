@@ -82,15 +82,18 @@ def grid_points(rows: int, columns: int, spacing: float) -> Float[np.ndarray, "p
     return spacing * np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(float)
 
 
-def grid_rotations(
-    rows: int, columns: int, turns: tuple[int, ...] = (0, 1, 2, 3)
+def grid_symmetries(
+    rows: int, columns: int, quarter_rotations: tuple[int, ...] = (0, 1, 2, 3)
 ) -> Int[np.ndarray, "symmetries points"]:
     """Return the orders of a grid's points after rotations that map the grid to itself.
 
     Args:
         rows, columns: number of points down and across.
-        turns: rotations to consider, in multiples of 90 degrees. Odd multiples are left out unless
-            the grid is square.
+        quarter_rotations: rotations to consider, in multiples of 90 degrees. Odd multiples are left
+            out unless the grid is square.
     """
+    # Rotating the table of indices gives, for each cell, the index of the point that comes to it.
     index = np.arange(rows * columns).reshape(rows, columns)
-    return np.stack([np.rot90(index, k).ravel() for k in turns if rows == columns or k % 2 == 0])
+    return np.stack(
+        [np.rot90(index, k).ravel() for k in quarter_rotations if rows == columns or k % 2 == 0]
+    )

@@ -26,14 +26,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..engine import BlockArrow, Elimination, SchurCholesky, Step
 
-LEAST = 1e-8
+ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.
 
 It is not smaller because its inverse square, times the square of centimetres by which poses may be
 wrong, must not cost the deviance its significant digits.
 """
 
-RIDGE = 1e-13
+RELATIVE_RIDGE = 1e-13
 """Fraction of its own information added to that of every shared parameter.
 
 The variance of a parameter that no view determines then stays finite.
@@ -46,29 +46,33 @@ class LinearisedViews(eqx.Module):
     Attributes:
         matrix: normal equations of the free shared parameters and each view's own, without priors.
         gradient: gradient of half the sum of squared residuals.
-        between: sum of squared residuals at the linearisation, px^2, minus that of the fit with
-            free poses and a free camera.
-        off_mean: difference of the parameters from their prior means at the linearisation.
+        residual_sum_of_squares: sum of squared residuals at the linearisation, px^2, minus that of
+            the fit with free poses and a free camera.
+        offset_from_prior: difference of the parameters from their prior means at the linearisation.
         known_weight: one over the standard deviation of the priors with known standard deviations.
-        group: index of the group of unknown standard deviation of each shared parameter, -1 for
-            none.
-        own_free: mask of the free parameters among each view's own six.
-        count: number of statistics: free parameters of the camera, and of the views' own poses.
+        group_index: index of the group of unknown standard deviation of each shared parameter, -1
+            for none.
+        per_view_free: mask of the free parameters among each view's own six.
+        statistic_count: number of statistics: free parameters of the camera, and of the views' own
+            poses.
         white_sigma: standard deviation of the noise within views, px.
     """
 
     matrix: BlockArrow
     gradient: Step
-    between: Float[Array, ""]
-    off_mean: Step
+    residual_sum_of_squares: Float[Array, ""]
+    offset_from_prior: Step
     known_weight: Float[Array, "shared"]
-    group: Array
-    own_free: Bool[Array, "views 6"]
-    count: Float[Array, ""]
+    group_index: Array
+    per_view_free: Bool[Array, "views 6"]
+    statistic_count: Float[Array, ""]
     white_sigma: Float[Array, ""]
 
     def with_field(
-        self, twists: Float[Array, "views 6 coefficients"], group: np.ndarray, known: int
+        self,
+        field_jacobian: Float[Array, "views 6 coefficients"],
+        group_index: np.ndarray,
+        non_field_count: int,
     ) -> "LinearisedViews":
         """Return the same views with another robot error field, whose coefficients are still zero.
 
@@ -76,41 +80,52 @@ class LinearisedViews(eqx.Module):
         view's own six parameters are a twist as well.
 
         Args:
-            twists: derivatives of the field, as its `by_coefficients` returns them.
-            group: group index of every coefficient.
-            known: number of shared parameters that do not belong to a field; they come first.
+            field_jacobian: derivatives of the field, as its `jacobian` returns them.
+            group_index: group index of every coefficient.
+            non_field_count: number of shared parameters that do not belong to a field; they come
+                first.
         """
         # With T_v the derivative of a view's correction by the coefficients, the new columns are
         # the view's own columns times T_v: sum_v B_v^T T_v, sum_v T_v^T D_v T_v, and D_v T_v in the
         # border.
-        moves, count = -twists, len(group)
-        matrix, border = self.matrix, self.matrix.border[:, :, :known]
-        moved = matrix.own @ moves
-        across = jnp.einsum("vki,vkj->ij", border, moves)
-        among = jnp.einsum("vki,vkj->ij", moves, moved)
-        slope = jnp.einsum("vki,vk->i", moves, self.gradient.corrections)
-        off = self.off_mean
+        correction_jacobian, count = -field_jacobian, len(group_index)
+        matrix, border = self.matrix, self.matrix.border[:, :, :non_field_count]
+        field_border = matrix.per_view @ correction_jacobian
+        cross_block = jnp.einsum("vki,vkj->ij", border, correction_jacobian)
+        field_block = jnp.einsum("vki,vkj->ij", correction_jacobian, field_border)
+        field_gradient = jnp.einsum("vki,vk->i", correction_jacobian, self.gradient.per_view)
+        offset = self.offset_from_prior
         return dataclasses.replace(
             self,
             matrix=BlockArrow(
-                jnp.block([[matrix.shared[:known, :known], across], [across.T, among]]),
-                jnp.concatenate([border, moved], axis=2),
-                matrix.own,
+                jnp.block(
+                    [
+                        [matrix.shared[:non_field_count, :non_field_count], cross_block],
+                        [cross_block.T, field_block],
+                    ]
+                ),
+                jnp.concatenate([border, field_border], axis=2),
+                matrix.per_view,
             ),
             gradient=Step(
-                jnp.concatenate([self.gradient.shared[:known], slope]), self.gradient.corrections
+                jnp.concatenate([self.gradient.shared[:non_field_count], field_gradient]),
+                self.gradient.per_view,
             ),
-            off_mean=Step(jnp.pad(off.shared[:known], (0, count)), off.corrections),
-            known_weight=jnp.pad(self.known_weight[:known], (0, count)),
-            group=jnp.concatenate([self.group[:known], jnp.asarray(group)]),
+            offset_from_prior=Step(
+                jnp.pad(offset.shared[:non_field_count], (0, count)), offset.per_view
+            ),
+            known_weight=jnp.pad(self.known_weight[:non_field_count], (0, count)),
+            group_index=jnp.concatenate(
+                [self.group_index[:non_field_count], jnp.asarray(group_index)]
+            ),
         )
 
-    def least(self, kinds: int) -> Float[Array, "kinds"]:
-        """Return the lower bound of each standard deviation, in the order of `Sizes.numbers`."""
-        return jnp.full(kinds, LEAST).at[0].set(self.white_sigma)
+    def lower_bounds(self, component_count: int) -> Float[Array, "kinds"]:
+        """Return all lower bounds, in the order of `StandardDeviations.vector`."""
+        return jnp.full(component_count, ROBOT_SIGMA_FLOOR).at[0].set(self.white_sigma)
 
 
-class Sizes(eqx.Module):
+class StandardDeviations(eqx.Module):
     """The standard deviations of all errors, all positive.
 
     Their squares are the variance components.
@@ -120,7 +135,7 @@ class Sizes(eqx.Module):
         translation: standard deviation of the translation of reported poses, m.
         rotation: standard deviation of the rotation of reported poses, rad.
         field: standard deviation of the coefficients in each group of the robot error field;
-            `LEAST` disables a group.
+            `ROBOT_SIGMA_FLOOR` disables a group.
     """
 
     pixel: Float[Array, ""]
@@ -129,72 +144,75 @@ class Sizes(eqx.Module):
     field: Float[Array, "groups"]
 
     @property
-    def numbers(self) -> Float[Array, "kinds"]:
+    def vector(self) -> Float[Array, "kinds"]:
         """The standard deviations as a vector: pixel, translation, rotation, field."""
         return jnp.concatenate(
             [jnp.stack([self.pixel, self.translation, self.rotation]), self.field]
         )
 
     @classmethod
-    def of(cls, numbers: Float[Array, "kinds"]) -> "Sizes":
-        """Create the sizes from a vector in the order of `numbers`."""
-        return cls(numbers[0], numbers[1], numbers[2], numbers[3:])
+    def from_vector(cls, vector: Float[Array, "kinds"]) -> "StandardDeviations":
+        """Create the standard deviations from a vector in the order of `vector`."""
+        return cls(vector[0], vector[1], vector[2], vector[3:])
 
-    def weights(self, group: Int[Array, "shared"], known: Float[Array, "shared"]) -> Step:
+    def prior_weights(
+        self, group_index: Int[Array, "shared"], known_weight: Float[Array, "shared"]
+    ) -> Step:
         """Return one over the prior standard deviation of every parameter.
 
         The views' own have one common row.
 
         Args:
-            group: group of each shared parameter, as in `LinearisedViews`.
-            known: weights of the parameters that belong to no group.
+            group_index: group of each shared parameter, as in `LinearisedViews`.
+            known_weight: weights of the parameters that belong to no group.
         """
         # Index -1 (no group) reads the one at the end, which `where` then discards.
-        field = jnp.concatenate([self.field, jnp.ones(1)])[group]
-        each = jnp.repeat(jnp.stack([self.translation, self.rotation]), 3)
-        return Step(jnp.where(group >= 0, 1.0 / field, known), 1.0 / each[None])
+        field = jnp.concatenate([self.field, jnp.ones(1)])[group_index]
+        pose_sigmas = jnp.repeat(jnp.stack([self.translation, self.rotation]), 3)
+        return Step(jnp.where(group_index >= 0, 1.0 / field, known_weight), 1.0 / pose_sigmas[None])
 
 
 @eqx.filter_custom_jvp
-def deviance(views: LinearisedViews, sizes: Sizes) -> Float[Array, ""]:
+def deviance(views: LinearisedViews, sigmas: StandardDeviations) -> Float[Array, ""]:
     """Compute the deviance, -2 log of the restricted likelihood, up to a constant."""
-    return integrate(views, sizes).deviance
+    return marginalise(views, sigmas).deviance
 
 
 @deviance.def_jvp
 def _deviance_jvp(
-    primals: tuple[LinearisedViews, Sizes], tangents: tuple[LinearisedViews, Sizes]
+    primals: tuple[LinearisedViews, StandardDeviations],
+    tangents: tuple[LinearisedViews, StandardDeviations],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Differentiate the deviance by the standard deviations in closed form.
 
     It takes half the work of differentiating through the factorisations.
     """
     if jax.tree.leaves(tangents[0]):
-        return eqx.filter_jvp(lambda v, s: integrate(v, s).deviance, primals, tangents)
-    views, sizes = primals
-    at = integrate(views, sizes)
-    by_size = jax.tree.leaves(slopes(views, sizes, at))
-    moves = jax.tree.leaves(tangents[1], is_leaf=lambda x: x is None)
+        return eqx.filter_jvp(lambda v, s: marginalise(v, s).deviance, primals, tangents)
+    views, sigmas = primals
+    marginal = marginalise(views, sigmas)
+    derivatives = jax.tree.leaves(gradient(views, sigmas, marginal))
+    sigma_tangents = jax.tree.leaves(tangents[1], is_leaf=lambda x: x is None)
     parts = [
-        jnp.sum(slope * move)
-        for slope, move in zip(by_size, moves, strict=True)
-        if move is not None
+        jnp.sum(derivative * tangent)
+        for derivative, tangent in zip(derivatives, sigma_tangents, strict=True)
+        if tangent is not None
     ]
-    return at.deviance, sum(parts, jnp.zeros(()))
+    return marginal.deviance, sum(parts, jnp.zeros(()))
 
 
-def best_step(views: LinearisedViews, sizes: Sizes) -> Step:
-    """Compute the step to the most probable parameters for errors of given sizes."""
-    return integrate(views, sizes).step
+def posterior_mode_step(views: LinearisedViews, sigmas: StandardDeviations) -> Step:
+    """Compute the step to the most probable parameters at given standard deviations of errors."""
+    return marginalise(views, sigmas).step
 
 
-class Integral(eqx.Module):
+class Marginalisation(eqx.Module):
     """The result of marginalising all fitted parameters, with the parts that its derivatives need.
 
     Attributes:
         deviance: -2 log of the restricted likelihood, up to a constant; see `deviance`.
         step: step from the linearisation to the most probable parameters.
-        precision: prior precision of each shared parameter and of each view's own.
+        prior_precision: prior precision of each shared parameter and of each view's own.
         elimination: elimination of the views' own parameters from the posterior's information
             matrix.
         factor: Cholesky factor of the reduced information matrix.
@@ -202,7 +220,7 @@ class Integral(eqx.Module):
 
     deviance: Float[Array, ""]
     step: Step
-    precision: Step
+    prior_precision: Step
     elimination: Elimination
     factor: Float[Array, "shared shared"]
 
@@ -212,99 +230,136 @@ class Integral(eqx.Module):
         return cho_solve((self.factor, False), jnp.eye(len(self.factor)))
 
 
-def integrate(views: LinearisedViews, sizes: Sizes) -> Integral:
-    """Marginalise all fitted parameters for given error sizes."""
-    # p = 1 / sigma^2, M and g the views' matrix and gradient for 1 px, W the prior precisions, o
-    # the difference from the prior means. The information matrix of the posterior and its gradient
-    # are A = p M + W and h = p g + W o, the best step is s = -A^-1 h, and
+def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginalisation:
+    """Marginalise all fitted parameters at given standard deviations of errors."""
+    # With p = 1 / sigma^2 = pixel_precision, M and g the views' matrix and gradient for 1 px,
+    # W = prior_precision, o = offset_from_prior, n = statistic_count and
+    # R = residual_sum_of_squares, the information matrix of the posterior and its gradient are
+    # A = p M + W and h = p g + W o, the best step is s = -A^-1 h, and
     #
-    # deviance = -n log p + p between + o^T W o + h^T s + log det A - log det W
+    # deviance = -n log p + p R + o^T W o + h^T s + log det A - log det W
     #
-    # with W in the last determinant only for priors of unknown size.
-    unknown = views.group >= 0
-    weights = sizes.weights(views.group, views.known_weight)
-    prior = Step(weights.shared**2, jnp.where(views.own_free, weights.corrections**2, 0.0))
-    precision, matrix = sizes.pixel**-2, views.matrix
+    # with W in the last determinant only for priors of unknown standard deviation.
+    has_unknown_sigma = views.group_index >= 0
+    weights = sigmas.prior_weights(views.group_index, views.known_weight)
+    prior_precision = Step(
+        weights.shared**2, jnp.where(views.per_view_free, weights.per_view**2, 0.0)
+    )
+    pixel_precision, matrix = sigmas.pixel**-2, views.matrix
 
-    shared = precision * matrix.shared
-    shared = shared + jnp.diag(prior.shared + RIDGE * jnp.diagonal(shared))
-    # A held correction has a zero column; the one keeps its equation solvable.
-    diagonal = jnp.where(views.own_free, prior.corrections, 1.0)
-    own = precision * matrix.own + jnp.eye(6)[None] * diagonal[:, None]
-    whole = BlockArrow(shared, precision * matrix.border, own)
-    slope = jax.tree.map(
-        lambda g, w, off: precision * g + w * off, views.gradient, prior, views.off_mean
+    shared = pixel_precision * matrix.shared
+    shared = shared + jnp.diag(prior_precision.shared + RELATIVE_RIDGE * jnp.diagonal(shared))
+    # A fixed correction has a zero column; the one keeps its equation solvable.
+    diagonal = jnp.where(views.per_view_free, prior_precision.per_view, 1.0)
+    per_view = pixel_precision * matrix.per_view + jnp.eye(6)[None] * diagonal[:, None]
+    information = BlockArrow(shared, pixel_precision * matrix.border, per_view)
+    posterior_gradient = jax.tree.map(
+        lambda g, w, off: pixel_precision * g + w * off,
+        views.gradient,
+        prior_precision,
+        views.offset_from_prior,
     )
     solver = SchurCholesky()
-    state = solver.init(whole, {})
-    step = jax.tree.map(jnp.negative, solver.compute(state, slope, {})[0])
+    state = solver.init(information, {})
+    step = jax.tree.map(jnp.negative, solver.compute(state, posterior_gradient, {})[0])
 
-    penalty = _total(jax.tree.map(lambda w, off: w * off**2, prior, views.off_mean))
-    gained = _total(jax.tree.map(jnp.multiply, slope, step))
-    determinant = _log_diagonal(state.factor) + _log_diagonal(state.elimination.own_factor)
-    priors = jnp.sum(jnp.where(unknown, jnp.log(prior.shared), 0.0))
-    each = jnp.broadcast_to(jnp.log(weights.corrections**2), views.own_free.shape)
-    priors = priors + jnp.sum(jnp.where(views.own_free, each, 0.0))
-    value = -views.count * jnp.log(precision) + precision * views.between + penalty + gained
-    return Integral(value + determinant - priors, step, prior, state.elimination, state.factor)
+    prior_penalty = _total(
+        jax.tree.map(lambda w, off: w * off**2, prior_precision, views.offset_from_prior)
+    )
+    gradient_step_product = _total(jax.tree.map(jnp.multiply, posterior_gradient, step))
+    log_determinant = _log_determinant(state.factor) + _log_determinant(
+        state.elimination.per_view_factor
+    )
+    prior_log_determinant = jnp.sum(
+        jnp.where(has_unknown_sigma, jnp.log(prior_precision.shared), 0.0)
+    )
+    log_precision = jnp.broadcast_to(jnp.log(weights.per_view**2), views.per_view_free.shape)
+    prior_log_determinant = prior_log_determinant + jnp.sum(
+        jnp.where(views.per_view_free, log_precision, 0.0)
+    )
+    value = (
+        -views.statistic_count * jnp.log(pixel_precision)
+        + pixel_precision * views.residual_sum_of_squares
+        + prior_penalty
+        + gradient_step_product
+    )
+    return Marginalisation(
+        value + log_determinant - prior_log_determinant,
+        step,
+        prior_precision,
+        state.elimination,
+        state.factor,
+    )
 
 
-def slopes(views: LinearisedViews, sizes: Sizes, at: Integral) -> Sizes:
+def gradient(
+    views: LinearisedViews, sigmas: StandardDeviations, marginal: Marginalisation
+) -> StandardDeviations:
     """Compute the derivative of the deviance by every standard deviation.
 
     The derivative of the best step does not contribute, since the deviance is stationary there.
     """
     # dD / d log w_j = w_j E[(o_j + s_j)^2] - 1 for the precision w_j of a prior, where the
     # posterior expectation is (o_j + s_j)^2 + C_jj with C = A^-1.
-    prior, covariance = at.precision, at.shared_covariance
-    own_covariance = at.elimination.own_covariance(covariance)
-    variance = Step(jnp.diagonal(covariance), jnp.diagonal(own_covariance, axis1=1, axis2=2))
-    square = jax.tree.map(lambda off, s, v: (off + s) ** 2 + v, views.off_mean, at.step, variance)
-    # Parameters without a prior of unknown size, and held ones, do not contribute.
-    pull = jax.tree.map(jnp.multiply, prior, square)
-    shared = jnp.where(views.group >= 0, pull.shared - 1.0, 0.0)
-    own = jnp.where(views.own_free, pull.corrections - 1.0, 0.0)
-
-    # dD / d log p = p (between + 2 g.s + s.M s) + tr(p M C) - n, with p M s = -p g - W (o + s) at
-    # the best step, and tr(p M C) = (number of parameters) - tr(W C).
-    pixel = sizes.pixel**-2
-    moved = jnp.sum(views.own_free.astype(float)) + len(at.factor)
-    freedom = moved - _total(jax.tree.map(jnp.multiply, prior, variance))
-    along = jax.tree.map(
-        lambda g, w, off, s: (pixel * g - w * (off + s)) * s,
-        views.gradient,
-        prior,
-        views.off_mean,
-        at.step,
+    prior_precision, covariance = marginal.prior_precision, marginal.shared_covariance
+    per_view_covariance = marginal.elimination.per_view_covariance(covariance)
+    variance = Step(jnp.diagonal(covariance), jnp.diagonal(per_view_covariance, axis1=1, axis2=2))
+    expected_square = jax.tree.map(
+        lambda off, s, v: (off + s) ** 2 + v, views.offset_from_prior, marginal.step, variance
     )
-    precision = pixel * views.between + _total(along) + freedom - views.count
-    # Precision w = 1 / size^2: d log w / d size = -2 / size.
-    return Sizes(
-        -2.0 * precision / sizes.pixel,
-        -2.0 * jnp.sum(own[:, :3]) / sizes.translation,
-        -2.0 * jnp.sum(own[:, 3:]) / sizes.rotation,
-        -2.0 * (members(views, len(sizes.field)) @ shared) / sizes.field,
+    # Parameters without a prior of unknown standard deviation, and fixed ones, do not contribute.
+    weighted_square = jax.tree.map(jnp.multiply, prior_precision, expected_square)
+    shared = jnp.where(views.group_index >= 0, weighted_square.shared - 1.0, 0.0)
+    per_view = jnp.where(views.per_view_free, weighted_square.per_view - 1.0, 0.0)
+
+    # dD / d log p = p (R + 2 g.s + s.M s) + tr(p M C) - n, in the notation of `marginalise`, with
+    # p M s = -p g - W (o + s) at the best step, and tr(p M C) = parameter_count - tr(W C), the
+    # effective number of parameters that the pixels determine.
+    pixel_precision = sigmas.pixel**-2
+    parameter_count = jnp.sum(views.per_view_free.astype(float)) + len(marginal.factor)
+    effective_parameters = parameter_count - _total(
+        jax.tree.map(jnp.multiply, prior_precision, variance)
+    )
+    step_terms = jax.tree.map(
+        lambda g, w, off, s: (pixel_precision * g - w * (off + s)) * s,
+        views.gradient,
+        prior_precision,
+        views.offset_from_prior,
+        marginal.step,
+    )
+    by_log_precision = (
+        pixel_precision * views.residual_sum_of_squares
+        + _total(step_terms)
+        + effective_parameters
+        - views.statistic_count
+    )
+    # Precision w = 1 / sigma^2: d log w / d sigma = -2 / sigma.
+    return StandardDeviations(
+        -2.0 * by_log_precision / sigmas.pixel,
+        -2.0 * jnp.sum(per_view[:, :3]) / sigmas.translation,
+        -2.0 * jnp.sum(per_view[:, 3:]) / sigmas.rotation,
+        -2.0 * (group_indicator(views, len(sigmas.field)) @ shared) / sigmas.field,
     )
 
 
 def _total(parts: Step) -> Float[Array, ""]:
     """Sum all components."""
-    return jnp.sum(parts.shared) + jnp.sum(parts.corrections)
+    return jnp.sum(parts.shared) + jnp.sum(parts.per_view)
 
 
-def _log_diagonal(factor: Float[Array, "*batch n n"]) -> Float[Array, ""]:
+def _log_determinant(factor: Float[Array, "*batch n n"]) -> Float[Array, ""]:
     """Compute the log-determinant of matrices from their Cholesky factors."""
     return 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
 
 
-def draws(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
-    """Count the random numbers behind each standard deviation, in the order of `Sizes.numbers`."""
-    own = views.own_free.astype(float)
-    field = jnp.sum(members(views, groups), axis=1)
-    robot = jnp.stack([jnp.sum(own[:, :3]), jnp.sum(own[:, 3:])])
-    return jnp.concatenate([views.count[None], robot, field])
+def counts(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
+    """Count the random numbers of each kind, in the order of `StandardDeviations.vector`."""
+    per_view_free = views.per_view_free.astype(float)
+    field = jnp.sum(group_indicator(views, groups), axis=1)
+    robot = jnp.stack([jnp.sum(per_view_free[:, :3]), jnp.sum(per_view_free[:, 3:])])
+    return jnp.concatenate([views.statistic_count[None], robot, field])
 
 
-def members(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
-    """Return one where a shared parameter belongs to a group of unknown size, zero elsewhere."""
-    return (views.group[None] == jnp.arange(groups)[:, None]).astype(float)
+def group_indicator(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
+    """Return one where a shared parameter belongs to a group of unknown sigma, zero elsewhere."""
+    return (views.group_index[None] == jnp.arange(groups)[:, None]).astype(float)

@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..geometry import transform_points
-from ..robots import FARTHEST, Command, JointSolution
-from .reach import singular, words
+from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
+from .reachability import is_singular, status_message
 
-REASONS = {
+CHECK_MESSAGES = {
     "reach": "the arm does not get there",
     "absurd": "the tool is {:.4g} m from the base: no arm is that long; millimetres as metres?",
     "side": "the camera is {:.3f} m behind the target's plane: on the side that was not seen",
@@ -33,35 +33,36 @@ REASONS = {
 For a known arm, its own message about reach and singularity is used instead.
 """
 
-DANGERS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
+SAFETY_CHECKS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
 """Names of the checks that a robot must pass before it moves, unless a person overrides them."""
 
 
-def _number(value: object) -> Float[Array, "..."]:
+def _as_float_array(value: object) -> Float[Array, "..."]:
     """Return a value as an array of floats."""
     return jnp.asarray(value, dtype=float)
 
 
-class Table(eqx.Module):
+class ClearancePlane(eqx.Module):
     """A plane in the base frame from which camera and tool must keep a distance.
 
-    The camera is modelled as a sphere of radius `camera` about its centre, the tool as a sphere of
-    radius `tool` about its origin. Nothing else is checked: not cables, links or other obstacles.
+    The camera is modelled as a sphere of radius `camera_clearance` about its centre, the tool as a
+    sphere of radius `tool_clearance` about its origin. Nothing else is checked: not cables, links
+    or other obstacles.
 
     Attributes:
         point: a point on the plane, m.
         normal: normal of the plane, on the side where the robot works; of any length.
-        camera, tool: smallest allowed heights above the plane, m.
+        camera_clearance, tool_clearance: smallest allowed heights above the plane, m.
     """
 
-    point: Float[Array, "3"] = eqx.field(converter=_number, default=(0.0, 0.0, 0.0))
-    normal: Float[Array, "3"] = eqx.field(converter=_number, default=(0.0, 0.0, 1.0))
-    camera: Float[Array, ""] = eqx.field(converter=_number, default=0.05)
-    tool: Float[Array, ""] = eqx.field(converter=_number, default=0.05)
+    point: Float[Array, "3"] = eqx.field(converter=_as_float_array, default=(0.0, 0.0, 0.0))
+    normal: Float[Array, "3"] = eqx.field(converter=_as_float_array, default=(0.0, 0.0, 1.0))
+    camera_clearance: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.05)
+    tool_clearance: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.05)
 
-    def height(self, place: Float[Array, "*views 3"]) -> Float[Array, "*views"]:
+    def height(self, position: Float[Array, "*views 3"]) -> Float[Array, "*views"]:
         """Return the height above the plane of positions in the base frame, m."""
-        offset = place - jnp.broadcast_to(self.point, place.shape)
+        offset = position - jnp.broadcast_to(self.point, position.shape)
         return offset @ (self.normal / jnp.linalg.norm(self.normal))
 
 
@@ -69,37 +70,37 @@ class Limits(eqx.Module):
     """The limits that a viewpoint has to keep.
 
     Attributes:
-        margin: smallest distance from the picture's border to a target point that counts as
+        border_margin: smallest distance from the picture's border to a target point that counts as
             visible, px.
-        share: smallest fraction of the target's points that have to be visible.
-        focus: smallest and largest depth of target points at which the lens is sharp, m.
-        table: plane that camera and tool keep clear of; None for no plane.
-        extent: largest extent of poses at which the robot error is corrected; 1 is about the edge
-            of the poses that it was estimated from.
-        viewed: largest distance of cameras from the middle of the views that the calibration was
-            fitted to, in multiples of the farthest of these.
+        min_visible_fraction: smallest fraction of the target's points that have to be visible.
+        focus_range: smallest and largest depth of target points at which the lens is sharp, m.
+        clearance_plane: plane that camera and tool keep clear of; None for no plane.
+        max_error_field_extent: largest normalised distance of poses at which the robot error is
+            corrected; 1 is about the edge of the poses that it was estimated from.
+        max_viewed_region_extent: largest normalised distance of cameras from the centroid of the
+            views that the calibration was fitted to; 1 is the distance of the farthest of these.
     """
 
-    margin: Float[Array, ""] = eqx.field(converter=_number, default=0.0)
-    share: Float[Array, ""] = eqx.field(converter=_number, default=1.0)
-    focus: Float[Array, "2"] = eqx.field(converter=_number, default=(0.0, np.inf))
-    table: Table | None = None
-    extent: Float[Array, ""] = eqx.field(converter=_number, default=1.5)
-    viewed: Float[Array, ""] = eqx.field(converter=_number, default=2.0)
+    border_margin: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.0)
+    min_visible_fraction: Float[Array, ""] = eqx.field(converter=_as_float_array, default=1.0)
+    focus_range: Float[Array, "2"] = eqx.field(converter=_as_float_array, default=(0.0, np.inf))
+    clearance_plane: ClearancePlane | None = None
+    max_error_field_extent: Float[Array, ""] = eqx.field(converter=_as_float_array, default=1.5)
+    max_viewed_region_extent: Float[Array, ""] = eqx.field(converter=_as_float_array, default=2.0)
 
 
 class Checks(eqx.Module):
-    """The results of the checks of every viewpoint, by the names in `REASONS`.
+    """The results of the checks of every viewpoint, by the names in `CHECK_MESSAGES`.
 
     Attributes:
         passed: whether each check passed, by name; checks that could not be made are missing.
         measured: measured value of each check, by name.
-        arm: inverse-kinematics solution; None where no arm is known.
+        joint_solution: inverse-kinematics solution; None where no arm is known.
     """
 
     passed: dict[str, Bool[Array, "*views"]]
     measured: dict[str, Float[Array, "*views"]]
-    arm: JointSolution | None = None
+    joint_solution: JointSolution | None = None
 
     @property
     def ok(self) -> Bool[Array, "*views"]:
@@ -108,38 +109,38 @@ class Checks(eqx.Module):
 
     @property
     def safe(self) -> Bool[Array, "*views"]:
-        """Whether a viewpoint passes those of the `DANGERS` that could be checked."""
-        masks = [mask for name, mask in self.passed.items() if name in DANGERS]
+        """Whether a viewpoint passes those of the `SAFETY_CHECKS` that could be checked."""
+        masks = [mask for name, mask in self.passed.items() if name in SAFETY_CHECKS]
         return jnp.all(jnp.stack(masks), axis=0)
 
-    def dangers(self) -> tuple[str, ...]:
-        """Return the reasons among the `DANGERS` for each viewpoint, in flat order."""
-        return self.reasons(DANGERS)
+    def safety_violations(self) -> tuple[str, ...]:
+        """Return the reasons among the `SAFETY_CHECKS` for each viewpoint, in flat order."""
+        return self.reasons(SAFETY_CHECKS)
 
-    def reasons(self, among: tuple[str, ...] = tuple(REASONS)) -> tuple[str, ...]:
+    def reasons(self, check_names: tuple[str, ...] = tuple(CHECK_MESSAGES)) -> tuple[str, ...]:
         """Return the reasons of all failed checks for each viewpoint, in flat order.
 
         A reason is empty where all checks pass.
 
         Args:
-            among: names of the checks to report.
+            check_names: names of the checks to report.
         """
         failed = {name: ~np.ravel(mask) for name, mask in self.passed.items()}
         measured = {name: np.ravel(values) for name, values in self.measured.items()}
-        checks = [name for name in REASONS if name in failed and name in among]
+        checks = [name for name in CHECK_MESSAGES if name in failed and name in check_names]
         return tuple(
             # Without a pose that the arm reaches, the values of the other checks have no meaning.
-            self._words("reach", 0.0, k)
+            self._message("reach", 0.0, k)
             if failed["reach"][k]
-            else "; ".join(self._words(n, measured[n][k], k) for n in checks if failed[n][k])
+            else "; ".join(self._message(n, measured[n][k], k) for n in checks if failed[n][k])
             for k in range(np.size(self.ok))
         )
 
-    def _words(self, check: str, measured: float, view: int) -> str:
+    def _message(self, check: str, measured: float, view: int) -> str:
         """Return the reason of one check for one view."""
-        if self.arm is not None and check in ("reach", "singular"):
-            return words(self.arm, view)
-        return REASONS[check].format(measured)
+        if self.joint_solution is not None and check in ("reach", "singular"):
+            return status_message(self.joint_solution, view)
+        return CHECK_MESSAGES[check].format(measured)
 
 
 def check_views(
@@ -147,7 +148,7 @@ def check_views(
     command: Command,
     camera_from_world: SE3,
     points: Float[Array, "points 3"] | None,
-    arm: JointSolution | None,
+    joint_solution: JointSolution | None,
     limits: Limits,
 ) -> Checks:
     """Return the results of all checks that the given information allows.
@@ -157,77 +158,82 @@ def check_views(
         command: robot commands, `(*views)`.
         camera_from_world: camera poses that the commands result in.
         points: target points, m; None omits the checks of visibility and focus.
-        arm: inverse-kinematics solution; None where no arm is known.
+        joint_solution: inverse-kinematics solution; None where no arm is known.
         limits: limits to keep.
     """
     views = camera_from_world.get_batch_axes()
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)
     passed, measured = {"reach": finite}, {"reach": jnp.zeros(views)}
-    if arm is not None:
-        passed = {"reach": arm.reached, "singular": ~singular(arm)}
+    if joint_solution is not None:
+        passed = {"reach": joint_solution.is_solved, "singular": ~is_singular(joint_solution)}
         measured["singular"] = jnp.zeros(views)
 
     # Every check keeps its value beside its mask, for the message.
-    def note(name: str, value: Array, fine: Array) -> None:
-        passed[name], measured[name] = fine, value
+    def record(name: str, value: Array, ok: Array) -> None:
+        passed[name], measured[name] = ok, value
 
     if points is not None:
         in_camera = transform_points(camera_from_world, calibration.target_scale * points)
-        inside = border_distance(calibration, in_camera) >= limits.margin
-        seen = jnp.mean(inside.astype(float), axis=-1)
+        inside = border_distance(calibration, in_camera) >= limits.border_margin
+        visible_fraction = jnp.mean(inside.astype(float), axis=-1)
         # The tolerance of 1e-9 absorbs the rounding of a mean of zeros and ones.
-        note("in_picture", seen, seen >= limits.share - 1e-9)
+        record(
+            "in_picture", visible_fraction, visible_fraction >= limits.min_visible_fraction - 1e-9
+        )
+        # The lens is sharp in a range of depths z, not of distances from the camera's centre.
         nearest, farthest = (f(in_camera[..., 2], axis=-1) for f in (jnp.min, jnp.max))
-        note("near_focus", nearest, nearest >= limits.focus[0])
-        note("far_focus", farthest, farthest <= limits.focus[1])
+        record("near_focus", nearest, nearest >= limits.focus_range[0])
+        record("far_focus", farthest, farthest <= limits.focus_range[1])
     error = calibration.robot_error
-    far = jnp.max(jnp.abs(command.base_from_tool.translation()), axis=-1)
-    note("absurd", far, far <= FARTHEST)
+    max_coordinate = jnp.max(jnp.abs(command.base_from_tool.translation()), axis=-1)
+    record("absurd", max_coordinate, max_coordinate <= MAX_TOOL_COORDINATE)
     if calibration.region is not None:
-        _note_region(calibration, command, camera_from_world, limits, note)
-    if limits.table is not None:
+        _check_viewed_region(calibration, command, camera_from_world, limits, record)
+    if limits.clearance_plane is not None:
         # Clearance is a matter of where the robot really is, so the robot error is applied.
-        true = command.base_from_tool if error is None else error.true_pose(command)
-        camera = _camera_in_base(calibration, true)
-        for name, place, least in (
-            ("camera_clearance", camera, limits.table.camera),
-            ("tool_clearance", true.translation(), limits.table.tool),
+        actual_pose = command.base_from_tool if error is None else error.actual_pose(command)
+        camera = _camera_in_base(calibration, actual_pose)
+        for name, position, min_height in (
+            ("camera_clearance", camera, limits.clearance_plane.camera_clearance),
+            ("tool_clearance", actual_pose.translation(), limits.clearance_plane.tool_clearance),
         ):
-            height = limits.table.height(place)
-            note(name, height, height >= least)
+            height = limits.clearance_plane.height(position)
+            record(name, height, height >= min_height)
     if error is not None:
-        extent = error.field.extent(command)
-        note("known_region", extent, extent <= limits.extent)
-    return Checks(passed, measured, arm)
+        extent = error.field.normalised_distance(command)
+        record("known_region", extent, extent <= limits.max_error_field_extent)
+    return Checks(passed, measured, joint_solution)
 
 
-def _note_region(
+def _check_viewed_region(
     calibration: Calibration,
     command: Command,
     camera_from_world: SE3,
     limits: Limits,
-    note: Callable[[str, Array, Array], None],
+    record: Callable[[str, Array, Array], None],
 ) -> None:
     """Record the checks against the views that the calibration was fitted to."""
     region = calibration.region
     assert region is not None
+    # Heights are positive on the side that was seen; the messages state how far behind it a
+    # position is, hence the minus signs. Both sides were seen where `side` is zero.
     cameras = camera_from_world.inverse().translation()
-    height = region.height(cameras)
-    note("side", -height, (height > 0.0) | (region.side == 0.0))
+    camera_height = region.height(cameras)
+    record("side", -camera_height, (camera_height > 0.0) | (region.side == 0.0))
     if calibration.mount == "eye_in_hand":
         # Tool positions p in the world frame: world = R p + t.
         world_from_holder = calibration.holder_from_world.inverse()
-        places = command.base_from_tool.translation()
+        tool_positions = command.base_from_tool.translation()
         rotation = world_from_holder.rotation().as_matrix()
-        tools = places @ rotation.T + jnp.broadcast_to(
-            world_from_holder.translation(), places.shape
+        tools_in_world = tool_positions @ rotation.T + jnp.broadcast_to(
+            world_from_holder.translation(), tool_positions.shape
         )
-        height = region.height(tools)
+        tool_height = region.height(tools_in_world)
         # The tool must stay above the target's plane. If it was lower beside the target in the
         # views of the fit, it may be as low again.
-        note("tool_side", -height, height >= jnp.minimum(region.lowest_tool, 0.0))
-    extent = region.extent(cameras)
-    note("viewed_region", extent, extent <= limits.viewed)
+        record("tool_side", -tool_height, tool_height >= jnp.minimum(region.min_tool_height, 0.0))
+    extent = region.normalised_distance(cameras)
+    record("viewed_region", extent, extent <= limits.max_viewed_region_extent)
 
 
 def border_distance(
@@ -240,12 +246,15 @@ def border_distance(
     pixels, valid = calibration.camera.project(in_camera)
     width, height = calibration.camera.image_size
     u, v = (jnp.where(valid, pixels[..., k], 0.0) for k in range(2))
+    # Pixel centres are at 0, 1, ..., width - 1.
     distance = jnp.minimum(jnp.minimum(u, width - 1.0 - u), jnp.minimum(v, height - 1.0 - v))
     return jnp.where(valid, distance, -jnp.inf)
 
 
 def _camera_in_base(calibration: Calibration, base_from_tool: SE3) -> Float[Array, "*views 3"]:
     """Return the camera's centre in the base frame, m."""
+    # The inverse of camera_from_mount has the camera's centre in the mount as its translation. The
+    # mount is the base for eye-to-hand, and the tool, which the command displaces, otherwise.
     centre = calibration.camera_from_mount.inverse().translation()
     if calibration.mount == "eye_to_hand":
         return jnp.broadcast_to(centre, base_from_tool.translation().shape)

@@ -12,9 +12,9 @@ from ..cameras import Camera
 from ..geometry import PoseLike, as_se3, xyzoat
 from ..robots import Command, CommandLike, JointsLike, JointSolution, SerialArm, as_command
 from .checks import Checks, Limits, check_views
-from .reach import reach
+from .reachability import solve_joints
 
-TOGETHER = 500
+PREDICTION_BATCH_SIZE = 500
 """Number of views predicted at once, so that intermediate results stay in the processor's cache."""
 
 
@@ -40,13 +40,13 @@ def predict(calibration: Calibration, command: CommandLike) -> ViewCalibration:
     reported = as_command(command)
     views = reported.base_from_tool.get_batch_axes()
 
-    def view(one: Command) -> Float[Array, "7"]:
-        return calibration.camera_from_world(one).wxyz_xyz
+    def camera_pose(view_command: Command) -> Float[Array, "7"]:
+        return calibration.camera_from_world(view_command).wxyz_xyz
 
     # Batches of views instead of one large array: the arrays of all views at once would not fit the
     # cache.
     flat = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), reported)
-    poses = jax.lax.map(view, flat, batch_size=TOGETHER)
+    poses = jax.lax.map(camera_pose, flat, batch_size=PREDICTION_BATCH_SIZE)
     return ViewCalibration(calibration.camera, SE3(poses.reshape(*views, 7)))
 
 
@@ -57,14 +57,14 @@ class ViewpointCommands(eqx.Module):
         base_from_tool: poses to command, with the robot error compensated, `(*views)`.
         xyzoat: the same in VAL's form, m and rad.
         joints: the same as joint readings, rad (m for a prismatic joint); None without an arm.
-        predicted: expected calibration of the viewpoints.
+        predicted_views: expected calibration of the viewpoints.
         checks: results of the checks.
     """
 
     base_from_tool: SE3
     xyzoat: Float[Array, "*views 6"]
     joints: Float[Array, "*views joints"] | None
-    predicted: ViewCalibration
+    predicted_views: ViewCalibration
     checks: Checks
 
     @property
@@ -102,24 +102,24 @@ def viewpoint_commands(
     if near is not None:
         near = jnp.asarray(near, dtype=float)
         near = jnp.broadcast_to(near, (*wanted.get_batch_axes(), near.shape[-1]))
-    command = _reported(calibration, wanted, near)
+    command = _reported_command(calibration, wanted, near)
     solution = None
     if arm is not None and near is not None:
         # Outside jit, because only there the arm's parameters show whether it has a closed form.
-        solution = reach(arm, command, near)
+        solution = solve_joints(arm, command, near)
         command = Command(command.base_from_tool, solution.joints)
-    target = None if points is None else jnp.asarray(points, dtype=float)
-    return _predicted(calibration, command, target, solution, limits or Limits())
+    points = None if points is None else jnp.asarray(points, dtype=float)
+    return _commands_with_checks(calibration, command, points, solution, limits or Limits())
 
 
 @eqx.filter_jit
-def _reported(calibration: Calibration, wanted: SE3, near: Array | None) -> Command:
-    """Return the robot reports at wanted camera poses."""
-    return calibration.reported_for(wanted, near=near)
+def _reported_command(calibration: Calibration, wanted: SE3, near: Array | None) -> Command:
+    """Return the commands, with the robot error compensated, that lead to wanted camera poses."""
+    return calibration.robot_command_for(wanted, near=near)
 
 
 @eqx.filter_jit
-def _predicted(
+def _commands_with_checks(
     calibration: Calibration,
     command: Command,
     points: Float[Array, "points 3"] | None,
@@ -127,9 +127,9 @@ def _predicted(
     limits: Limits,
 ) -> ViewpointCommands:
     """Return commands with the predicted views and checks."""
-    predicted = predict(calibration, command)
+    predicted_views = predict(calibration, command)
     checks = check_views(
-        calibration, command, predicted.camera_from_world, points, solution, limits
+        calibration, command, predicted_views.camera_from_world, points, solution, limits
     )
     pose = command.base_from_tool
-    return ViewpointCommands(pose, xyzoat(pose), command.joints, predicted, checks)
+    return ViewpointCommands(pose, xyzoat(pose), command.joints, predicted_views, checks)

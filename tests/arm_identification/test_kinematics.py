@@ -30,7 +30,7 @@ def grid():
 
 
 def random_joints(arm, views=12):
-    return np.random.default_rng(1).uniform(-1.0, 1.0, (views, arm.size))
+    return np.random.default_rng(1).uniform(-1.0, 1.0, (views, arm.joint_count))
 
 
 def assert_same_poses(fit, joints, poses):
@@ -47,7 +47,7 @@ def test_axes_and_ratios_are_found_from_the_poses_alone(prismatic):
     elsewhere = random_joints(arm)
     assert_same_poses(fit, elsewhere, measured(arm, elsewhere * RATIOS))
     assert fit.arm.prismatic == prismatic
-    assert not fit.unseen
+    assert not fit.unobservable
 
 
 def test_the_numbers_of_an_arm_come_out_of_a_start_that_is_a_little_off():
@@ -109,7 +109,7 @@ def test_what_the_poses_do_not_tell_is_named():
     joints[:, 2] = 0.0
     fit = fit_kinematics(joints, measured(arm, joints), start=arm)
     assert fit.rms_mm < 1e-5
-    assert any("joint_ratio.3" in names for names in fit.unseen)
+    assert any("joint_ratio.3" in names for names in fit.unobservable)
     assert np.isinf(fit.std["joint_ratio.3"]).all()
     assert np.isfinite(fit.std["joint_ratio.2"]).all()
 
@@ -117,7 +117,7 @@ def test_what_the_poses_do_not_tell_is_named():
 def test_wrong_input_is_named():
     arm, joints = positioner(), random_joints(positioner())
     poses = measured(arm, joints)
-    with pytest.raises(ValueError, match=r"no two views tell the axis of joint 1.*give start="):
+    with pytest.raises(ValueError, match=r"no two views .* axis of joint 1.*give start="):
         fit_kinematics(joints, poses)
     with pytest.raises(ValueError, match="as many poses; found"):
         fit_kinematics(joints[:3], poses)
@@ -125,5 +125,5 @@ def test_wrong_input_is_named():
         fit_kinematics(joints, poses, start=puma_560())
     with pytest.raises(ValueError, match="NaN"):
         fit_kinematics(np.full((12, 2), np.nan), poses)
-    with pytest.raises(ValueError, match="2 poses tell 12 numbers; 16 are free"):
+    with pytest.raises(ValueError, match="2 poses give 12 numbers; 16 parameters are free"):
         fit_kinematics(joints[:2], SE3(poses.wxyz_xyz[:2]), start=arm)

@@ -7,7 +7,7 @@ import pytest
 import smartview_jax as sv
 from smartview_jax.detection import circle_radii, detect, predicted_bias
 from smartview_jax.simulation import (
-    look_at,
+    look_at_from_above,
     paper_calibration,
     paper_points,
     random_scene,
@@ -31,7 +31,7 @@ def test_rendered_circles_are_found_where_the_bias_puts_them():
     truth = paper_calibration()
     board = CircleGrid(4, 5, 0.008, radius=0.003)
     middle = board.points.mean(axis=0)
-    pose = truth.command_for(look_at(middle, 0.22, np.deg2rad(180.0 - 40.0), 0.5))
+    pose = truth.command_for(look_at_from_above(middle, 0.22, np.deg2rad(180.0 - 40.0), 0.5))
     found = detect(render(truth, pose, board, noise=0.0), board).pixels
     orders = [found[order] for order in board.symmetries]
     known = np.asarray(truth.project(pose, board.points)[0])

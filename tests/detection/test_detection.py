@@ -162,7 +162,7 @@ def test_views_that_do_not_turn_the_camera_keep_their_order():
         (400, 300),
     )
     assert chosen.symmetry.tolist() == [0, 0, 0]
-    assert "the robot's turns do not tell which was taken" in chosen.words
+    assert "the robot's turns do not tell which was taken" in chosen.message
 
 
 @pytest.mark.parametrize("hidden", [0, 30])

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.detection import detect
-from smartview_jax.detection.circles import MOST_BLOBS, candidates
+from smartview_jax.detection.circles import MAX_BLOBS_PER_CIRCLE, candidate_blobs
 from smartview_jax.targets import CircleGrid
 
 PLAIN = CircleGrid(8, 10, 0.006)
@@ -124,12 +124,14 @@ def test_a_picture_of_noise_is_not_searched_for_long(monkeypatch):
     monkeypatch.setattr(cv2, "findCirclesGrid", spied)
     found = detect(noise_picture(), CircleGrid(5, 5, 0.01))
     assert "25 expected: there is noise or texture" in found.reason
-    assert max(handed, default=0) <= MOST_BLOBS * 25
+    assert max(handed, default=0) <= MAX_BLOBS_PER_CIRCLE * 25
 
 
 def test_among_too_many_blobs_those_of_like_size_are_kept():
     specks = [cv2.KeyPoint(50.0 + k % 500, 60.0 + k % 300, 3.0 + 0.01 * (k % 9)) for k in range(99)]
     circles = [cv2.KeyPoint(50.0 + 3.0 * k, 200.0, 12.0 + 0.2 * (k % 30)) for k in range(150)]
-    assert candidates(specks + circles, 40, (480, 640)) == sorted(circles, key=lambda b: b.size)
-    assert candidates(specks + circles, 20, (480, 640)) == []
-    assert len(candidates(specks + circles, 80, (480, 640))) == 249
+    assert candidate_blobs(specks + circles, 40, (480, 640)) == sorted(
+        circles, key=lambda b: b.size
+    )
+    assert candidate_blobs(specks + circles, 20, (480, 640)) == []
+    assert len(candidate_blobs(specks + circles, 80, (480, 640))) == 249

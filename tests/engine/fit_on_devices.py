@@ -16,8 +16,8 @@ import numpy as np  # noqa: E402
 from starts import nudged  # noqa: E402
 
 import smartview_jax as sv  # noqa: E402
-from smartview_jax.engine.build import build_problem  # noqa: E402
-from smartview_jax.engine.sharding import deal_out  # noqa: E402
+from smartview_jax.engine.problem_builder import build_problem  # noqa: E402
+from smartview_jax.engine.sharding import shard  # noqa: E402
 from smartview_jax.simulation import paper_points, random_scene  # noqa: E402
 
 # Seven views do not go evenly into two.
@@ -44,7 +44,7 @@ for noise in ("trusted", sv.Noise(0.15, 1e-4, 1e-4)):
             }
         )
 problem = build_problem(scene.data, start, noise=sv.Noise(0.15, 1e-4, 1e-4)).problem
-dealt = deal_out(problem, jax.devices()).observations.visible.addressable_shards
+dealt = shard(problem, jax.devices()).observations.visible.addressable_shards
 many = None
 if count == 1:
     # Three fits do not go evenly into two devices.

@@ -4,7 +4,7 @@ import pytest
 
 from smartview_jax import Calibration, Camera
 from smartview_jax.cameras import Pinhole
-from smartview_jax.evaluation import deviations, free_pose_deviations
+from smartview_jax.evaluation import free_pose_errors, reprojection_errors
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 
@@ -21,8 +21,8 @@ def scene():
 
 def test_every_view_gets_the_pose_that_opencv_finds(scene):
     data, camera = scene.data, scene.calibration.camera
-    found = free_pose_deviations(scene.calibration, data)
-    assert deviations(scene.calibration, data).rms > 20.0 * found.rms
+    found = free_pose_errors(scene.calibration, data)
+    assert reprojection_errors(scene.calibration, data).rms > 20.0 * found.rms
     matrix = np.array([[2133.0, 0.0, 322.0], [0.0, 2133.0, 238.0], [0.0, 0.0, 1.0]])
     for view in range(data.view_count):
         seen = np.asarray(data.visible)[view]
@@ -43,8 +43,8 @@ def test_a_view_without_points_stays_finite_and_empty(scene):
     data = type(scene.data).from_arrays(
         scene.data.points, pixels, scene.data.base_from_tool, scene.data.image_size
     )
-    found = free_pose_deviations(scene.calibration, data)
+    found = free_pose_errors(scene.calibration, data)
     assert np.isnan(found.px[1]).all()
-    assert found.unpredicted == 0
-    everything = free_pose_deviations(scene.calibration, scene.data)
+    assert found.unpredicted_count == 0
+    everything = free_pose_errors(scene.calibration, scene.data)
     np.testing.assert_allclose(found.px[2:], everything.px[2:])

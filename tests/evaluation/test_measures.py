@@ -5,7 +5,7 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration, Camera, Dataset
 from smartview_jax.cameras import Pinhole
-from smartview_jax.evaluation import Deviations, deviations
+from smartview_jax.evaluation import ReprojectionErrors, reprojection_errors
 
 
 @pytest.fixture(scope="module")
@@ -18,27 +18,27 @@ def looking_ahead():
 
 def test_measures_are_what_they_say():
     px = np.array([[3.0, 4.0, np.nan], [0.0, 5.0, np.nan]])
-    found = Deviations(px, 1e-3 * px)
+    found = ReprojectionErrors(px, 1e-3 * px)
     assert found.mean == 3.0
     assert found.std == pytest.approx(np.std([3.0, 4.0, 0.0, 5.0]))
     assert found.rms == pytest.approx(np.sqrt(12.5))
     assert found.rms_mm == pytest.approx(np.sqrt(12.5))
-    assert found.unpredicted == 0
-    np.testing.assert_allclose(found.per_view, [np.sqrt(12.5)] * 2)
+    assert found.unpredicted_count == 0
+    np.testing.assert_allclose(found.rms_per_view, [np.sqrt(12.5)] * 2)
 
 
 def test_points_that_cannot_be_predicted_are_counted_and_change_no_figure():
-    found = Deviations(np.array([[3.0, np.inf], [4.0, np.nan]]), np.full((2, 2), np.inf))
-    assert (found.mean, found.std, found.unpredicted) == (3.5, 0.5, 1)
+    found = ReprojectionErrors(np.array([[3.0, np.inf], [4.0, np.nan]]), np.full((2, 2), np.inf))
+    assert (found.mean, found.std, found.unpredicted_count) == (3.5, 0.5, 1)
     assert found.rms == pytest.approx(np.sqrt(12.5))
     assert np.isnan(found.rms_mm)
 
 
 def test_nothing_seen_has_no_figure():
-    nothing = Deviations(np.full((2, 3), np.nan), np.full((2, 3), np.nan))
+    nothing = ReprojectionErrors(np.full((2, 3), np.nan), np.full((2, 3), np.nan))
     figures = (nothing.mean, nothing.std, nothing.rms, nothing.rms_mm)
-    assert np.isnan([*figures, *nothing.per_view]).all()
-    assert nothing.unpredicted == 0
+    assert np.isnan([*figures, *nothing.rms_per_view]).all()
+    assert nothing.unpredicted_count == 0
 
 
 def test_deviations_by_hand(looking_ahead):
@@ -49,14 +49,14 @@ def test_deviations_by_hand(looking_ahead):
     points = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.0, -3.0]])
     pixels = np.array([[[50.0, 50.0], [63.0, 46.0], [10.0, 10.0]]])
     data = Dataset.from_arrays(points, pixels, np.eye(4)[None], (101, 101))
-    found = deviations(looking_ahead, data)
+    found = reprojection_errors(looking_ahead, data)
     np.testing.assert_allclose(found.px, [[0.0, 5.0, np.inf]], atol=1e-12)
-    np.testing.assert_allclose(found.m, [[0.0, 0.1, np.inf]], atol=1e-12)
-    assert found.unpredicted == 1
+    np.testing.assert_allclose(found.metres, [[0.0, 0.1, np.inf]], atol=1e-12)
+    assert found.unpredicted_count == 1
 
 
 def test_a_point_that_was_not_seen_has_no_deviation(looking_ahead):
     pixels = np.array([[[50.0, 50.0], [np.nan, np.nan]]])
     points = np.zeros((2, 3))
     data = Dataset.from_arrays(points, pixels, np.eye(4)[None], (101, 101))
-    np.testing.assert_array_equal(deviations(looking_ahead, data).px, [[0.0, np.nan]])
+    np.testing.assert_array_equal(reprojection_errors(looking_ahead, data).px, [[0.0, np.nan]])

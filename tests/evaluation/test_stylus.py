@@ -6,7 +6,7 @@ import pytest
 from jaxlie import SE3, SO3
 
 import smartview_jax as sv
-from smartview_jax.evaluation import stylus_miss, touching
+from smartview_jax.evaluation import stylus_error, touching_pose
 from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration
 
@@ -16,14 +16,17 @@ WAYS = SO3.from_x_radians(jnp.full(3, jnp.pi)) @ SO3.from_z_radians(jnp.array([0
 
 def test_touching_puts_the_tip_where_it_is_wanted():
     place = np.array([0.1, 0.2, 0.3])
-    for wanted, pose in ((np.zeros(3), touching(TIP, WAYS)), (place, touching(TIP, WAYS, place))):
+    for wanted, pose in (
+        (np.zeros(3), touching_pose(TIP, WAYS)),
+        (place, touching_pose(TIP, WAYS, place)),
+    ):
         homogeneous = np.asarray(pose.as_matrix()) @ np.append(TIP, 1.0)
         np.testing.assert_allclose(homogeneous[:, :3], np.tile(wanted, (3, 1)), atol=1e-15)
 
 
 def test_the_true_calibration_does_not_miss():
     truth = paper_calibration()
-    miss = stylus_miss(truth, truth, TIP, touching(TIP, WAYS))
+    miss = stylus_error(truth, truth, TIP, touching_pose(TIP, WAYS))
     np.testing.assert_allclose(miss, 0.0, atol=1e-14)
 
 
@@ -34,7 +37,7 @@ def test_a_misplaced_world_is_missed_by_as_much_whatever_the_camera():
     other = sv.Camera(1000.0, 900.0, 0.0, 0.0, truth.camera.lens, (640, 480))
     hand_eye = truth.camera_from_tool @ SE3.exp(jnp.full(6, 0.01))
     wrong = sv.Calibration.eye_in_hand(other, hand_eye, base_from_world)
-    miss = stylus_miss(wrong, truth, TIP, touching(TIP, WAYS))
+    miss = stylus_error(wrong, truth, TIP, touching_pose(TIP, WAYS))
     wanted = truth.base_from_world.rotation().inverse().apply(step)
     np.testing.assert_allclose(miss, np.tile(wanted, (3, 1)), atol=1e-12)
 
@@ -44,8 +47,8 @@ def test_the_robot_noise_moves_the_tip():
     truth = paper_calibration()
     noise = np.zeros((3, 6))
     noise[0, :3], noise[1, 3] = [1e-3, 0.0, 0.0], 1e-4
-    poses = touching(TIP, WAYS)
-    miss = np.asarray(stylus_miss(truth, truth, TIP, poses, noise))
+    poses = touching_pose(TIP, WAYS)
+    miss = np.asarray(stylus_error(truth, truth, TIP, poses, noise))
     turned = np.asarray(poses.rotation().as_matrix())
     np.testing.assert_allclose(miss[0], turned[0] @ [-1e-3, 0.0, 0.0], atol=1e-12)
     assert np.linalg.norm(miss[1]) == pytest.approx(1e-4 * np.hypot(*TIP[1:]), rel=1e-3)
@@ -54,11 +57,11 @@ def test_the_robot_noise_moves_the_tip():
 
 def test_an_error_of_the_robot_is_corrected_where_it_is_known():
     truth = paper_calibration()
-    base_from_tool = truth.command_for(truth.camera_from_tool @ touching(TIP, WAYS).inverse())
-    field = LinearInPosition.over(base_from_tool)
+    base_from_tool = truth.command_for(truth.camera_from_tool @ touching_pose(TIP, WAYS).inverse())
+    field = LinearInPosition.from_poses(base_from_tool)
     error = RobotError(field, jnp.linspace(-2e-3, 2e-3, field.size))
     truth = dataclasses.replace(truth, robot_error=error)
-    poses = touching(TIP, WAYS)
+    poses = touching_pose(TIP, WAYS)
     # What to command is found by iteration, to some nanometres.
-    np.testing.assert_allclose(stylus_miss(truth, truth, TIP, poses), 0.0, atol=1e-7)
-    assert np.abs(stylus_miss(truth.uncorrected, truth, TIP, poses)).max() > 1e-4
+    np.testing.assert_allclose(stylus_error(truth, truth, TIP, poses), 0.0, atol=1e-7)
+    assert np.abs(stylus_error(truth.uncorrected, truth, TIP, poses)).max() > 1e-4

@@ -7,7 +7,7 @@ import pytest
 from shared_data import shared_data
 from text_files import edit
 
-from smartview_jax.io import import_pairs, load_dataset, sample_folder, save_dataset
+from smartview_jax.io import import_correspondences, load_dataset, sample_folder, save_dataset
 
 
 @pytest.fixture
@@ -247,4 +247,4 @@ def test_pairs_with_a_view_that_has_no_pose(tmp_path):
     (tmp_path / "p.csv").write_text(f"view,{names}\n0,{','.join(map(str, np.eye(4).ravel()))}\n")
     (tmp_path / "c.csv").write_text("view,X,Y,Z,u,v\n0,0,0,0,10,20\n3,0,0,0,1,2\n")
     with pytest.raises(ValueError, match=r"c\.csv: view 3 has no row in p\.csv"):
-        import_pairs(tmp_path / "p.csv", tmp_path / "c.csv", (640, 480))
+        import_correspondences(tmp_path / "p.csv", tmp_path / "c.csv", (640, 480))

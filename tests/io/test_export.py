@@ -65,11 +65,11 @@ def test_the_papers_lens_becomes_the_nearest_polynomial_and_says_how_near(k1):
     cal = calibration(Radial(k1))
     lens = opencv_coefficients(cal.camera)
     assert lens.model == "plumb_bob"
-    assert lens.values[0] == pytest.approx(-k1, rel=0.2)
-    nearest = Camera(800.0, 790.0, 320.5, 239.5, OpenCV5(*lens.values), (640, 480))
+    assert lens.coefficients[0] == pytest.approx(-k1, rel=0.2)
+    nearest = Camera(800.0, 790.0, 320.5, 239.5, OpenCV5(*lens.coefficients), (640, 480))
     rays, _ = cal.camera.unproject(jnp.array([[0.0, 0.0], [639.0, 479.0], [320.0, 100.0]]))
     gap = np.abs(np.asarray(nearest.project(rays)[0] - cal.camera.project(rays)[0])).max()
-    assert gap <= lens.deviation < 0.05
+    assert gap <= lens.max_deviation < 0.05
     assert "px off" in ros_camera_info(cal).splitlines()[0]
 
 

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from shared_data import shared_data
 
-from smartview_jax.io import import_matrix_rows, import_pairs, read_matrix_rows, write_matrix_rows
+from smartview_jax.io import (
+    import_correspondences,
+    import_matrix_rows,
+    read_matrix_rows,
+    write_matrix_rows,
+)
 from smartview_jax.targets import Chessboard
 
 
@@ -39,7 +44,7 @@ def test_lines_and_numbered_pictures_are_a_data_set(folder):
     target = Chessboard(17, 24, 0.015)
     data = import_matrix_rows(folder / "poses.txt", "m", "images/{view:03d}.png", target)
     original = shared_data("tampere_kuka_2")
-    known = import_pairs(original / "poses.csv", original / "corners.csv", (1920, 1200))
+    known = import_correspondences(original / "poses.csv", original / "corners.csv", (1920, 1200))
     assert data.view_ids == ("0", "1", "2", "3")
     assert data.image_size == (1920, 1200)
     gap = np.asarray(data.pixels - known.pixels[:4])

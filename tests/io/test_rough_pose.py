@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 from smartview_jax.cli import app
 from smartview_jax.io import load_dataset, parse_rough_pose, sample_folder
 from smartview_jax.io.rough_pose import rough_pose
-from smartview_jax.schemas.dataset import DATASET, DatasetFile
-from smartview_jax.schemas.reading import checked
+from smartview_jax.schemas.dataset import DATASET_SCHEMA, DatasetFile
+from smartview_jax.schemas.validation import validate_content
 from smartview_jax.targets import CircleGrid
 
 ROUGH = {"translation": [0.4, 0.0, 0.1], "yaw_pitch_roll_deg": [90.0, 0.0, 180.0]}
@@ -20,7 +20,7 @@ ROUGH = {"translation": [0.4, 0.0, 0.1], "yaw_pitch_roll_deg": [90.0, 0.0, 180.0
 def described(entries: dict[str, object]) -> DatasetFile:
     """A description with these entries, as it is read from a file."""
     whole = yaml.safe_load((sample_folder() / "dataset.yaml").read_text())
-    return checked({**whole, **entries}, DATASET)
+    return validate_content({**whole, **entries}, DATASET_SCHEMA)
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,7 @@ CHAINS = {
 def test_the_tool_is_where_the_format_puts_it(tmp_path, name):
     joints = serial(CHAINS[name])
     arm = load_urdf(urdf(tmp_path, *joints))
-    for readings in np.random.default_rng(0).uniform(-2.0, 2.0, (5, arm.size)):
+    for readings in np.random.default_rng(0).uniform(-2.0, 2.0, (5, arm.joint_count)):
         found = np.asarray(arm.base_from_tool(readings).as_matrix())
         np.testing.assert_allclose(found, forward(joints, readings), atol=1e-12)
 
@@ -114,7 +114,7 @@ def test_limits_and_sliding_joints_are_kept(tmp_path):
 def test_part_of_a_chain(tmp_path):
     joints = serial(CHAINS["ur"])
     arm = load_urdf(urdf(tmp_path, *joints), base="l1", tip="l4")
-    assert arm.size == 3
+    assert arm.joint_count == 3
     found = np.asarray(arm.base_from_tool(np.full(3, 0.3)).as_matrix())
     np.testing.assert_allclose(found, forward(joints[1:4], np.full(3, 0.3)), atol=1e-12)
 
@@ -123,7 +123,7 @@ def test_what_is_no_chain_is_refused(tmp_path):
     two = [joint("a", "l0", "l1"), joint("b", "l0", "l2")]
     with pytest.raises(ValueError, match=r"branches: give tip=, such as one of \['l1', 'l2'\]"):
         load_urdf(urdf(tmp_path, *two))
-    assert load_urdf(urdf(tmp_path, *two), tip="l2").size == 1
+    assert load_urdf(urdf(tmp_path, *two), tip="l2").joint_count == 1
     with pytest.raises(ValueError, match="link l1 does not hang on link l2"):
         load_urdf(urdf(tmp_path, *two), base="l2", tip="l1")
     with pytest.raises(ValueError, match="no link is called 'hand', as tip"):

@@ -6,7 +6,7 @@ from jaxlie import SE3
 from shared_data import shared_data
 
 from smartview_jax.io import (
-    import_pairs,
+    import_correspondences,
     import_visp,
     read_visp_camera,
     read_visp_pose,
@@ -27,7 +27,7 @@ NAMES = {"poses": "franka_pose_rPe_{view}.yaml", "pictures": "franka_image-{view
 def test_a_folder_of_visp_is_a_data_set(name, target, mount):
     folder = shared_data(name)
     data = import_visp(folder, target, mount, **NAMES)
-    known = import_pairs(folder / "poses.csv", folder / "corners.csv", (640, 480), mount)
+    known = import_correspondences(folder / "poses.csv", folder / "corners.csv", (640, 480), mount)
     # ViSP counts from 1, the table from 0.
     assert data.view_ids == tuple(str(int(view) + 1) for view in known.view_ids)
     np.testing.assert_allclose(

@@ -5,7 +5,7 @@ import pytest
 from shared_data import shared_data, shared_pairs
 
 from smartview_jax import fit_joint, fit_staged
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.robot_errors import JointOffsets
 from smartview_jax.robots import kuka_lwr4
 
@@ -33,7 +33,7 @@ def test_offsets_and_scale_are_those_of_the_reference(data, start):
         fixed=("robot_error.joint_offset.1", "robot_error.joint_offset.7"),
     )
     assert found.result.converged
-    assert deviations(found.calibration, data).rms == pytest.approx(1.214, abs=1e-3)
+    assert reprojection_errors(found.calibration, data).rms == pytest.approx(1.214, abs=1e-3)
     offsets = found.calibration.robot_error.coefficients
     expected = [0.0, 0.0108, -0.0054, -0.0094, -0.0018, 0.0222, 0.0]
     np.testing.assert_allclose(offsets, expected, atol=1e-4)
@@ -42,10 +42,10 @@ def test_offsets_and_scale_are_those_of_the_reference(data, start):
 
 def test_the_arms_own_errors_are_what_the_likelihood_chooses(data, start):
     found = fit_joint(data, start, noise="estimated", free=("target_scale",))
-    assert found.estimate.name in ("joint_offsets", "dh")
-    gains = {other.name: other.gain for other in found.estimate.alternatives}
+    assert found.noise_estimate.name in ("joint_offsets", "dh")
+    gains = {other.name: other.log_likelihood_ratio for other in found.noise_estimate.candidates}
     assert gains["joint_offsets"] > gains["white"] + 100.0
-    assert deviations(found.calibration, data).rms <= 1.45
+    assert reprojection_errors(found.calibration, data).rms <= 1.45
     # The first and the last joint's zeros are the target's and the mount's: no data tell them.
     offsets = np.asarray(found.calibration.robot_error.coefficients[:7])
     np.testing.assert_allclose(offsets[[0, 6]], 0.0, atol=1e-5)

@@ -9,7 +9,7 @@ from jaxlie import SE3
 
 import smartview_jax as sv
 from smartview_jax.cameras import Camera, OpenCV5
-from smartview_jax.joint import batch_filter, fit_camera
+from smartview_jax.joint import batch_least_squares, fit_camera
 from smartview_jax.simulation import paper_points, random_scene
 from smartview_jax.staged import kalman_filter
 
@@ -73,7 +73,7 @@ def test_opencv_finds_the_same_camera_and_poses(scene, start):
 
 def test_outliers_are_set_aside_and_good_points_kept(start):
     scene = random_scene(6, VIEWS, paper_points((0.0, 0.02))[::2], outlier_fraction=0.1)
-    fit = batch_filter(scene.data.observations, *start)
+    fit = batch_least_squares(scene.data.observations, *start)
     assert fit.converged
     assert not np.asarray(fit.inliers & scene.outliers).any()
     lost = scene.data.visible & ~scene.outliers & ~fit.inliers
@@ -84,7 +84,7 @@ def test_outliers_are_set_aside_and_good_points_kept(start):
 def test_a_point_that_cannot_be_projected_is_set_aside(scene, start):
     behind = scene.data.points.at[1, 3, 2].add(1.0)
     data = eqx.tree_at(lambda d: d.points, scene.data, behind)
-    fit = batch_filter(data.observations, *start)
+    fit = batch_least_squares(data.observations, *start)
     assert fit.converged
     assert not bool(fit.inliers[1, 3])
     assert int(jnp.sum(data.visible & ~fit.inliers)) <= 2
@@ -94,7 +94,7 @@ def test_a_known_camera_is_held_and_a_blind_view_keeps_its_pose(scene, start):
     hidden = scene.data.visible.at[2].set(False)
     data = eqx.tree_at(lambda d: d.visible, scene.data, hidden)
     camera = scene.calibration.camera
-    fit = batch_filter(data.observations, camera, start[1], hold_camera=True)
+    fit = batch_least_squares(data.observations, camera, start[1], hold_camera=True)
     assert fit.converged
     assert fit.parameter_names == ()
     assert eqx.tree_equal(fit.camera, camera)

@@ -16,8 +16,8 @@ from starts import nudged
 from smartview_jax import Calibration, Noise, Prior, fit_joint
 from smartview_jax.cameras import Camera, OpenCV4
 from smartview_jax.engine import StructuredLM, optimum
-from smartview_jax.engine.build import build_problem
-from smartview_jax.evaluation import cramer_rao, deviations
+from smartview_jax.engine.problem_builder import build_problem
+from smartview_jax.evaluation import cramer_rao, reprojection_errors
 from smartview_jax.fit_result import FitCode
 from smartview_jax.simulation import paper_points, random_scene
 
@@ -26,7 +26,7 @@ POINTS = paper_points((0.0, 0.02))[::4]
 
 def flattened(problem):
     """Residuals of a problem and their Jacobian, as functions of one row of numbers."""
-    _, unravel = ravel_pytree(problem.start())
+    _, unravel = ravel_pytree(problem.zero_step())
 
     def residuals(z):
         return ravel_pytree(problem.residuals(unravel(z)))[0]
@@ -71,12 +71,12 @@ def test_real_sets_reach_the_reference(name, prefix):
     joint = fit_joint(data, start, noise="trusted")
     assert joint.result.converged
     rounding = 5e-4
-    assert deviations(joint.calibration, data).rms == pytest.approx(
+    assert reprojection_errors(joint.calibration, data).rms == pytest.approx(
         reference["joint_px"], rel=0.01, abs=rounding
     )
     held = fit_joint(data, start, fixed=("camera",), noise="trusted")
     tolerance = 0.15 if name == "tampere_synthetic" else 0.01
-    assert deviations(held.calibration, data).rms == pytest.approx(
+    assert reprojection_errors(held.calibration, data).rms == pytest.approx(
         reference["he_only_refined_px"], rel=tolerance, abs=rounding
     )
     if name == "tampere_synthetic":
@@ -91,7 +91,7 @@ def test_eye_to_hand_with_the_camera_held():
     held = fit_joint(
         data, reference_start(reference, [0.0] * 4), fixed=("camera",), noise="trusted"
     )
-    assert deviations(held.calibration, data).rms == pytest.approx(
+    assert reprojection_errors(held.calibration, data).rms == pytest.approx(
         reference["he_only_refined_px"], rel=0.01
     )
 
@@ -216,7 +216,7 @@ def test_robot_noise_that_is_known_makes_the_mount_better():
     assert error(known) < 0.5 * error(trusted)
     assert known.pose_corrections.shape == (12, 6)
     # Residuals are through the chain as reported: corrections never flatter them.
-    assert deviations(known.calibration, scene.data).rms == pytest.approx(
+    assert reprojection_errors(known.calibration, scene.data).rms == pytest.approx(
         float(
             np.sqrt(
                 np.mean(
@@ -264,12 +264,12 @@ def test_any_optimistix_solver_will_do(noisy):
 def test_a_fit_that_stopped_early_says_so_and_raises_on_request(noisy):
     scene, fit = noisy
     assert fit.result.code is FitCode.CONVERGED
-    fit.result.require()
+    fit.result.require_convergence()
     careless = optx.LevenbergMarquardt(rtol=1e9, atol=1e9)
     stopped = fit_joint(scene.data, nudged(scene.calibration), solver=careless, noise="trusted")
     assert stopped.result.code is FitCode.STOPPED_EARLY
     with pytest.raises(RuntimeError, match=r"stopped_early: .* would still lower the cost"):
-        stopped.result.require()
+        stopped.result.require_convergence()
 
 
 def test_one_rotation_axis_is_named(noisy):
@@ -286,9 +286,12 @@ def test_one_rotation_axis_is_named(noisy):
     )
     fit = fit_joint(data, scene.calibration, fixed=("camera",), noise="trusted")
     assert fit.observability.rank == 11
-    assert fit.observability.size == 12
-    (direction,) = fit.observability.null
-    assert direction.words == "camera offset along the tool's z axis: all rotations share that axis"
+    assert fit.observability.parameter_count == 12
+    (direction,) = fit.observability.null_directions
+    assert (
+        direction.description
+        == "camera offset along the tool's z axis: all rotations share that axis"
+    )
     assert np.isinf(fit.std["camera_from_tool.translation.z"])
     with pytest.raises(ValueError, match=r"the data leave .*translation\.z open"):
         fit.p_value(scene.calibration)

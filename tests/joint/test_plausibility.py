@@ -58,9 +58,9 @@ def test_a_target_of_another_size_is_named(sample, times):
     """Not absorbed by a robot that is twice as long as it says: the mount stays where it is."""
     fit = calibrate(dataclasses.replace(sample, points=times * sample.points))
     np.testing.assert_allclose(mount_of(fit.joint), HAND_EYE, atol=4e-3)
-    scale = fit.joint.estimate.scale
+    scale = fit.joint.noise_estimate.target_scale
     assert scale.probability > 0.99
-    assert scale.size * times == pytest.approx(0.977, abs=0.01)
+    assert scale.scale * times == pytest.approx(0.977, abs=0.01)
     assert f"the target is {float(fit.joint.calibration.target_scale):.4f}" in fit.warnings[1]
     assert "measure it" in fit.warnings[1]
 
@@ -68,7 +68,7 @@ def test_a_target_of_another_size_is_named(sample, times):
 def test_a_target_of_its_stated_size_is_left_alone():
     scene = random_scene(1, 15, FIVE_HEIGHTS[::5], translation_noise=1e-4, rotation_noise=2e-4)
     found = fit_joint(scene.data, scene.calibration, noise="estimated")
-    assert found.estimate.scale.probability < 0.01
+    assert found.noise_estimate.target_scale.probability < 0.01
     assert found.calibration.target_scale == 1.0
     assert found.warnings == ()
 

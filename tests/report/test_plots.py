@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
-from smartview_jax.evaluation import deviations
-from smartview_jax.report import Summary, plots
+from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.report import ErrorSummary, plots
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.targets import CircleGrid, StackedTarget
 
@@ -16,8 +16,8 @@ def scene():
 
 @pytest.fixture(scope="module")
 def rows(scene):
-    fitted = deviations(scene.calibration, scene.data)
-    return [Summary("staged", fitted, None), Summary("joint", fitted, None)]
+    fitted = reprojection_errors(scene.calibration, scene.data)
+    return [ErrorSummary("staged", fitted, None), ErrorSummary("joint", fitted, None)]
 
 
 def drawn(axes, label):
@@ -27,7 +27,7 @@ def drawn(axes, label):
 
 def test_cross_bars_stand_where_the_calibration_predicts(scene):
     picture = np.zeros((480, 640), np.uint8)
-    (axes,) = plots.cross_bars(scene.data, 2, picture, scene.calibration).axes
+    (axes,) = plots.prediction_overlay(scene.data, 2, picture, scene.calibration).axes
     predicted, _ = scene.calibration.project(scene.data.base_from_tool, scene.data.points)
     np.testing.assert_array_equal(drawn(axes, "predicted"), predicted[2])
     seen = np.asarray(scene.data.visible[2])
@@ -40,18 +40,22 @@ def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
     target = StackedTarget(CircleGrid(3, 3, 0.01), (0.0, 0.01))
     data = random_scene(1, views=3, points=target.points).data
     object.__setattr__(data, "target", target)
-    (axes,) = plots.cross_bars(data, 0, np.zeros((480, 640), np.uint8), paper_calibration()).axes
+    (axes,) = plots.prediction_overlay(
+        data, 0, np.zeros((480, 640), np.uint8), paper_calibration()
+    ).axes
     assert len(drawn(axes, "predicted")) == 9
     # The first height was not detected.
     lower = eqx.tree_at(lambda d: d.visible, data, data.visible.at[0, :9].set(False))
-    (axes,) = plots.cross_bars(lower, 0, np.zeros((480, 640), np.uint8), paper_calibration()).axes
+    (axes,) = plots.prediction_overlay(
+        lower, 0, np.zeros((480, 640), np.uint8), paper_calibration()
+    ).axes
     assert len(drawn(axes, "measured")) == 0
     assert axes.get_xlim() == (-0.5, 639.5)
 
 
 def test_the_histogram_counts_every_point_below_its_limit(rows):
-    (axes,) = plots.deviation_histogram(rows).axes
-    values = rows[0].fitted.px[np.isfinite(rows[0].fitted.px)]
+    (axes,) = plots.error_histogram(rows).axes
+    values = rows[0].registration_errors.px[np.isfinite(rows[0].registration_errors.px)]
     bars = sum(bar.get_height() for bar in axes.containers[0])
     assert bars == np.sum(values <= np.percentile(values, 99.5))
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["staged", "joint"]
@@ -83,12 +87,12 @@ def test_one_point_far_off_leaves_the_others_their_colours(scene):
 def test_bars_are_the_rms_of_each_view(scene, rows):
     (axes,) = plots.view_errors(scene.data, rows).axes
     heights = [bar.get_height() for bar in axes.containers[1]]
-    np.testing.assert_allclose(heights, rows[1].fitted.per_view)
+    np.testing.assert_allclose(heights, rows[1].registration_errors.rms_per_view)
     assert [tick.get_text() for tick in axes.get_xticklabels()] == list(scene.data.view_ids)
 
 
 def test_cameras_stand_where_the_chain_puts_them(scene):
-    (axes,) = plots.views_in_space(scene.data, scene.calibration).axes
+    (axes,) = plots.camera_poses_3d(scene.data, scene.calibration).axes
     poses = scene.calibration.camera_from_world(scene.data.base_from_tool)
     centres = poses.inverse().translation()
     labels = [text for text in axes.texts if text.get_text().strip() in scene.data.view_ids]

@@ -7,36 +7,41 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import Noise, calibrate, fit_joint
-from smartview_jax.calibrate_data import CalibrationFit
+from smartview_jax.calibration_pipeline import CalibrationFit
 from smartview_jax.evaluation import (
-    Deviations,
-    Foretold,
-    HeldOut,
+    HeldOutErrors,
+    HeldOutReport,
+    MethodResult,
+    PredictedError,
     Rejection,
-    Row,
-    Unseen,
-    deviations,
+    ReprojectionErrors,
     error_budget,
+    reprojection_errors,
 )
 from smartview_jax.report import (
-    COMPARED,
-    Summary,
-    compared,
+    COMPARISON_HEADINGS,
+    ErrorSummary,
+    comparison_row,
+    error_summaries,
     remarks,
-    summaries,
+    result_summary,
     table_rows,
-    verdict,
 )
-from smartview_jax.report.tables import _in_words, errors_found, models_chosen, parameter_rows
+from smartview_jax.report.tables import (
+    _model_with_description,
+    error_model_rows,
+    model_counts_text,
+    parameter_rows,
+)
 from smartview_jax.robot_errors import DHErrors, LinearInPosition, RobotError, RobotPrior
 from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_points, random_scene
-from smartview_jax.variance import Alternative, NoiseEstimate
-from smartview_jax.variance.doubt import Doubt
+from smartview_jax.variance import CandidateResult, NoiseEstimate
+from smartview_jax.variance.kenward_roger import SmallSampleCorrection
 
-FITTED = Deviations(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
-UNSEEN = HeldOut(
-    Deviations(np.array([[6.0, np.nan], [8.0, np.inf]]), np.full((2, 2), 2e-3)),
+FITTED = ReprojectionErrors(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
+UNSEEN = HeldOutErrors(
+    ReprojectionErrors(np.array([[6.0, np.nan], [8.0, np.inf]]), np.full((2, 2), 2e-3)),
     ((0,), (1,)),
     ((1, "no pose"),),
     ((0, "ran out of steps"),),
@@ -45,22 +50,30 @@ UNSEEN = HeldOut(
 
 def test_a_row_of_the_comparison_holds_the_figures():
     rejected = (Rejection("1", 5, "far"), Rejection("1", 6, "far"), Rejection("2", None, "empty"))
-    row = compared(Row("joint", FITTED, UNSEEN, rejected))
-    assert len(row) == len(COMPARED)
+    row = comparison_row(MethodResult("joint", FITTED, UNSEEN, rejected))
+    assert len(row) == len(COMPARISON_HEADINGS)
     # Mean and spread of 3, 4, 0; root mean square of the same, and of 6 and 8; mm at the target.
     # Drawing two views anew gives the one, the other, or both.
     assert row == ["joint", "2.33 +- 1.7", "2.89", "7.07", "6 to 8", "2", "2, 1"]
 
 
 def test_a_method_that_failed_shows_no_figures():
-    assert compared(Row("joint", None, None, failure="no"))[1:] == ["failed", *"-----"]
+    assert comparison_row(MethodResult("joint", None, None, failure="no"))[1:] == [
+        "failed",
+        *"-----",
+    ]
 
 
 def test_the_table_shows_what_was_evaluated_and_no_empty_rows():
-    expected = Deviations(np.array([[3.0, np.nan], [4.0, np.nan]]), np.full((2, 2), 1e-3))
-    foretold = Foretold(HeldOut(expected, UNSEEN.folds, ()), UNSEEN)
-    full = Unseen(UNSEEN, by_region=HeldOut(FITTED, ((0, 1),), ()), foretold=foretold)
-    rows = [Summary("staged", FITTED, Unseen(UNSEEN)), Summary("joint", FITTED, full)]
+    expected = ReprojectionErrors(np.array([[3.0, np.nan], [4.0, np.nan]]), np.full((2, 2), 1e-3))
+    foretold = PredictedError(HeldOutErrors(expected, UNSEEN.folds, ()), UNSEEN)
+    full = HeldOutReport(
+        UNSEEN, by_region=HeldOutErrors(FITTED, ((0, 1),), ()), predicted_error=foretold
+    )
+    rows = [
+        ErrorSummary("staged", FITTED, HeldOutReport(UNSEEN)),
+        ErrorSummary("joint", FITTED, full),
+    ]
     table = {name.strip(): cells for name, *cells in table_rows(rows)}
     assert table["held-out error, RMS"] == ["7.07 px", "7.07 px"]
     assert table["its 95 % interval over views"] == ["6.00 to 8.00 px"] * 2
@@ -68,42 +81,48 @@ def test_the_table_shows_what_was_evaluated_and_no_empty_rows():
     # 6 and 8 where 3 and 4 were expected.
     assert table["over what the fit expected (1 is honest)"] == ["-", "2.00"]
     assert "with a free pose a view" not in table
-    assert len(table_rows([Summary("joint", FITTED, None)])) == 2
+    assert len(table_rows([ErrorSummary("joint", FITTED, None)])) == 2
 
 
 def test_remarks_say_what_the_figures_leave_out():
-    assert remarks("joint", FITTED, Unseen(UNSEEN)) == [
+    assert remarks("joint", FITTED, HeldOutReport(UNSEEN)) == [
         "joint: 1 points seen cannot be predicted at all",
         "joint: 1 held-out points seen cannot be predicted at all",
         "joint: fold 2 failed: no pose",
         "joint: fold 1 did not converge: ran out of steps",
     ]
-    outside = UNSEEN._replace(unconverged=(), failures=(), extrapolated=(1,))
-    assert remarks("linear interpolation", None, Unseen(outside))[1:] == [
+    outside = UNSEEN._replace(unconverged_folds=(), failures=(), extrapolated_views=(1,))
+    assert remarks("linear interpolation", None, HeldOutReport(outside))[1:] == [
         "linear interpolation: 1 of 2 held-out views lie outside the hull of the viewpoints that "
         "were left: extrapolated"
     ]
     assert remarks("joint", None, None, "no pose at all") == ["joint: no pose at all"]
-    whole = Deviations(np.ones((1, 2)), np.ones((1, 2)))
-    assert remarks("joint", whole, Unseen(HeldOut(whole, ((0,),), ()))) == []
+    whole = ReprojectionErrors(np.ones((1, 2)), np.ones((1, 2)))
+    assert remarks("joint", whole, HeldOutReport(HeldOutErrors(whole, ((0,),), ()))) == []
 
 
 def test_the_errors_found_are_in_the_units_people_use():
     """A field that moves every tool by 2 mm along its x: some 20 px, left out or not."""
     scene = random_scene(0, 4, pixel_noise=0.0)
     noise = Noise(0.4, 1e-4, np.deg2rad(0.02), field=(1e-3, 1e-3), white_pixel=0.1)
-    tried = (Alternative("white", 0.1, 0.0, noise), Alternative("position", 0.9, 31.4, noise))
-    field = LinearInPosition.over(scene.data.base_from_tool)
+    tried = (
+        CandidateResult("white", 0.1, 0.0, noise),
+        CandidateResult("position", 0.9, 31.4, noise),
+    )
+    field = LinearInPosition.from_poses(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
-    sizes, none = (0.1, 0.2, 3.0), Doubt(*(np.zeros(0) for _ in Doubt._fields))
+    sizes, none = (
+        (0.1, 0.2, 3.0),
+        SmallSampleCorrection(*(np.zeros(0) for _ in SmallSampleCorrection._fields)),
+    )
     estimate = NoiseEstimate(
         "position", noise, field, bent, tried, None, None, False, sizes, (), none, RobotPrior()
     )
     trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
-    assert errors_found(trusting, scene.data) == []
-    joint = dataclasses.replace(trusting, noise=noise, estimate=estimate, calibration=bent)
-    lines = errors_found(joint, scene.data)
+    assert error_model_rows(trusting, scene.data) == []
+    joint = dataclasses.replace(trusting, noise=noise, noise_estimate=estimate, calibration=bent)
+    lines = error_model_rows(joint, scene.data)
     assert lines[0][1].startswith("position (smooth, linear in the tool's position); ")
     assert lines[0][1].endswith("probabilities: white 0.10, position 0.90")
     assert "0.400 px +- 10% (within a view 0.100)" in lines[1][1]
@@ -123,44 +142,50 @@ def moved_view():
     data = eqx.tree_at(
         lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[6].set(wrong.wxyz_xyz)
     )
-    return data, calibrate(data, field=False)
+    return data, calibrate(data, field=None)
 
 
 def test_a_view_that_was_rejected_does_not_count(moved_view):
     data, fit = moved_view
     assert ("6", None) in [entry[:2] for entry in fit.rejected]
-    rows = summaries(fit, data)
-    without = data.without([6])
+    rows = error_summaries(fit, data)
+    without = data.mask_views([6])
     for row, part in zip(rows, (fit.staged, fit.joint), strict=True):
-        assert row.fitted.rms == pytest.approx(deviations(part.calibration, without).rms)
-        assert row.fitted.rms < 0.2 * deviations(part.calibration, data).rms
-    text = verdict(rows, fit)
-    assert f"{rows[1].fitted.rms:.2f} px RMS on the views it was fitted to" in text
+        assert row.registration_errors.rms == pytest.approx(
+            reprojection_errors(part.calibration, without).rms
+        )
+        assert row.registration_errors.rms < 0.2 * reprojection_errors(part.calibration, data).rms
+    text = result_summary(rows, fit)
+    assert f"{rows[1].registration_errors.rms:.2f} px RMS on the views it was fitted to" in text
     assert "Of 12 views 1 is rejected and not counted." in text
     assert "reliable" not in text
     budget = error_budget(data, fit.joint)
-    assert budget.total == pytest.approx(rows[1].fitted.rms)
+    assert budget.total_rms == pytest.approx(rows[1].registration_errors.rms)
 
 
 def test_few_views_are_called_few(moved_view):
     data, fit = moved_view
-    few = data.without(range(6, 12))
-    assert "With 6 views no figure here is reliable" in verdict(summaries(fit, few), fit)
+    few = data.mask_views(range(6, 12))
+    assert "With 6 views no figure here is reliable" in result_summary(
+        error_summaries(fit, few), fit
+    )
 
 
 def test_without_a_single_good_fold_the_fitted_error_is_told(moved_view):
     data, fit = moved_view
-    nothing = HeldOut(Deviations(*np.full((2, 12, 28), np.nan)), ((0,),), ((0, "no pose"),))
-    unseen = dict.fromkeys(("staged", "joint"), Unseen(nothing))
-    text = verdict(summaries(fit, data, unseen), fit)
+    nothing = HeldOutErrors(
+        ReprojectionErrors(*np.full((2, 12, 28), np.nan)), ((0,),), ((0, "no pose"),)
+    )
+    unseen = dict.fromkeys(("staged", "joint"), HeldOutReport(nothing))
+    text = result_summary(error_summaries(fit, data, unseen), fit)
     assert "nan" not in text
     assert "on the views it was fitted to" in text
 
 
 def test_remarks_are_on_every_measure():
-    floor = HeldOut(FITTED, ((0,), (1,)), ((0, "no free pose"), (1, "no pose")))
-    expected = HeldOut(FITTED, ((0,), (1,)), ((0, "leaves something open"),))
-    unseen = Unseen(UNSEEN, UNSEEN, floor, Foretold(expected, UNSEEN))
+    floor = HeldOutErrors(FITTED, ((0,), (1,)), ((0, "no free pose"), (1, "no pose")))
+    expected = HeldOutErrors(FITTED, ((0,), (1,)), ((0, "leaves something open"),))
+    unseen = HeldOutReport(UNSEEN, UNSEEN, floor, PredictedError(expected, UNSEEN))
     found = remarks("joint", None, unseen)
     assert "joint: fold 2 failed: no pose" in found
     assert "joint, by region: fold 2 failed: no pose" in found
@@ -171,10 +196,12 @@ def test_remarks_are_on_every_measure():
 
 
 def test_what_folds_and_halves_took_the_error_for_is_counted():
-    assert models_chosen(["pose", "implied_arm", "implied_arm"]).endswith("implied_arm 2, pose 1")
-    assert models_chosen([]) == ""
-    assert _in_words("pose") == "pose (smooth, linear in the tool's pose)"
-    assert _in_words("Sag") == "Sag"
+    assert model_counts_text(["pose", "implied_arm", "implied_arm"]).endswith(
+        "implied_arm 2, pose 1"
+    )
+    assert model_counts_text([]) == ""
+    assert _model_with_description("pose") == "pose (smooth, linear in the tool's pose)"
+    assert _model_with_description("Sag") == "Sag"
 
 
 def test_an_arms_own_errors_are_parameters_in_its_units(moved_view):

@@ -44,7 +44,7 @@ def test_the_tool_is_where_the_corrected_numbers_put_it(joints):
         arm, theta=arm.theta + offset, d=arm.d + d, a=arm.a + a, alpha=arm.alpha + alpha
     )
     error = RobotError(DHErrors(arm), jnp.concatenate([offset, d, a, alpha]))
-    found, expected = error.true_pose(arm.command(joints)), right.base_from_tool(joints)
+    found, expected = error.actual_pose(arm.command(joints)), right.base_from_tool(joints)
     np.testing.assert_allclose((found.inverse() @ expected).log(), 0.0, atol=1e-13)
 
 
@@ -54,7 +54,7 @@ def test_a_joint_goes_its_ratio_times_its_reading_and_its_offset():
     readings = jnp.array([[0.3, -0.4, 0.5], [-1.0, 0.2, 0.7]])
     error = RobotError(JointRatios(arm), jnp.concatenate([offset, ratio]))
     expected = arm.base_from_tool(readings * (1.0 + ratio)[None] + offset[None])
-    found = error.true_pose(arm.command(readings))
+    found = error.actual_pose(arm.command(readings))
     np.testing.assert_allclose((found.inverse() @ expected).log(), 0.0, atol=1e-13)
 
 
@@ -64,14 +64,14 @@ def test_a_command_keeps_readings_within_their_limits(joints):
     arm = dataclasses.replace(six_axes(), limits=jnp.tile(jnp.array([-1.0, 1.0]), (6, 1)))
     error = RobotError(JointRatios(arm), jnp.concatenate([jnp.zeros(6), jnp.full(6, 0.3)]))
     assert np.abs(1.3 * reading).max() > 1.0
-    told = error.command(error.true_pose(arm.command(reading)), reading)
+    told = error.command(error.actual_pose(arm.command(reading)), reading)
     np.testing.assert_allclose(told.joints, reading, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", [JointRatios, DHErrors])
 def test_the_smaller_field_is_the_first_part_of_the_larger(joints, kind):
     larger = kind(six_axes())
-    smaller = larger.nested[0]
+    smaller = larger.nested_fields[0]
     assert isinstance(smaller, JointOffsets)
     assert larger.groups[: len(smaller.groups)] == smaller.groups
     assert larger.names[: smaller.size] == smaller.names
@@ -79,15 +79,15 @@ def test_the_smaller_field_is_the_first_part_of_the_larger(joints, kind):
     whole = jnp.zeros(larger.size).at[: smaller.size].set(offsets)
     command = larger.arm.command(joints)
     np.testing.assert_array_equal(
-        smaller.true_pose(command, offsets).wxyz_xyz, larger.true_pose(command, whole).wxyz_xyz
+        smaller.actual_pose(command, offsets).wxyz_xyz, larger.actual_pose(command, whole).wxyz_xyz
     )
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=["six", "seven", "sliding"])
 def test_no_errors_leave_the_pose_as_reported(arm):
-    reported = arm.command(np.full((2, arm.size), 0.3))
-    for field in (*DHErrors(arm).nested, JointRatios(arm)):
-        found = RobotError.none(field).true_pose(reported)
+    reported = arm.command(np.full((2, arm.joint_count), 0.3))
+    for field in (*DHErrors(arm).nested_fields, JointRatios(arm)):
+        found = RobotError.zero(field).actual_pose(reported)
         np.testing.assert_array_equal(found.wxyz_xyz, reported.base_from_tool.wxyz_xyz)
 
 
@@ -102,11 +102,11 @@ def test_names_count_joints_from_one(field):
 
 def test_the_twist_of_each_coefficient_is_that_of_a_small_change(error, joints):
     command, step = error.field.arm.command(joints), 1e-6
-    found = error.by_coefficients(command)
-    here = error.true_pose(command).inverse()
+    found = error.jacobian(command)
+    here = error.actual_pose(command).inverse()
     for k in range(error.field.size):
         ahead, behind = (
-            here @ RobotError(error.field, error.coefficients.at[k].add(s)).true_pose(command)
+            here @ RobotError(error.field, error.coefficients.at[k].add(s)).actual_pose(command)
             for s in (step, -step)
         )
         twist = (ahead.log() - behind.log()) / (2.0 * step)
@@ -117,7 +117,7 @@ def test_the_twist_of_each_coefficient_is_that_of_a_small_change(error, joints):
 def test_a_calibration_predicts_and_commands_through_the_arm(error, joints, mount):
     arm, calibration = error.field.arm, calibration_with(error, mount)
     seen = calibration.camera_from_world(arm.command(joints))
-    true = calibration_with(None, mount).camera_from_world(error.true_pose(arm.command(joints)))
+    true = calibration_with(None, mount).camera_from_world(error.actual_pose(arm.command(joints)))
     np.testing.assert_allclose((seen.inverse() @ true).log(), 0.0, atol=1e-13)
     near = joints + 0.03
     np.testing.assert_allclose(calibration.joints_for(seen, near), joints, atol=1e-7)
@@ -153,17 +153,17 @@ def test_files_keep_the_arm(error, tmp_path):
 def test_differentiable_through_the_inversion(error, joints):
     """The joints move against what the errors move: implicit differentiation, by hand."""
     arm, command = error.field.arm, error.field.arm.command(joints[0])
-    wanted = error.true_pose(command)
+    wanted = error.actual_pose(command)
 
     def told(coefficients):
         return RobotError(error.field, coefficients).command(wanted, joints[0]).joints
 
     along = jnp.ones(error.field.size)
     _, moved = jax.jvp(told, (error.coefficients,), (along,))
-    ratios = error.field.ratios(error.coefficients)
-    corrected = error.field.corrected(error.coefficients)
+    ratios = error.field.joint_scale_factors(error.coefficients)
+    corrected = error.field.actual_arm(error.coefficients)
     by_joints = corrected.jacobian(joints[0] * ratios) * ratios[None]
     one = type(command)(SE3(command.base_from_tool.wxyz_xyz[None]), command.joints[None])
-    by_coefficients = error.by_coefficients(one)[0] @ along
+    by_coefficients = error.jacobian(one)[0] @ along
     np.testing.assert_allclose(by_joints @ moved, -by_coefficients, atol=1e-6)
-    assert arm.size == len(moved)
+    assert arm.joint_count == len(moved)

@@ -8,7 +8,7 @@ from smartview_jax import Calibration
 from smartview_jax.robot_errors import (
     AbstractField,
     CombinedField,
-    ImpliedArm,
+    GenericSixAxisArm,
     LinearInPosition,
     RobotError,
 )
@@ -19,7 +19,7 @@ from smartview_jax.simulation import paper_calibration, random_scene
 @pytest.fixture(scope="module")
 def error():
     poses = random_scene(0, 12).data.base_from_tool
-    field = CombinedField(LinearInPosition.over(poses), ImpliedArm.over(poses))
+    field = CombinedField(LinearInPosition.from_poses(poses), GenericSixAxisArm.from_poses(poses))
     coefficients = 1e-3 * np.random.default_rng(1).normal(size=field.size)
     return RobotError(field, jnp.asarray(coefficients)), poses
 
@@ -27,24 +27,24 @@ def error():
 def test_errors_follow_one_another(error):
     combined, poses = error
     first, second = np.split(combined.coefficients, [combined.field.first.size])
-    tool = poses.inverse() @ RobotError(combined.field.first, first).true_pose(poses)
-    tool = tool @ poses.inverse() @ RobotError(combined.field.second, second).true_pose(poses)
+    tool = poses.inverse() @ RobotError(combined.field.first, first).actual_pose(poses)
+    tool = tool @ poses.inverse() @ RobotError(combined.field.second, second).actual_pose(poses)
     expected = poses @ tool
-    found = combined.true_pose(poses)
+    found = combined.actual_pose(poses)
     np.testing.assert_allclose((expected.inverse() @ found).log(), 0.0, atol=1e-13)
 
 
 def test_the_twist_of_each_coefficient_is_the_derivative_of_the_pose(error):
     combined, poses = error
     reported = as_command(poses)
-    found = combined.field.by_coefficients(reported, combined.coefficients)
-    expected = AbstractField.by_coefficients(combined.field, reported, combined.coefficients)
+    found = combined.field.jacobian(reported, combined.coefficients)
+    expected = AbstractField.jacobian(combined.field, reported, combined.coefficients)
     np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 def test_true_and_reported_poses_are_each_others_inverse(error):
     combined, poses = error
-    back = combined.command(combined.true_pose(poses)).base_from_tool
+    back = combined.command(combined.actual_pose(poses)).base_from_tool
     np.testing.assert_allclose((poses.inverse() @ back).log(), 0.0, atol=1e-10)
 
 
@@ -59,6 +59,6 @@ def test_a_file_keeps_it(error, tmp_path):
 
 def test_groups_of_one_name_cannot_be_told_apart(error):
     _, poses = error
-    field = LinearInPosition.over(poses)
+    field = LinearInPosition.from_poses(poses)
     with pytest.raises(ValueError, match="expected groups of other names than the first's"):
         CombinedField(field, field)

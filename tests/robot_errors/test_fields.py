@@ -44,8 +44,8 @@ def poses():
 @pytest.fixture(scope="module", params=["position", "pose", "own"])
 def error(request, poses):
     field = {
-        "position": lambda: LinearInPosition.over(poses),
-        "pose": lambda: LinearInPose.over(poses),
+        "position": lambda: LinearInPosition.from_poses(poses),
+        "pose": lambda: LinearInPose.from_poses(poses),
         "own": lambda: Sag(jnp.asarray(1.5)),
     }[request.param]()
     rng = np.random.default_rng(1)
@@ -53,8 +53,8 @@ def error(request, poses):
 
 
 def test_there_are_18_and_54_coefficients(poses):
-    assert LinearInPosition.over(poses).size == 18
-    assert LinearInPose.over(poses).size == 54
+    assert LinearInPosition.from_poses(poses).size == 18
+    assert LinearInPose.from_poses(poses).size == 54
 
 
 def test_groups_names_and_columns_agree(error, poses):
@@ -66,7 +66,7 @@ def test_groups_names_and_columns_agree(error, poses):
 
 def test_the_twist_is_linear_in_the_position_in_base_axes(poses):
     """Worked out with SciPy: a matrix times the scaled offset, turned into the tool's frame."""
-    field = LinearInPosition.over(poses)
+    field = LinearInPosition.from_poses(poses)
     rng = np.random.default_rng(2)
     shift, turn = 1e-3 * rng.normal(size=(2, 3, 3))
     coefficients = jnp.concatenate([jnp.asarray(shift).ravel(), jnp.asarray(turn).ravel()])
@@ -84,30 +84,30 @@ def test_a_field_in_the_pose_sees_turns_that_one_in_position_does_not(poses):
         SE3.exp(jnp.ones(6)).rotation() @ poses.rotation(), poses.translation()
     )
     for kind, changes in ((LinearInPosition, False), (LinearInPose, True)):
-        field = kind.over(poses)
+        field = kind.from_poses(poses)
         # In base axes: the tool's own frame has turned.
         seen = [pose.rotation().as_matrix() @ field.basis(pose)[:, :3] for pose in (poses, turned)]
         assert bool(jnp.allclose(*seen, atol=1e-12)) is not changes
 
 
 def test_true_and_reported_poses_are_each_others_inverse(error, poses):
-    back = error.command(error.true_pose(poses)).base_from_tool
+    back = error.command(error.actual_pose(poses)).base_from_tool
     np.testing.assert_allclose((poses.inverse() @ back).log(), 0.0, atol=1e-13)
-    forth = error.true_pose(error.command(poses))
+    forth = error.actual_pose(error.command(poses))
     np.testing.assert_allclose((poses.inverse() @ forth).log(), 0.0, atol=1e-13)
 
 
 def test_the_twist_of_each_coefficient_is_the_derivative_of_the_pose(error, poses):
     """The closed form of the linear fields, against the derivative that any field inherits."""
     reported = as_command(poses)
-    found = error.field.by_coefficients(reported, error.coefficients)
-    expected = AbstractField.by_coefficients(error.field, reported, error.coefficients)
+    found = error.field.jacobian(reported, error.coefficients)
+    expected = AbstractField.jacobian(error.field, reported, error.coefficients)
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_what_the_robot_says_and_where_it_is_differ_by_the_twist(error, poses):
     tool_from_base = SE3.exp(error.field.twist(poses, error.coefficients)) @ poses.inverse()
-    np.testing.assert_allclose((tool_from_base @ error.true_pose(poses)).log(), 0.0, atol=1e-14)
+    np.testing.assert_allclose((tool_from_base @ error.actual_pose(poses)).log(), 0.0, atol=1e-14)
 
 
 def test_works_under_jit_vmap_and_grad(error, poses):
@@ -139,7 +139,7 @@ def test_a_calibration_predicts_and_commands_by_where_the_tool_is(error, poses, 
     calibration = calibration_with(error, mount)
     bare = calibration_with(None, mount)
     seen = calibration.camera_from_world(poses)
-    expected = bare.camera_from_world(error.true_pose(poses))
+    expected = bare.camera_from_world(error.actual_pose(poses))
     np.testing.assert_allclose((seen.inverse() @ expected).log(), 0.0, atol=1e-13)
     told = calibration.command_for(seen)
     np.testing.assert_allclose((told.inverse() @ poses).log(), 0.0, atol=1e-12)
@@ -177,7 +177,7 @@ def test_a_field_the_library_does_not_know_is_named(tmp_path):
 
 
 def test_missing_coefficients_are_named(tmp_path, poses):
-    error = RobotError.none(LinearInPosition.over(poses))
+    error = RobotError.zero(LinearInPosition.from_poses(poses))
     content = calibration_with(error).to_dict()
     del content["robot_error"]["coefficients"]["rotation_by_position.3"]
     with pytest.raises(
@@ -192,6 +192,6 @@ def test_a_robot_that_only_turned_has_a_field_without_infinities():
     for place, tremble in (([0.0, 0.0, 0.0], 0.0), ([0.51, 0.13, 0.77], 1e-6)):
         shifts = np.array(place) + tremble * np.random.default_rng(0).normal(size=(12, 3))
         poses = SE3.from_rotation_and_translation(turns.rotation(), jnp.asarray(shifts))
-        field = LinearInPosition.over(poses)
+        field = LinearInPosition.from_poses(poses)
         assert float(jnp.abs(field.basis(poses)).max()) < 1e-5
-        assert float(field.extent(as_command(poses)).max()) < 1e-5
+        assert float(field.normalised_distance(as_command(poses)).max()) < 1e-5

@@ -10,7 +10,7 @@ from jaxlie import SE3
 
 from smartview_jax.robots import (
     SerialArm,
-    Status,
+    SolutionStatus,
     is_puma_like,
     kuka_lwr4,
     nearest_puma_joints,
@@ -119,7 +119,7 @@ def test_every_branch_puts_the_tool_there_and_one_is_where_it_came_from(name):
     found = jax.jit(lambda poses: puma_joints(arm, poses))(poses)
     assert found.joints.shape == (2000, 8, 6)
     there = np.isfinite(found.joints).all(axis=-1)
-    lost = (np.asarray(found.status) & Status.OUT_OF_REACH) != 0
+    lost = (np.asarray(found.status) & SolutionStatus.OUT_OF_REACH) != 0
     np.testing.assert_array_equal(there, ~lost)
     view, _ = np.nonzero(there)
     same_pose(arm.base_from_tool(found.joints[there]), SE3(poses.wxyz_xyz[jnp.asarray(view)]), 1e-9)
@@ -167,9 +167,9 @@ def test_a_straight_wrist_has_a_definite_answer_and_says_so():
     joints = jnp.array([0.3, 0.6, -0.8, 0.5, -arm.theta[4], 1.0])
     pose = arm.base_from_tool(joints)
     found = nearest_puma_joints(arm, pose, joints)
-    assert int(found.status) == Status.WRIST_SINGULAR
-    assert found.reached
-    assert found.reason().startswith("singular wrist")
+    assert int(found.status) == SolutionStatus.WRIST_SINGULAR
+    assert found.is_solved
+    assert found.status_text().startswith("singular wrist")
     assert found.joints[3] == 0.0
     same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
     slopes = jax.jacrev(lambda t: puma_joints(arm, pose @ SE3.exp(t)).joints)(jnp.zeros(6))
@@ -191,11 +191,11 @@ def test_a_stretched_arm_is_a_singular_elbow():
     straight = float(jnp.arctan2(-arm.d[3], arm.a[2]))  # the forearm on the upper arm's line
     pose = arm.base_from_tool(np.array([0.3, 0.6, straight, 0.5, 0.7, 1.0]))
     found = puma_joints(arm, pose)
-    assert (found.status[4:] & Status.ELBOW_SINGULAR).all() or (
-        found.status[:4] & Status.ELBOW_SINGULAR
+    assert (found.status[4:] & SolutionStatus.ELBOW_SINGULAR).all() or (
+        found.status[:4] & SolutionStatus.ELBOW_SINGULAR
     ).all()
-    view = int(np.argmax(np.asarray(found.status) & Status.ELBOW_SINGULAR))
-    assert "singular elbow" in found.reason(view)
+    view = int(np.argmax(np.asarray(found.status) & SolutionStatus.ELBOW_SINGULAR))
+    assert "singular elbow" in found.status_text(view)
     there = np.isfinite(found.joints).all(axis=-1)
     poses = SE3(jnp.broadcast_to(pose.wxyz_xyz, (int(there.sum()), 7)))
     same_pose(arm.base_from_tool(found.joints[there]), poses, 1e-9)
@@ -209,12 +209,12 @@ def test_a_wrist_above_the_shoulder_is_singular_and_nearer_out_of_reach():
         where = jnp.array([0.0, distance, 0.6])
         return puma_joints(arm, SE3.from_rotation_and_translation(turn, where))
 
-    assert (at(side).status & Status.SHOULDER_SINGULAR).all()
-    assert (at(0.9 * side).status == Status.OUT_OF_REACH).all()
-    assert not (at(1.1 * side).status & Status.SHOULDER_SINGULAR).any()
+    assert (at(side).status & SolutionStatus.SHOULDER_SINGULAR).all()
+    assert (at(0.9 * side).status == SolutionStatus.OUT_OF_REACH).all()
+    assert not (at(1.1 * side).status & SolutionStatus.SHOULDER_SINGULAR).any()
     # An arm without an offset: joint 1 may be anything, and is zero.
     over = puma_joints(six_axes(), six_axes().base_from_tool(above_the_axis(six_axes())))
-    assert (over.status & Status.SHOULDER_SINGULAR).any()
+    assert (over.status & SolutionStatus.SHOULDER_SINGULAR).any()
 
 
 def above_the_axis(arm):
@@ -240,8 +240,8 @@ def test_out_of_reach_is_nan_and_named():
         puma_560(), SE3.from_translation(jnp.array([2.0, 0, 0])), np.zeros(6)
     )
     assert np.isnan(found.joints).all()
-    assert not found.reached
-    assert found.reason() == "out of reach"
+    assert not found.is_solved
+    assert found.status_text() == "out of reach"
 
 
 def test_out_of_limits_names_the_joint_and_still_says_where():
@@ -250,10 +250,10 @@ def test_out_of_limits_names_the_joint_and_still_says_where():
     narrow = dataclasses.replace(arm, limits=arm.limits.at[0].set(jnp.array([1.0, 1.1])))
     pose = arm.base_from_tool(joints + np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0]))
     found = nearest_puma_joints(narrow, pose, joints)
-    assert found.reason() == "out of limits: joint 1"
-    assert not found.reached
+    assert found.status_text() == "out of limits: joint 1"
+    assert not found.is_solved
     same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
-    assert nearest_puma_joints(wide, pose, joints).reached
+    assert nearest_puma_joints(wide, pose, joints).is_solved
 
 
 def test_an_answer_within_limits_comes_before_a_nearer_one_without():
@@ -262,7 +262,7 @@ def test_an_answer_within_limits_comes_before_a_nearer_one_without():
     arm = dataclasses.replace(arm, limits=arm.limits.at[4].set(jnp.array([0.0, 1.5])))
     flipped = joints * [1, 1, 1, 1, -1, 1] + [0.0, 0.0, 0.0, np.pi, 0.0, np.pi]
     found = nearest_puma_joints(arm, arm.base_from_tool(joints), flipped)
-    assert found.reached
+    assert found.is_solved
     assert found.joints[4] > 0.0
 
 
@@ -275,7 +275,7 @@ def test_the_nearest_turn_within_the_limits(near, expected):
     close = joints.copy()
     close[5] = near
     found = nearest_puma_joints(arm, arm.base_from_tool(joints), close)
-    assert found.reached
+    assert found.is_solved
     np.testing.assert_allclose(found.joints[5], expected, atol=1e-9)
 
 
@@ -284,7 +284,7 @@ def test_a_joint_at_its_limit_is_within():
     joints = np.asarray(arm.limits[:, 1]).copy()
     joints[1:3] = 0.6, -0.8
     found = nearest_puma_joints(arm, arm.base_from_tool(joints), joints)
-    assert found.reached
+    assert found.is_solved
     np.testing.assert_allclose(found.joints, joints, atol=1e-9)
 
 
@@ -294,6 +294,6 @@ def test_other_arms_are_refused():
     modified = dataclasses.replace(puma_560(), convention="modified")
     for arm in (kuka_lwr4(), skew, offset, modified):
         assert not is_puma_like(arm)
-        with pytest.raises(ValueError, match="a Puma-like arm has six turning joints"):
+        with pytest.raises(ValueError, match="a Puma-like arm has six revolute joints"):
             puma_joints(arm, SE3.identity())
     assert is_puma_like(puma_560())

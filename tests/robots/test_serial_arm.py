@@ -13,9 +13,9 @@ from smartview_jax.robots import (
     SerialArm,
     arm_from_dict,
     arm_to_dict,
-    joints_near,
     kuka_lwr4,
     six_axes,
+    solve_joints_iteratively,
 )
 
 
@@ -92,9 +92,11 @@ def test_works_under_jit_vmap_and_grad():
 @pytest.mark.parametrize("arm", [six_axes(), kuka_lwr4()], ids=["six", "seven"])
 def test_joints_are_found_again_near_by(arm):
     rng = np.random.default_rng(2)
-    joints = rng.uniform(-1.0, 1.0, (8, arm.size))
+    joints = rng.uniform(-1.0, 1.0, (8, arm.joint_count))
     poses = arm.base_from_tool(joints)
-    found, reached = joints_near(arm, poses, joints + 0.05 * rng.normal(size=joints.shape))
+    found, reached = solve_joints_iteratively(
+        arm, poses, joints + 0.05 * rng.normal(size=joints.shape)
+    )
     assert reached.all()
     left = (arm.base_from_tool(found).inverse() @ poses).log()
     np.testing.assert_allclose(left, 0.0, atol=1e-8)
@@ -102,16 +104,16 @@ def test_joints_are_found_again_near_by(arm):
 
 def test_a_pose_out_of_reach_is_said_to_be():
     far = SE3.from_translation(jnp.array([5.0, 0.0, 0.0]))
-    joints, reached = joints_near(six_axes(), far, np.full(6, 0.3))
+    joints, reached = solve_joints_iteratively(six_axes(), far, np.full(6, 0.3))
     assert not reached
     assert np.isfinite(joints).all()
 
 
 def test_readings_beyond_the_limits_are_told():
     arm = SerialArm(*np.zeros((4, 3)), limits=[[-1.0, 1.0], [-np.inf, 0.5], [-np.inf, np.inf]])
-    found = arm.out_of_limits(np.array([[1.5, -9.0, 99.0], [-0.5, 0.6, 0.0]]))
+    found = arm.violated_limits(np.array([[1.5, -9.0, 99.0], [-0.5, 0.6, 0.0]]))
     np.testing.assert_array_equal(found, [[True, False, False], [False, True, False]])
-    assert not six_axes().out_of_limits(np.full(6, 1e3)).any()
+    assert not six_axes().violated_limits(np.full(6, 1e3)).any()
 
 
 def test_the_chain_begins_where_the_first_joint_is():
@@ -147,7 +149,7 @@ def test_wrong_input_is_named():
         SerialArm(*np.zeros((4, 2)), limits=[[-1.0, 1.0], [1.0, -1.0]])
     with pytest.raises(ValueError, match="convention is one of standard, modified; found 'craig'"):
         SerialArm([0.0], [0.0], [0.0], [0.0], convention="craig")
-    with pytest.raises(ValueError, match=r"one number a joint in each row; found .*'d': \(2,\)"):
+    with pytest.raises(ValueError, match=r"one number per joint in each row; found .*'d': \(2,\)"):
         SerialArm([0.0], [0.0, 1.0], [0.0], [0.0])
     with pytest.raises(ValueError, match=r"joints: expected \(..., 6\).*found \(5,\)"):
         six_axes().base_from_tool(np.zeros(5))

@@ -7,14 +7,14 @@ from typer.testing import CliRunner
 
 from smartview_jax.cli import app
 from smartview_jax.io import sample_folder
-from smartview_jax.schemas.json_schema import SCHEMAS, json_schema, shipped
+from smartview_jax.schemas.json_schema import SCHEMAS, json_schema, schema_path
 from smartview_jax.simulation import paper_calibration
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_what_ships_is_what_files_are_read_through(name):
     """If not: `python -m smartview_jax.schemas.json_schema`."""
-    assert shipped(name).read_text(encoding="utf-8") == json_schema(name)
+    assert schema_path(name).read_text(encoding="utf-8") == json_schema(name)
     run = CliRunner().invoke(app, ["schema", name])
     assert json.loads(run.stdout) == json.loads(json_schema(name))
 

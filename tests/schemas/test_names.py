@@ -5,18 +5,18 @@ import pytest
 
 from smartview_jax.geometry import ANGLE_UNITS, LENGTH_UNITS
 from smartview_jax.geometry.pose_codecs import POSE_CODECS
-from smartview_jax.robots.serial_arm import CONVENTIONS
+from smartview_jax.robots.serial_arm import DH_CONVENTIONS
 from smartview_jax.schemas import dataset
 from smartview_jax.schemas.arm import ArmEntry
-from smartview_jax.schemas.reading import checked
 from smartview_jax.schemas.target import TargetEntry
-from smartview_jax.targets.description import KINDS
+from smartview_jax.schemas.validation import validate_content
+from smartview_jax.targets.serialization import TARGET_CLASSES
 
 KNOWN = {
-    "codecs": (dataset.Codec, POSE_CODECS),
+    "codecs": (dataset.CodecName, POSE_CODECS),
     "lengths": (dataset.LengthUnit, LENGTH_UNITS),
     "angles": (dataset.AngleUnit, ANGLE_UNITS),
-    "conventions": (ArmEntry.model_fields["convention"].annotation, CONVENTIONS),
+    "conventions": (ArmEntry.model_fields["convention"].annotation, DH_CONVENTIONS),
 }
 
 
@@ -29,9 +29,9 @@ def test_schemas_know_the_names_that_the_library_knows(what):
 def test_schemas_have_the_numbers_that_targets_have():
     union = get_args(get_args(TargetEntry)[0])
     entries = {get_args(entry.model_fields["kind"].annotation)[0]: entry for entry in union}
-    assert set(entries) == set(KINDS)
+    assert set(entries) == set(TARGET_CLASSES)
     for kind, entry in entries.items():
-        fields = {field.name: field for field in dataclasses.fields(KINDS[kind])}
+        fields = {field.name: field for field in dataclasses.fields(TARGET_CLASSES[kind])}
         assert set(entry.model_fields) - {"kind", "heights"} == set(fields)
         for name, field in fields.items():
             has_default = field.default is not dataclasses.MISSING
@@ -40,10 +40,10 @@ def test_schemas_have_the_numbers_that_targets_have():
 
 
 def test_no_more_problems_are_named_than_a_person_reads():
-    from smartview_jax.schemas.dataset import DATASET
+    from smartview_jax.schemas.dataset import DATASET_SCHEMA
 
     with pytest.raises(ValueError, match=r"^where: .*; and 6 more$") as caught:
-        checked(
+        validate_content(
             {
                 "smartview_dataset": 1,
                 "camera": {"image_size": [0, 0]},
@@ -51,7 +51,7 @@ def test_no_more_problems_are_named_than_a_person_reads():
                 "poses": {"file": ""},
                 "mount": "no",
             },
-            DATASET,
+            DATASET_SCHEMA,
             "where",
         )
     assert len(str(caught.value)) < 1000

@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smartview_jax import Dataset
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.simulation import six_axis_scene
 
-SHAPE = {"views": 25, "unseen": 40}
+SHAPE = {"views": 25, "held_out_views": 40}
 QUIET = {"pixel_noise": 0.0, "translation_noise": 0.0, "rotation_noise": 0.0}
-FLAT = {"warp": (0.0, 0.0)}
+FLAT = {"warp_range": (0.0, 0.0)}
 
 
 @pytest.fixture(scope="module")
@@ -21,17 +21,17 @@ def scenes():
 
 
 def test_an_exact_arm_over_a_flat_board_shows_the_projection_of_what_it_reports():
-    scene = six_axis_scene(0, **SHAPE, **QUIET, **FLAT, errors=0.0)
-    for data in (scene.data, scene.unseen):
+    scene = six_axis_scene(0, **SHAPE, **QUIET, **FLAT, error_scale=0.0)
+    for data in (scene.data, scene.held_out):
         assert data.observation_count > 0.95 * data.visible.size
-        assert deviations(scene.calibration.uncorrected, data).rms < 1e-9
+        assert reprojection_errors(scene.calibration.uncorrected, data).rms < 1e-9
 
 
 def test_the_true_errors_of_the_arm_explain_what_its_joints_show():
-    scene = six_axis_scene(1, **SHAPE, **QUIET, **FLAT).by_joints
-    for data in (scene.data, scene.unseen):
-        assert deviations(scene.calibration, data).rms < 1e-9
-        assert deviations(scene.calibration.uncorrected, data).rms > 0.3
+    scene = six_axis_scene(1, **SHAPE, **QUIET, **FLAT).with_joint_readings
+    for data in (scene.data, scene.held_out):
+        assert reprojection_errors(scene.calibration, data).rms < 1e-9
+        assert reprojection_errors(scene.calibration.uncorrected, data).rms > 0.3
 
 
 def links_by_hand(joints, error):
@@ -58,13 +58,13 @@ def test_reported_is_the_nominal_arm_and_true_the_wrong_one(scenes):
     nominal = links_by_hand(np.asarray(scene.joints[3]), np.zeros(24))
     told = scene.data.base_from_tool.as_matrix()[3]
     np.testing.assert_allclose(told, nominal, atol=1e-12)
-    wrong = links_by_hand(np.asarray(scene.unseen_joints[3]), error.coefficients)
+    wrong = links_by_hand(np.asarray(scene.held_out_joints[3]), error.coefficients)
     camera_from_world = (
         np.asarray(scene.calibration.camera_from_tool.as_matrix())
         @ np.linalg.inv(wrong)
         @ np.asarray(scene.calibration.base_from_world.as_matrix())
     )
-    by_joints = scene.by_joints.unseen.command
+    by_joints = scene.with_joint_readings.held_out.command
     found = scene.calibration.camera_from_world(by_joints).as_matrix()[3]
     np.testing.assert_allclose(found, camera_from_world, atol=1e-12)
 
@@ -80,10 +80,10 @@ def test_errors_are_of_the_stated_size_on_the_middle_links(scenes):
 def test_a_warped_board_leaves_its_plane_by_a_tenth_of_a_millimetre():
     """Heights by how far every point moves in all views, to first order."""
     flat, bent = (
-        six_axis_scene(2, **SHAPE, **QUIET, warp=warp) for warp in ((0.0, 0.0), (1e-4, 1e-4))
+        six_axis_scene(2, **SHAPE, **QUIET, warp_range=warp) for warp in ((0.0, 0.0), (1e-4, 1e-4))
     )
     shift = np.asarray(bent.data.pixels - flat.data.pixels)
-    command, board = flat.by_joints.data.command, np.array(flat.data.points[0])
+    command, board = flat.with_joint_readings.data.command, np.array(flat.data.points[0])
     raised = board + np.array([0.0, 0.0, 1e-6])
     low, high = (flat.calibration.project(command, points)[0] for points in (board, raised))
     per_metre = np.where(np.isfinite(shift), np.asarray(high - low) / 1e-6, 0.0)
@@ -102,19 +102,19 @@ def test_noise_has_the_stated_size():
     )
     errors = np.asarray(noisy.data.pixels - quiet.data.pixels)
     assert np.nanstd(errors) == pytest.approx(0.05, rel=0.05)
-    np.testing.assert_array_equal(noisy.unseen.pixels, quiet.unseen.pixels)
+    np.testing.assert_array_equal(noisy.held_out.pixels, quiet.held_out.pixels)
     shaken = six_axis_scene(3, **SHAPE, **FLAT, pixel_noise=0.0)
     shift = np.nanstd(np.asarray(shaken.data.pixels - quiet.data.pixels))
     # 0.02 mm and 0.003 degrees at half a metre, seen by 1056 px.
     expected = 1056.0 * np.hypot(2e-5 / 0.525, np.deg2rad(0.003))
     assert shift == pytest.approx(expected, rel=0.3)
-    np.testing.assert_array_equal(shaken.unseen.pixels, quiet.unseen.pixels)
+    np.testing.assert_array_equal(shaken.held_out.pixels, quiet.held_out.pixels)
 
 
 def test_poses_are_told_unless_joints_are_asked_for(scenes):
     scene = scenes[0]
     assert scene.data.joints is None
-    told = scene.by_joints
+    told = scene.with_joint_readings
     assert told.data.arm is not None
     np.testing.assert_allclose(
         told.data.base_from_tool.as_matrix(), scene.data.base_from_tool.as_matrix(), atol=1e-12

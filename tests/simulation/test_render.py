@@ -6,7 +6,7 @@ import smartview_jax as sv
 from smartview_jax.detection import detect
 from smartview_jax.io import load_dataset
 from smartview_jax.simulation import (
-    look_at,
+    look_at_from_above,
     paper_calibration,
     render,
     write_pictures,
@@ -33,7 +33,7 @@ def facing(target, tilt=0.2, roll=0.3):
     away = SO3.identity() if target.y_up else SO3.from_x_radians(np.pi)
     turn = SE3.from_rotation(away)
     flipped = np.asarray(turn @ centre)
-    return look_at(flipped, 0.2, tilt, 0.7, roll) @ turn
+    return look_at_from_above(flipped, 0.2, tilt, 0.7, roll) @ turn
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=repr)
@@ -53,7 +53,7 @@ def test_a_detector_finds_the_points_where_the_calibration_puts_them(target):
 def test_from_behind_there_is_nothing_to_see():
     truth = paper_calibration()
     target = TagGrid(1, 1, 0.02)
-    behind = truth.command_for(look_at(np.zeros(3), 0.2, np.pi, 0.0))
+    behind = truth.command_for(look_at_from_above(np.zeros(3), 0.2, np.pi, 0.0))
     assert np.ptp(render(truth, behind, target, noise=0.0)) == 0
 
 
@@ -87,7 +87,7 @@ def test_a_board_at_five_heights_from_pictures_to_a_calibration(tmp_path):
 def test_pictures_of_several_heights_need_their_number(tmp_path):
     truth = paper_calibration()
     target = StackedTarget(CircleGrid(3, 3, 0.006), (0.0, 0.01))
-    pose = truth.command_for(look_at(np.array([0.006, -0.006, 0.0]), 0.2, 0.1, 0.0))
+    pose = truth.command_for(look_at_from_above(np.array([0.006, -0.006, 0.0]), 0.2, 0.1, 0.0))
     folder = write_pictures(tmp_path, truth, SE3(pose.wxyz_xyz[None]), target, samples=1)
     text = (folder / "dataset.yaml").read_text()
     (folder / "dataset.yaml").write_text(text.replace("_{height}", ""))

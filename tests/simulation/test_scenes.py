@@ -5,18 +5,18 @@ from jaxlie import SE3
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.simulation import (
-    look_at,
+    look_at_from_above,
     paper_calibration,
     paper_points,
     random_scene,
+    random_viewpoints,
     simulate,
-    views_around,
 )
 
 
 def test_look_at_puts_the_target_on_the_optical_axis():
     target = np.array([0.1, -0.2, 0.3])
-    pose = look_at(target, distance=0.5, tilt=0.4, azimuth=1.1, roll=-0.7)
+    pose = look_at_from_above(target, distance=0.5, tilt=0.4, azimuth=1.1, roll=-0.7)
     np.testing.assert_allclose(pose.apply(jnp.asarray(target)), [0.0, 0.0, 0.5], atol=1e-15)
     centre = pose.inverse().translation() - target
     assert float(jnp.linalg.norm(centre)) == pytest.approx(0.5)
@@ -25,7 +25,7 @@ def test_look_at_puts_the_target_on_the_optical_axis():
 
 
 def test_look_at_from_straight_above_has_u_along_x_and_v_along_minus_y():
-    pose = look_at(np.zeros(3), 1.0, 0.0, 0.0)
+    pose = look_at_from_above(np.zeros(3), 1.0, 0.0, 0.0)
     expected = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])).as_matrix()
     np.testing.assert_allclose(pose.rotation().as_matrix(), expected, atol=1e-15)
 
@@ -72,7 +72,9 @@ def test_the_same_seed_gives_the_same_scene():
 
 def test_points_behind_the_camera_are_not_seen():
     calibration = paper_calibration()
-    away = views_around(np.random.default_rng(0), 3, np.array([0.0, 0.0, 1.0]), (0.1, 0.2), 0.1)
+    away = random_viewpoints(
+        np.random.default_rng(0), 3, np.array([0.0, 0.0, 1.0]), (0.1, 0.2), 0.1
+    )
     behind = paper_points() + np.array([0.0, 0.0, 2.0])
     scene = simulate(calibration, calibration.command_for(away), behind)
     assert scene.data.observation_count == 0

@@ -10,7 +10,7 @@ from smartview_jax.cameras import Camera, OpenCV4
 from smartview_jax.geometry import pose_codec
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import check_conventions
-from smartview_jax.staged.weng import locate_views
+from smartview_jax.staged.weng import estimate_view_poses
 from smartview_jax.targets import Chessboard
 
 VIEWS = 12
@@ -65,7 +65,7 @@ def test_inverted_poses_of_nearly_one_axis_are_named(name, prefix):
     data, reference = shared_pairs(name, prefix)
     fx, fy, cx, cy, *distortion = reference["K"]
     camera = Camera(fx, fy, cx, cy, OpenCV4(*distortion), data.image_size)
-    seen, _, _ = locate_views(data.observations, camera)
+    seen, _, _ = estimate_view_poses(data.observations, camera)
     robot = data.base_from_tool
     assert check_conventions(robot, seen, "eye_in_hand").problems == ()
     (problem,) = check_conventions(robot.inverse(), seen, "eye_in_hand").problems
@@ -133,7 +133,7 @@ def test_transposed_rotations_are_told_from_inverted_poses(poses):
     report = check_conventions(with_rotations(robot, rotations.inv()), seen, "eye_in_hand")
     (problem,) = report.problems
     assert "but do if the rotations are transposed, the positions are not" in problem
-    scores = {one.name: one.closure for one in report.explanations[::-1]}
+    scores = {one.name: one.closure_error for one in report.hypotheses[::-1]}
     assert scores["inverted"].rotation == pytest.approx(scores["transposed"].rotation, rel=1e-6)
     assert scores["inverted"].translation > 20.0 * scores["transposed"].translation
 
@@ -238,4 +238,4 @@ def test_a_hidden_view_is_not_asked(poses):
     wrong = SE3(robot.wxyz_xyz.at[5].set(robot.wxyz_xyz[6]))
     weights = jnp.ones(VIEWS).at[5].set(0.0)
     assert check_conventions(wrong, seen, "eye_in_hand", weights).suspicious_views == ()
-    assert np.isfinite(check_conventions(wrong, seen, "eye_in_hand", weights).misfit).all()
+    assert np.isfinite(check_conventions(wrong, seen, "eye_in_hand", weights).closure_error).all()

@@ -106,17 +106,17 @@ def test_bfgs_reaches_the_same_optimum_from_every_start(noisy):
     scene, T, C = noisy
     found = solve_hand_eye(T, C)
     assert found.converged
-    assert found.starts[0].name == PAPER_START
-    assert len(found.starts) == 1 + len(CLOSED_FORMS)
-    costs = [tried.cost for tried in found.starts]
+    assert found.searches[0].name == PAPER_START
+    assert len(found.searches) == 1 + len(CLOSED_FORMS)
+    costs = [tried.final_cost for tried in found.searches]
     np.testing.assert_allclose(costs, min(costs), rtol=1e-6)
-    assert all(tried.cost <= tried.start_cost for tried in found.starts)
+    assert all(tried.final_cost <= tried.initial_cost for tried in found.searches)
     gradient = jax.grad(
         lambda step: frobenius_cost(SE3.exp(step) @ found.holder_from_world, T, C, jnp.ones(VIEWS))
     )(jnp.zeros(6))
     assert np.abs(gradient).max() < 1e-5
     assert distance(found.holder_from_world, scene.calibration.base_from_world) < 5e-3
-    assert found.difference[0] < 5e-3
+    assert found.hand_eye_difference[0] < 5e-3
 
 
 def test_the_unit_of_length_matters_and_can_be_chosen(noisy):
@@ -134,7 +134,7 @@ def test_a_failed_start_is_listed_and_not_used(exact):
     C = scene.calibration.camera_from_tool @ T @ scene.calibration.base_from_world
     found = solve_hand_eye(T, C)
     assert all(np.isfinite(np.asarray(pose.wxyz_xyz)).all() for pose in (found.holder_from_world,))
-    assert min(tried.cost for tried in found.starts) < 1e-12
+    assert min(tried.final_cost for tried in found.searches) < 1e-12
 
 
 def test_two_views_are_too_few(exact):

@@ -47,7 +47,7 @@ def test_noise_across_the_plane_of_the_viewpoints_does_not_swell_the_weights():
     rng = np.random.default_rng(0)
     noisy = CROSS + 1e-4 * rng.normal(size=CROSS.shape)
     found = between(tilted(noisy))
-    assert found.axes.shape == (2, 3)
+    assert found.spanned_axes.shape == (2, 3)
     beside = tilted(np.array([[0.01, 0.01, 0.01], [0.0, 0.0, -0.02]]))
     assert np.abs(found.weights(jnp.asarray(beside))).max() < 1.0
     np.testing.assert_allclose(np.sum(found.weights(jnp.asarray(beside)), axis=1), 1.0)
@@ -58,25 +58,25 @@ def test_directions_are_spanned_where_viewpoints_spread(stretch, dimensions):
     rng = np.random.default_rng(1)
     positions = rng.normal(size=(12, 3)) * [1.0, 0.8, stretch]
     found = between(tilted(positions))
-    assert found.axes.shape == (dimensions, 3)
+    assert found.spanned_axes.shape == (dimensions, 3)
     again = found.weights(found.positions) @ found.positions
-    kept = found.axes.T @ found.axes
+    kept = found.spanned_axes.T @ found.spanned_axes
     np.testing.assert_allclose((again - found.positions) @ kept, 0.0, atol=1e-12)
 
 
 def test_one_line_and_one_place():
     line = between(CROSS[:3])
-    assert line.axes.shape == (1, 3)
+    assert line.spanned_axes.shape == (1, 3)
     np.testing.assert_array_equal(
-        line.inside(poses_at([[0.02, 0, 0], [0.04, 0, 0], [0.0, 0.01, 0]])), [True, False, False]
+        line.is_inside(poses_at([[0.02, 0, 0], [0.04, 0, 0], [0.0, 0.01, 0]])), [True, False, False]
     )
-    assert between(np.zeros((2, 3))).axes.shape == (0, 3)
+    assert between(np.zeros((2, 3))).spanned_axes.shape == (0, 3)
 
 
 def test_inside_is_what_a_linear_programme_calls_inside():
     found = between(tilted(CROSS))
     places = np.random.default_rng(2).uniform(-0.03, 0.03, (200, 3)) * [1.0, 1.0, 0.0]
-    inside = found.inside(poses_at(tilted(places)))
+    inside = found.is_inside(poses_at(tilted(places)))
     A = np.vstack([CROSS[:, :2].T, np.ones(5)])
     expected = [linprog(np.zeros(5), A_eq=A, b_eq=[x, y, 1.0]).status == 0 for x, y, _ in places]
     # What lies within a hundredth of the hull's edge may count either way.
@@ -88,4 +88,4 @@ def test_inside_is_what_a_linear_programme_calls_inside():
 def test_far_from_the_plane_is_outside():
     found = between(tilted(CROSS))
     above = tilted(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]))
-    np.testing.assert_array_equal(found.inside(poses_at(above)), [True, False])
+    np.testing.assert_array_equal(found.is_inside(poses_at(above)), [True, False])

@@ -12,7 +12,7 @@ from shared_data import shared_pairs
 from smartview_jax.cameras import Camera, Radial
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 from smartview_jax.staged import fit_staged, kalman_filter
-from smartview_jax.staged.kalman import _absorb, _Measurement, pixel_residuals
+from smartview_jax.staged.kalman import _Measurement, _measurement_update, pixel_residuals
 
 
 def scene_and_start(seed=0, **options):
@@ -49,7 +49,7 @@ def test_an_update_is_the_textbook_one():
         jnp.asarray(view),
         jnp.array(True),
     )
-    absorb = _absorb(jnp.asarray(sigma), jnp.asarray(jnp.inf), camera_size)
+    absorb = _measurement_update(jnp.asarray(sigma), jnp.asarray(jnp.inf), camera_size)
     (found, covariance, seen), accepted = absorb(
         (jnp.asarray(mean), jnp.asarray(P), jnp.zeros(views)), measurement
     )

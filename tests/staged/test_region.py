@@ -25,13 +25,13 @@ def test_the_region_is_that_of_the_cameras(mount):
     region = with_region(truth, data).region
     assert region is not None
     assert region.above is True
-    np.testing.assert_allclose(region.middle, np.asarray(cameras).mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(region.centroid, np.asarray(cameras).mean(axis=0), atol=1e-9)
     # Distances that views are drawn from.
-    assert 0.16 < float(region.distance[0]) < float(region.distance[1]) < 0.26
-    assert np.isinf(region.lowest_tool) == (mount == "eye_to_hand")
+    assert 0.16 < float(region.distance_range[0]) < float(region.distance_range[1]) < 0.26
+    assert np.isinf(region.min_tool_height) == (mount == "eye_to_hand")
     some = with_region(truth, data, np.array([1, 2])).region
     assert some is not None
-    assert float(some.reach) < float(region.reach)
+    assert float(some.radius) < float(region.radius)
 
 
 def test_a_calibration_that_is_not_finite_stays_as_it_is():
@@ -59,7 +59,7 @@ def test_it_is_saved_with_the_calibration(tmp_path):
     again = Calibration.load(tmp_path / "calibration.yaml").region
     assert again is not None
     assert known.region is not None
-    np.testing.assert_array_equal(again.middle, known.region.middle)
+    np.testing.assert_array_equal(again.centroid, known.region.centroid)
     assert again.above is True
     text = (tmp_path / "calibration.yaml").read_text().replace("side: +z", "side: up")
     (tmp_path / "calibration.yaml").write_text(text)

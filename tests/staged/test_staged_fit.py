@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shared_data import shared_pairs
 
-from smartview_jax.evaluation import deviations
+from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.simulation import paper_calibration, paper_scene, random_scene
 from smartview_jax.staged import fit_one_view_intrinsics, fit_staged
 
@@ -19,7 +19,7 @@ def paper():
 def test_the_papers_set_up_lands_in_the_papers_order_of_error(paper):
     scene, fit, _ = paper
     assert fit.result.converged
-    assert 0.2 < deviations(fit.calibration, scene.data).mean < 3.0
+    assert 0.2 < reprojection_errors(fit.calibration, scene.data).mean < 3.0
     assert float(fit.step2.pixel_sigma) == pytest.approx(0.15, rel=0.1)
 
 
@@ -35,7 +35,7 @@ def test_it_says_what_it_does(paper):
 def test_noise_free_data_are_explained_to_the_last_pixel():
     scene = random_scene(0, views=8, pixel_noise=0.0)
     fit = fit_staged(scene.data)
-    assert deviations(fit.calibration, scene.data).rms < 1e-4
+    assert reprojection_errors(fit.calibration, scene.data).rms < 1e-4
     gap = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
     assert np.abs(gap).max() < 1e-6
 
@@ -46,9 +46,12 @@ def test_interpolation_reproduces_its_own_viewpoints_only(paper):
     weights = between.weights(scene.data.base_from_tool.translation())
     np.testing.assert_allclose(np.sum(weights, axis=1), 1.0, atol=1e-9)
     gaps = np.asarray(weights @ between.positions - between.positions)
-    np.testing.assert_allclose(gaps @ np.asarray(between.axes).T, 0.0, atol=1e-9)
-    assert between.inside(scene.data.base_from_tool).all()
-    assert deviations(between, scene.data).rms > deviations(fit.calibration, scene.data).rms
+    np.testing.assert_allclose(gaps @ np.asarray(between.spanned_axes).T, 0.0, atol=1e-9)
+    assert between.is_inside(scene.data.base_from_tool).all()
+    assert (
+        reprojection_errors(between, scene.data).rms
+        > reprojection_errors(fit.calibration, scene.data).rms
+    )
 
 
 def test_without_distortion_and_with_one_views_intrinsics_it_is_worse():
@@ -56,8 +59,8 @@ def test_without_distortion_and_with_one_views_intrinsics_it_is_worse():
     scene = random_scene(2, views=8, calibration=strong)
     best = fit_staged(scene.data)
     pinhole = fit_staged(scene.data, lens="pinhole")
-    chain = deviations(best.calibration, scene.data).rms
-    assert deviations(pinhole.calibration, scene.data).rms > 1.2 * chain
+    chain = reprojection_errors(best.calibration, scene.data).rms
+    assert reprojection_errors(pinhole.calibration, scene.data).rms > 1.2 * chain
     # Through the whole chain one good view may win by luck, by 5 % here; in the pixels it cannot.
     one_view = fit_one_view_intrinsics(scene.data)
     np.testing.assert_array_equal(one_view.inliers, best.inliers)
@@ -67,7 +70,9 @@ def test_without_distortion_and_with_one_views_intrinsics_it_is_worse():
 def test_real_pictures_are_as_good_as_the_best_closed_form():
     data, reference = shared_pairs("rct_circle10x10")
     fit = fit_staged(data)
-    assert deviations(fit.calibration, data).rms < 1.05 * min(reference["before_px"].values())
+    assert reprojection_errors(fit.calibration, data).rms < 1.05 * min(
+        reference["before_px"].values()
+    )
 
 
 def test_eye_to_hand_with_a_known_camera():
@@ -82,7 +87,9 @@ def test_eye_to_hand_with_a_known_camera():
     )
     fit = fit_staged(data, camera=camera)
     assert fit.calibration.transform_names == ("camera_from_base", "tool_from_world")
-    assert deviations(fit.calibration, data).rms < 1.2 * min(reference["before_px"].values())
+    assert reprojection_errors(fit.calibration, data).rms < 1.2 * min(
+        reference["before_px"].values()
+    )
 
 
 def test_wrong_poses_are_refused_or_reported():

@@ -5,8 +5,8 @@ import pytest
 from shared_data import shared_pairs
 
 from smartview_jax.simulation import PaperSetUp, paper_scene
-from smartview_jax.staged import calibrate_views, locate_views
-from smartview_jax.staged.weng import LINEAR, MEDIAN, PLANAR
+from smartview_jax.staged import calibrate_views, estimate_view_poses
+from smartview_jax.staged.weng import LINEAR_START, MEDIAN_ALPHA_START, PLANAR_START
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def exact():
 
 def test_points_at_several_heights_give_every_view_its_own_camera(exact):
     _, found = exact
-    assert set(found.starts) == {LINEAR}
+    assert set(found.starts) == {LINEAR_START}
     np.testing.assert_allclose(found.intrinsics.alpha_u, 2133.0, rtol=1e-4)
     np.testing.assert_allclose(found.intrinsics.v0, 238.0, atol=0.1)
     np.testing.assert_allclose(found.intrinsics.k1, 0.7, atol=0.01)
@@ -36,27 +36,27 @@ def test_gross_outliers_are_set_aside():
     spoiled = eqx.tree_at(lambda o: o.pixels, scene.data.observations, pixels)
     found = calibrate_views(spoiled, (640, 480))
     visible = np.asarray(scene.data.visible)
-    assert not np.asarray(found.used)[:, ::15].any()
+    assert not np.asarray(found.inliers)[:, ::15].any()
     assert found.rms.max() < 0.2
-    assert np.asarray(found.used).sum() == visible.sum() - visible[:, ::15].sum()
+    assert np.asarray(found.inliers).sum() == visible.sum() - visible[:, ::15].sum()
 
 
 def test_one_plane_holds_the_centre_and_frontal_views_take_the_median():
     data, reference = shared_pairs("rct_circle10x10")
     found = calibrate_views(data.observations, data.image_size)
-    assert PLANAR in found.starts
-    assert MEDIAN in found.starts
+    assert PLANAR_START in found.starts
+    assert MEDIAN_ALPHA_START in found.starts
     np.testing.assert_array_equal(found.intrinsics.u0, 319.5)
     np.testing.assert_array_equal(found.intrinsics.alpha_u, found.intrinsics.alpha_v)
     median = float(np.median(found.intrinsics.alpha_u))
     assert median == pytest.approx(reference["K"][0], rel=0.05)
-    frontal = [k for k, start in enumerate(found.starts) if start == MEDIAN]
+    frontal = [k for k, start in enumerate(found.starts) if start == MEDIAN_ALPHA_START]
     assert len({float(found.intrinsics.alpha_u[k]) for k in frontal}) == 1
 
 
 def test_views_are_located_with_a_known_camera(exact):
     scene, _ = exact
-    poses, rms, used = locate_views(scene.data.observations, scene.calibration.camera)
+    poses, rms, used = estimate_view_poses(scene.data.observations, scene.calibration.camera)
     truth = scene.calibration.camera_from_world(scene.base_from_tool)
     np.testing.assert_allclose(poses.as_matrix(), truth.as_matrix(), atol=1e-8)
     assert rms.max() < 1e-6

@@ -8,18 +8,18 @@ from scipy.optimize import least_squares
 from shared_data import shared_data
 
 from smartview_jax.cameras import Camera, OpenCV4, Radial
-from smartview_jax.io import import_pairs
+from smartview_jax.io import import_correspondences
 from smartview_jax.simulation import (
     PaperSetUp,
-    look_at,
+    look_at_from_above,
     paper_points,
     paper_scene,
     random_scene,
     simulate,
 )
 from smartview_jax.simulation.scenes import paper_calibration
-from smartview_jax.staged import calibrate_views, locate_views
-from smartview_jax.staged.weng import LINEAR, MEDIAN, NONE, PLANAR
+from smartview_jax.staged import calibrate_views, estimate_view_poses
+from smartview_jax.staged.weng import LINEAR_START, MEDIAN_ALPHA_START, NO_START, PLANAR_START
 
 SIZE = (640, 480)
 ANGLE = np.deg2rad
@@ -47,7 +47,9 @@ def planar_scene(tilts, pixel_noise=0.0, wide=1.0):
     flat[:, :2] += 1e-3 * np.random.default_rng(3).standard_normal(flat[:, :2].shape)
     lean = SE3.exp(jnp.array([0.01, -0.02, 0.03, 0.5, -0.7, 0.3]))
     leaning = np.asarray(lean.apply(jnp.asarray(flat)))
-    upright = look_at(flat.mean(axis=0), 0.2, tilts, ANGLE(np.array([10, 100, 190, 280, 40])), 0.4)
+    upright = look_at_from_above(
+        flat.mean(axis=0), 0.2, tilts, ANGLE(np.array([10, 100, 190, 280, 40])), 0.4
+    )
     command = truth.command_for(upright @ lean.inverse())
     return simulate(truth, command, leaning, seed=4, pixel_noise=pixel_noise)
 
@@ -62,7 +64,7 @@ def test_without_noise_each_view_gives_the_truth():
     exact = PaperSetUp(pixel_noise=0.0, translation_noise=0.0, rotation_noise=0.0)
     scene = paper_scene(0, exact)
     found = calibrate_views(scene.data.observations, SIZE)
-    assert found.starts == (LINEAR,) * 5
+    assert found.starts == (LINEAR_START,) * 5
     assert found.usable.all()
     truth = np.tile([2133.0, 2133.0, 322.0, 238.0, 0.7], (5, 1))
     np.testing.assert_allclose(numbers_of(found), truth, rtol=1e-6)
@@ -74,7 +76,7 @@ def test_without_noise_each_view_gives_the_truth():
 def test_each_view_reaches_the_optimum_of_eq_8(noisy):
     scene, found = noisy
     for view in (0, 3):
-        seen = np.asarray(found.used[view])
+        seen = np.asarray(found.inliers[view])
         points = np.asarray(scene.data.points[view])[seen]
         pixels = np.asarray(scene.data.pixels[view])[seen]
         pose = np.asarray(true_poses(scene).wxyz_xyz[view])
@@ -96,7 +98,7 @@ def test_the_stated_deviation_of_alpha_is_the_observed_one():
     for seed in range(12):
         found = calibrate_views(paper_scene(seed).data.observations, SIZE)
         errors.append(np.asarray(found.intrinsics.alpha_u) / 2133.0 - 1.0)
-        stated.append(np.asarray(found.alpha_std))
+        stated.append(np.asarray(found.alpha_relative_std))
     ratio = np.sqrt(np.mean(np.square(errors) / np.square(stated)))
     # Sixty draws: the standard deviation of their own spread is 9 %.
     assert ratio == pytest.approx(1.0, abs=0.3)
@@ -112,7 +114,7 @@ def test_without_distortion_k1_stays_zero(noisy):
 def test_gross_outliers_are_set_aside():
     scene = random_scene(seed=1, views=5, points=paper_points(), outlier_fraction=0.2)
     found = calibrate_views(scene.data.observations, SIZE)
-    used, outliers = np.asarray(found.used), np.asarray(scene.outliers)
+    used, outliers = np.asarray(found.inliers), np.asarray(scene.outliers)
     np.testing.assert_array_equal(used, np.asarray(scene.data.visible) & ~outliers)
     np.testing.assert_allclose(found.intrinsics.alpha_u, 2133.0, rtol=0.01)
 
@@ -120,7 +122,7 @@ def test_gross_outliers_are_set_aside():
 def test_one_plane_however_it_leans_holds_the_centre():
     scene = planar_scene(ANGLE(np.array([35.0, 30.0, 40.0, 25.0, 45.0])))
     found = calibrate_views(scene.data.observations, SIZE)
-    assert found.starts == (PLANAR,) * 5
+    assert found.starts == (PLANAR_START,) * 5
     truth = np.tile([2133.0, 2133.0, 319.5, 239.5, 0.3], (5, 1))
     np.testing.assert_allclose(numbers_of(found), truth, rtol=1e-5)
     shift, turn = pose_errors(found.camera_from_world, true_poses(scene))
@@ -130,17 +132,23 @@ def test_one_plane_however_it_leans_holds_the_centre():
 def test_a_frontal_view_takes_the_median_of_the_others():
     scene = planar_scene(ANGLE(np.array([35.0, 0.0, 40.0, 25.0, 45.0])), pixel_noise=0.1)
     found = calibrate_views(scene.data.observations, SIZE)
-    assert found.starts == (PLANAR, MEDIAN, PLANAR, PLANAR, PLANAR)
+    assert found.starts == (
+        PLANAR_START,
+        MEDIAN_ALPHA_START,
+        PLANAR_START,
+        PLANAR_START,
+        PLANAR_START,
+    )
     alpha = np.asarray(found.intrinsics.alpha_u)
     assert alpha[1] == pytest.approx(np.median(alpha[[0, 2, 3, 4]]), rel=1e-12)
-    assert float(found.alpha_std[1]) > 0.03 > float(found.alpha_std[0])
+    assert float(found.alpha_relative_std[1]) > 0.03 > float(found.alpha_relative_std[0])
     assert float(found.rms[1]) < 0.2
 
 
 def test_of_the_two_poses_of_a_plane_the_right_one_is_kept():
     camera = Camera(2133.0, 2133.0, 319.5, 239.5, Radial(0.3), SIZE)
     scene = planar_scene(ANGLE(np.array([35.0, 20.0, 40.0, 15.0, 45.0])), 0.01, wide=0.1)
-    poses, rms, _ = locate_views(scene.data.observations, camera)
+    poses, rms, _ = estimate_view_poses(scene.data.observations, camera)
     _, turn = pose_errors(poses, true_poses(scene))
     # So small a plane holds some views in the other pose, where they fit far worse.
     assert turn.max() < ANGLE(0.1)
@@ -166,7 +174,7 @@ def test_views_that_cannot_be_calibrated_say_why(noisy):
     assert "5 points seen, 6 in space needed" in found.problems[1]
     assert "lie on one line" in found.problems[2]
     assert "0 points seen" in found.problems[3]
-    assert found.starts == (LINEAR, NONE, NONE, NONE, LINEAR)
+    assert found.starts == (LINEAR_START, NO_START, NO_START, NO_START, LINEAR_START)
     np.testing.assert_array_equal(numbers_of(found)[[0, 4]], numbers_of(whole)[[0, 4]])
 
 
@@ -175,7 +183,7 @@ def test_poses_under_a_known_camera_with_another_lens():
     camera = Camera(1500.0, 1510.0, 330.0, 236.0, lens, SIZE)
     truth = eqx.tree_at(lambda c: c.camera, paper_calibration(), camera)
     scene = random_scene(2, views=5, points=paper_points(), calibration=truth, pixel_noise=0.0)
-    poses, rms, used = locate_views(scene.data.observations, camera)
+    poses, rms, used = estimate_view_poses(scene.data.observations, camera)
     shift, turn = pose_errors(poses, true_poses(scene))
     assert max(shift.max(), turn.max()) < 1e-8
     assert np.asarray(rms).max() < 1e-8
@@ -184,10 +192,10 @@ def test_poses_under_a_known_camera_with_another_lens():
 
 def test_a_real_planar_set_gives_its_focal_length():
     folder = shared_data("rct_circle10x10")
-    data = import_pairs(folder / "poses.csv", folder / "corners.csv", SIZE)
+    data = import_correspondences(folder / "poses.csv", folder / "corners.csv", SIZE)
     found = calibrate_views(data.observations, SIZE)
     assert found.usable.all()
-    assert set(found.starts) == {PLANAR, MEDIAN}
+    assert set(found.starts) == {PLANAR_START, MEDIAN_ALPHA_START}
     # measured.json: 540.3 and 541.7 px by OpenCV from all views together.
     assert np.median(found.intrinsics.alpha_u) == pytest.approx(541.0, rel=0.03)
     assert np.asarray(found.rms).max() < 0.35

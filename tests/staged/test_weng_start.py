@@ -4,11 +4,11 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax.cameras import Camera, Radial
-from smartview_jax.simulation import look_at
+from smartview_jax.simulation import look_at_from_above
 from smartview_jax.staged.weng_start import coplanar, extents, linear_start, planar_start
 
 SIZE = (640, 480)
-POSE = look_at(np.zeros(3), 0.2, 0.4, 1.0, 0.3)
+POSE = look_at_from_above(np.zeros(3), 0.2, 0.4, 1.0, 0.3)
 
 
 def seen(camera, points, count):

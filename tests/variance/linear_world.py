@@ -9,7 +9,7 @@ import numpy as np
 
 from smartview_jax.engine.parameters import Step
 from smartview_jax.engine.schur import BlockArrow
-from smartview_jax.variance.likelihood import LinearisedViews, Sizes
+from smartview_jax.variance.likelihood import LinearisedViews, StandardDeviations
 
 CAMERA, MOUNT, FIELD, VIEWS = 3, 4, (2, 3), 30
 SHARED = CAMERA + MOUNT + sum(FIELD)
@@ -32,7 +32,7 @@ def linear_world():
     return information, design
 
 
-TRUTH = Sizes(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
+TRUTH = StandardDeviations(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
 GROUP = np.repeat([-1, 0, 1], [CAMERA + MOUNT, *FIELD])
 
 
@@ -69,12 +69,14 @@ def linearised(world, observed, at=None):
             jnp.asarray(own),
         ),
         gradient=Step(jnp.asarray(slope[:SHARED]), jnp.asarray(slope[SHARED:].reshape(VIEWS, 6))),
-        between=jnp.asarray(residual @ information @ residual),
-        off_mean=Step(jnp.asarray(at[:SHARED]), jnp.asarray(at[SHARED:].reshape(VIEWS, 6))),
+        residual_sum_of_squares=jnp.asarray(residual @ information @ residual),
+        offset_from_prior=Step(
+            jnp.asarray(at[:SHARED]), jnp.asarray(at[SHARED:].reshape(VIEWS, 6))
+        ),
         known_weight=jnp.zeros(SHARED),
-        group=jnp.asarray(GROUP),
-        own_free=jnp.ones((VIEWS, 6), dtype=bool),
-        count=jnp.asarray(float(len(observed))),
+        group_index=jnp.asarray(GROUP),
+        per_view_free=jnp.ones((VIEWS, 6), dtype=bool),
+        statistic_count=jnp.asarray(float(len(observed))),
         white_sigma=jnp.asarray(1e-6),
     )
 
@@ -82,24 +84,24 @@ def linearised(world, observed, at=None):
 GROUP_FIXED = np.concatenate([GROUP < 0, np.zeros(6 * VIEWS, dtype=bool)])
 
 OTHERS = (
-    Sizes(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
-    Sizes(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
+    StandardDeviations(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
+    StandardDeviations(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
 )
 
 
 def moved(sizes, k, share):
     """One of the sizes larger by a share of it."""
-    numbers = sizes.numbers.at[k].multiply(1.0 + share)
-    return Sizes.of(numbers)
+    numbers = sizes.vector.at[k].multiply(1.0 + share)
+    return StandardDeviations.from_vector(numbers)
 
 
 def with_held(views, free):
     """What `JointProblem` makes of corrections that are held: no columns."""
-    own = jnp.where(free[..., None] & free[:, None], views.matrix.own, 0.0)
+    own = jnp.where(free[..., None] & free[:, None], views.matrix.per_view, 0.0)
     border = jnp.where(free[..., None], views.matrix.border, 0.0)
-    gradient = jnp.where(free, views.gradient.corrections, 0.0)
+    gradient = jnp.where(free, views.gradient.per_view, 0.0)
     return eqx.tree_at(
-        lambda v: (v.matrix.own, v.matrix.border, v.gradient.corrections, v.own_free),
+        lambda v: (v.matrix.per_view, v.matrix.border, v.gradient.per_view, v.per_view_free),
         views,
         (own, border, gradient, free),
     )

@@ -20,7 +20,7 @@ from linear_world import (
 )
 from scipy.stats import multivariate_normal
 
-from smartview_jax.variance.likelihood import best_step, deviance
+from smartview_jax.variance.likelihood import deviance, posterior_mode_step
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_differences_are_those_of_the_textbook(world):
 
 def test_the_best_step_is_generalised_least_squares(world):
     observed = drawn(world, 2)
-    step = best_step(linearised(world, observed), TRUTH)
+    step = posterior_mode_step(linearised(world, observed), TRUTH)
     expected = textbook(world, observed, TRUTH)[1]
     np.testing.assert_allclose(step.shared[: CAMERA + MOUNT], expected, rtol=1e-8)
 
@@ -64,7 +64,7 @@ def test_it_does_not_matter_where_the_chain_is_linearised(world):
     here, there = linearised(world, observed), linearised(world, observed, at)
     for sizes in (TRUTH, *OTHERS):
         np.testing.assert_allclose(deviance(here, sizes), deviance(there, sizes), rtol=1e-9)
-    steps = best_step(here, TRUTH), best_step(there, TRUTH)
+    steps = posterior_mode_step(here, TRUTH), posterior_mode_step(there, TRUTH)
     np.testing.assert_allclose(steps[0].shared, at[:SHARED] + steps[1].shared, atol=1e-8)
 
 
@@ -78,9 +78,9 @@ def test_its_gradient_is_that_of_differences(world, held):
         views = with_held(views, free)
     sizes = OTHERS[0]
     slopes = jax.grad(lambda s: deviance(views, s))(sizes)
-    for k, slope in enumerate(slopes.numbers):
+    for k, slope in enumerate(slopes.vector):
         ahead, behind = (deviance(views, moved(sizes, k, s)) for s in (1e-5, -1e-5))
-        difference = (ahead - behind) / (2e-5 * sizes.numbers[k])
+        difference = (ahead - behind) / (2e-5 * sizes.vector[k])
         np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 

@@ -14,7 +14,7 @@ from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.geometry import ViewedRegion
 from smartview_jax.robots import Command
-from smartview_jax.viewpoints import Limits, Table, look_at
+from smartview_jax.viewpoints import ClearancePlane, Limits, look_at
 from smartview_jax.viewpoints.checks import check_views
 
 CAMERA = Camera(1000.0, 1000.0, 320.0, 240.0, Pinhole(), (640, 480))
@@ -39,10 +39,10 @@ def test_the_margin_to_the_border_is_kept(axis, last):
     nearest = min(min(p.min(), (np.array([639.0, 479.0]) - p).min()) for p in aside)
     assert nearest == pytest.approx(last)
     both = np.concatenate([place, -place])
-    assert checked(both, margin=last - 0.1).reasons() == ("",)
-    found = checked(both, margin=last + 0.1)
+    assert checked(both, border_margin=last - 0.1).reasons() == ("",)
+    found = checked(both, border_margin=last + 0.1)
     assert found.reasons() == ("only 50% of the target is well inside the picture",)
-    assert checked(both, margin=last + 0.1, share=0.5).ok.all()
+    assert checked(both, border_margin=last + 0.1, min_visible_fraction=0.5).ok.all()
 
 
 @pytest.mark.parametrize(
@@ -54,23 +54,25 @@ def test_the_margin_to_the_border_is_kept(axis, last):
     ],
 )
 def test_all_of_the_target_is_in_focus(focus, reason):
-    assert checked(LOW_AND_HIGH, focus=focus).reasons() == (reason,)
+    assert checked(LOW_AND_HIGH, focus_range=focus).reasons() == (reason,)
 
 
 @pytest.mark.parametrize("part", ["camera", "tool"])
 def test_camera_and_tool_keep_clear_of_the_table(part):
     """A slope of 3 in 4 through a point 0.5 m up: 1 m above the origin is 0.4 m from it."""
-    other = {"camera": "tool", "tool": "camera"}[part]
+    other = {"camera": "tool", "tool": "camera"}[part] + "_clearance"
     plane = {"point": [0.0, 0.0, 0.5], "normal": [6.0, 0.0, 8.0], other: 0.0}
-    assert checked(table=Table(**plane, **{part: 0.39})).reasons() == ("",)
-    found = checked(table=Table(**plane, **{part: 0.41}))
+    assert checked(
+        clearance_plane=ClearancePlane(**plane, **{f"{part}_clearance": 0.39})
+    ).reasons() == ("",)
+    found = checked(clearance_plane=ClearancePlane(**plane, **{f"{part}_clearance": 0.41}))
     assert found.reasons() == (f"the {part} is 0.400 m above the table: too low",)
 
 
 def in_region(places, **limits):
     """Checks of cameras that look straight up or down from these places, seen from z = 1 +- 0.1."""
     seen = np.array([[0.1, 0.0, 1.0], [-0.1, 0.0, 1.0], [0.0, 0.1, 1.1], [0.0, -0.1, 0.9]])
-    region = ViewedRegion.of(seen, np.zeros((1, 3)), seen)
+    region = ViewedRegion.from_positions(seen, np.zeros((1, 3)), seen)
     known = dataclasses.replace(CALIBRATION, region=region)
     places = np.asarray(places, dtype=float)
     directions = np.zeros_like(places)
@@ -85,7 +87,7 @@ def test_the_side_that_was_seen_and_how_far_out_are_checked():
     checks = in_region(
         [[0.0, 0.0, 1.0], [1.9 * reach, 0.0, 1.0], [2.1 * reach, 0.0, 1.0], [0.0, 0.0, -0.5]]
     )
-    fine, near, far, behind = checks.dangers()
+    fine, near, far, behind = checks.safety_violations()
     assert fine == near == ""
     assert far == (
         "the camera is 2.1 times as far from the middle of the calibrated views as the farthest of "
@@ -94,13 +96,13 @@ def test_the_side_that_was_seen_and_how_far_out_are_checked():
     assert "the camera is 0.500 m behind the target's plane" in behind
     assert "the tool is 0.500 m behind the target's plane" in behind
     np.testing.assert_array_equal(checks.safe, [True, True, False, False])
-    assert in_region([[2.1 * reach, 0.0, 1.0]], viewed=3.0).safe.all()
+    assert in_region([[2.1 * reach, 0.0, 1.0]], max_viewed_region_extent=3.0).safe.all()
 
 
 def test_what_no_arm_reaches_is_absurd():
     assert (
         "the tool is 400 m from the base: no arm is that long"
-        in in_region([[0, 0, 400]]).dangers()[0]
+        in in_region([[0, 0, 400]]).safety_violations()[0]
     )
 
 
@@ -108,5 +110,5 @@ def test_other_faults_are_no_danger():
     """A target that is not in the picture is said, and breaks nothing."""
     aside = checked(np.array([[3.0, 0.0, 0.0]]))
     assert aside.reasons() != ("",)
-    assert aside.dangers() == ("",)
+    assert aside.safety_violations() == ("",)
     assert bool(aside.safe[0])

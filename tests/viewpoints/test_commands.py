@@ -10,10 +10,10 @@ from smartview_jax import Calibration
 from smartview_jax.geometry import se3_from_xyzoat
 from smartview_jax.robot_errors import JointOffsets, LinearInPose, RobotError
 from smartview_jax.robots import six_axes
-from smartview_jax.simulation import paper_calibration, paper_points, views_around
+from smartview_jax.simulation import paper_calibration, paper_points, random_viewpoints
 from smartview_jax.viewpoints import (
+    ClearancePlane,
     Limits,
-    Table,
     five_viewpoints,
     look_at,
     predict,
@@ -31,9 +31,9 @@ def erring():
     """The paper's set-up, with a robot whose error was found from views around the target."""
     truth = paper_calibration()
     sampled = truth.command_for(
-        views_around(np.random.default_rng(0), 40, CENTRE, (0.15, 0.3), 0.6)
+        random_viewpoints(np.random.default_rng(0), 40, CENTRE, (0.15, 0.3), 0.6)
     )
-    field = LinearInPose.over(sampled)
+    field = LinearInPose.from_poses(sampled)
     size = 1e-3 * np.random.default_rng(1).normal(size=field.size)
     return dataclasses.replace(truth, robot_error=RobotError(field, jnp.asarray(size)))
 
@@ -55,7 +55,7 @@ def arm_setting():
 
 def test_the_camera_gets_where_it_is_wanted_with_the_robots_error_made_up_for(erring):
     found = viewpoint_commands(erring, FIVE, POINTS)
-    off = (found.predicted.camera_from_world @ FIVE.inverse()).log()
+    off = (found.predicted_views.camera_from_world @ FIVE.inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-12
     assert found.checks.reasons() == ("",) * 5
     assert found.joints is None
@@ -100,7 +100,7 @@ def test_derivatives_of_the_command_are_those_of_differences():
 def test_what_is_wrong_with_a_view_is_said_in_words(erring):
     aim = CENTRE + np.array([0.0, 0.02, 0.0, 0.0, 0.9])[:, None] * np.array([1.0, 0.0, 0.0])
     wanted = look_at(aim, DOWN, np.array([0.2, 0.2, 0.12, 0.6, 0.2]))
-    limits = Limits(margin=5.0, focus=(0.15, 0.4))
+    limits = Limits(border_margin=5.0, focus_range=(0.15, 0.4))
     checks = viewpoint_commands(erring, wanted, POINTS, limits=limits).checks
     fine, aside, near, far, elsewhere = checks.reasons()
     assert fine == ""
@@ -112,7 +112,9 @@ def test_what_is_wrong_with_a_view_is_said_in_words(erring):
     assert "as far out as the poses" in elsewhere
     np.testing.assert_array_equal(checks.ok, [True, False, False, False, False])
     # Part of the target may be enough.
-    some = viewpoint_commands(erring, wanted, POINTS, limits=Limits(share=0.3)).checks
+    some = viewpoint_commands(
+        erring, wanted, POINTS, limits=Limits(min_visible_fraction=0.3)
+    ).checks
     assert bool(some.passed["in_picture"][1])
 
 
@@ -130,8 +132,8 @@ def test_camera_and_tool_stay_above_the_table():
     poses = calibration.command_for(wanted)
     heights = 0.5 * (np.asarray(poses.translation())[:, 2] + np.asarray(camera)[:, 2])
     # A table half way between the camera and the tool of the lower view, and no clearance.
-    table = Table(point=[0.0, 0.0, heights[1]], camera=0.0, tool=0.0)
-    checks = viewpoint_commands(calibration, wanted, limits=Limits(table=table)).checks
+    table = ClearancePlane(point=[0.0, 0.0, heights[1]], camera_clearance=0.0, tool_clearance=0.0)
+    checks = viewpoint_commands(calibration, wanted, limits=Limits(clearance_plane=table)).checks
     np.testing.assert_allclose(
         checks.measured["camera_clearance"], np.asarray(camera)[:, 2] - heights[1], atol=1e-12
     )
@@ -190,8 +192,10 @@ def test_a_camera_beside_the_arm():
     """The target moves instead; the same picture comes about."""
     base = paper_calibration()
     beside = Calibration.eye_to_hand(base.camera, base.base_from_world.inverse(), SE3.identity())
-    found = viewpoint_commands(beside, FIVE, POINTS, limits=Limits(table=Table()))
-    off = (found.predicted.camera_from_world @ FIVE.inverse()).log()
+    found = viewpoint_commands(
+        beside, FIVE, POINTS, limits=Limits(clearance_plane=ClearancePlane())
+    )
+    off = (found.predicted_views.camera_from_world @ FIVE.inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-12
     camera = found.checks.measured["camera_clearance"]
     np.testing.assert_allclose(camera, base.base_from_world.translation()[2], atol=1e-12)

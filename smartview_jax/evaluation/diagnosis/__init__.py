@@ -1,10 +1,10 @@
-"""Diagnose where an error comes from: its budget, explanations, and agreement between halves."""
+"""Diagnose where an error comes from: error budget, scale hypotheses, lens misfit, split halves."""
 
 from .budget import ErrorBudget as ErrorBudget
 from .budget import error_budget as error_budget
-from .explanations import Explanation as Explanation
-from .explanations import explanations as explanations
-from .explanations import region_error as region_error
 from .lens_misfit import lens_misfit as lens_misfit
-from .repeatability import Repeatability as Repeatability
-from .repeatability import repeatability as repeatability
+from .scale_hypotheses import ScaleHypothesis as ScaleHypothesis
+from .scale_hypotheses import region_held_out_rms as region_held_out_rms
+from .scale_hypotheses import scale_hypotheses as scale_hypotheses
+from .split_half import SplitHalfDifference as SplitHalfDifference
+from .split_half import split_half_difference as split_half_difference

@@ -5,56 +5,62 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...dataset import Dataset
+from ...dataset import MINIMUM_RELIABLE_VIEWS, Dataset
 from ...joint import JointFit
-from ...robot_errors import AbstractField, CombinedField, ImpliedArm
-from ...variance import MINIMUM_RELIABLE_VIEWS
-from ..held_out import expected_squares, has_correction
-from ..measures import deviations
+from ...robot_errors import AbstractField, CombinedField, GenericSixAxisArm
+from ..held_out import expected_squared_errors, has_correction
+from ..measures import reprojection_errors
 from ..rejections import without_rejected_views
-from .explanations import Explanation, explanations, fit_candidate, moved, region_error, scale_found
 from .lens_misfit import lens_misfit
+from .scale_hypotheses import (
+    ScaleHypothesis,
+    fit_scale_hypothesis,
+    region_held_out_rms,
+    rms_displacement,
+    scale_hypotheses,
+    target_scale_differs,
+)
 
-PIXELS = "pixel noise"
+PIXEL_NOISE = "pixel noise"
 """The name of the cause: noise of pixels."""
-LENS = "lens"
+LENS_MISFIT = "lens"
 """The name of the cause: a lens that its model does not describe."""
-NOISE = "robot noise"
+ROBOT_NOISE = "robot noise"
 """The name of the cause: independent errors of reported poses."""
-SYSTEMATIC = "robot's systematic error"
+SYSTEMATIC_ROBOT_ERROR = "robot's systematic error"
 """The name of the cause: the smooth error of the robot."""
-SCALE = "target scale or robot stretch"
-"""The name of the cause: a wrong target size, or a stretch of the robot's motion."""
-VIEWS = "too few views"
+SCALE_ERROR = "target scale or robot stretch"
+"""The name of the cause: a wrong size of the target, or a wrong scale of the robot's motion."""
+TOO_FEW_VIEWS = "too few views"
 """The name of the cause: uncertainty of the parameters."""
 
-MOST = 0.5
-"""The fraction of a field's gain above which one number explains the robot's smooth error."""
+MIN_FIELD_FRACTION = 0.5
+"""The fraction of a field's log-likelihood ratio from which a hypothesis explains as much."""
 
-GAINED = 10.0
-"""The smallest gain in deviance for which that number is accepted."""
+MIN_LOG_LIKELIHOOD_RATIO = 10.0
+"""The decrease of the deviance from which a scale hypothesis is accepted."""
 
-ALSO = 0.5
-"""The fraction of the largest part above which the second gets a sentence of its own."""
+MIN_SECOND_CAUSE_FRACTION = 0.5
+"""The fraction of the dominant cause's RMS above which the next cause gets its own sentence."""
 
-ENOUGH = 15
+RECOMMENDED_VIEWS = 15
 """The number of views from which the variance components are known to 15 %."""
 
-LITTLE = 0.1
-"""The fraction of the largest part below which no advice on a cause is given."""
+MIN_ADVICE_FRACTION = 0.1
+"""The fraction of the largest cause's RMS below which no advice on a cause is given."""
 
 
-class Part(NamedTuple):
-    """One cause of error.
+class ErrorCause(NamedTuple):
+    """A cause of error, with its contribution and the advice against it.
 
     Attributes:
         name: name of the cause.
-        px: RMS that it alone has in the uncorrected chain; the parts add up in squares.
+        rms: RMS error, px, due to it alone in the uncorrected chain; causes add up in squares.
         advice: recommended action; empty where that would gain little.
     """
 
     name: str
-    px: float
+    rms: float
     advice: str
 
 
@@ -62,165 +68,181 @@ class ErrorBudget(NamedTuple):
     """The error of the chain without its correction, divided among its causes.
 
     Attributes:
-        total: RMS reprojection error of the uncorrected chain, px.
-        parts: causes, the largest first.
-        explanations: alternatives that explain the robot's smooth error by one number; empty where
-            there is no such error or too few views.
-        culprit: name of the cause to address first.
-        words: recommended action, in a sentence or two.
-        own_chain: whether the uncorrected chain is the fit's own; otherwise it is that of a field
-            linear in the pose, used where the fit has the field of an arm that was not described.
+        total_rms: RMS reprojection error of the uncorrected chain, px.
+        causes: causes, the largest first.
+        scale_hypotheses: hypotheses that explain the robot's smooth error by one number; empty
+            where there is no such error or too few views.
+        dominant_cause: name of the cause to address first.
+        summary: recommended action, in a sentence or two.
+        uses_fitted_chain: whether the uncorrected chain is the fit's own; otherwise it is that of a
+            field linear in the pose, used where the fit's field is a `GenericSixAxisArm`.
     """
 
-    total: float
-    parts: tuple[Part, ...]
-    explanations: tuple[Explanation, ...]
-    culprit: str
-    words: str
-    own_chain: bool = True
+    total_rms: float
+    causes: tuple[ErrorCause, ...]
+    scale_hypotheses: tuple[ScaleHypothesis, ...]
+    dominant_cause: str
+    summary: str
+    uses_fitted_chain: bool = True
 
 
 def error_budget(
     data: Dataset,
     fit: JointFit,
     progress: Callable[[str], None] | None = None,
-    regions: bool = False,
+    held_out_by_region: bool = False,
 ) -> ErrorBudget:
     """Divide the error of the uncorrected chain among its causes.
 
-    Pixels, poses and parameters have the sizes that the fit states, propagated through the
-    projection; the systematic error is what the correction changes, and the lens part is the smooth
-    pattern left in the image when every view has its own pose. Views that the fit left out do not
-    count. With the field of an arm that was not described, the chain is that of a field linear in
-    the pose.
+    Pixels, poses and parameters have the standard deviations that the fit states, propagated
+    through the projection; the systematic error is what the correction changes, and the lens misfit
+    is the smooth pattern left in the image when every view has its own pose. Views that the fit
+    left out do not count. Where the fit's field is a `GenericSixAxisArm`, the chain is that of a
+    field linear in the pose.
 
     Args:
         data: the data set that `fit` was fitted to.
         fit: with `noise="estimated"`; what `calibrate` returns has it as `.joint`.
         progress: called with a line of text for each step.
-        regions: also find how well each explanation predicts regions of the workspace that it never
-            used: five further fits for each.
+        held_out_by_region: also find how well each hypothesis predicts regions of the workspace
+            that it never used: five further fits for each.
 
     Raises:
         ValueError: the fit's noise was not estimated, or its data leave a parameter undetermined.
     """
-    if fit.estimate is None:
+    if fit.noise_estimate is None:
         raise ValueError('an error budget needs a fit with noise="estimated"')
     data = without_rejected_views(data, fit)
-    views, own_chain = len(data.usable_views()), True
-    rivals = explanations(data, fit, progress) if views >= MINIMUM_RELIABLE_VIEWS else ()
-    if regions:
-        # Held-out error by region tests whether an explanation extrapolates, which likelihood does
-        # not.
-        rivals = tuple(
-            rival._replace(region_px=region_error(data, fit, rival.name)) for rival in rivals
+    views, uses_fitted_chain = len(data.usable_views()), True
+    hypotheses = scale_hypotheses(data, fit, progress) if views >= MINIMUM_RELIABLE_VIEWS else ()
+    if held_out_by_region:
+        # Held-out error by region tests whether a hypothesis extrapolates; likelihood does not.
+        hypotheses = tuple(
+            hypothesis._replace(region_rms=region_held_out_rms(data, fit, hypothesis.name))
+            for hypothesis in hypotheses
         )
-    scale, chain = _one_number(rivals, scale_found(fit)), None
-    if scale is not None and not has_correction(fit):
-        # A plausible alternative to a fit without a field: the budget is of the more probable one.
-        fit = scale.fit
-    elif scale is not None and scale_found(fit):
+    accepted = _accepted_hypothesis(hypotheses, target_scale_differs(fit))
+    chain = None
+    if accepted is not None and not has_correction(fit):
+        # The fit has no field, but a hypothesis is more probable: the budget is of its fit instead.
+        fit = accepted.fit
+    elif accepted is not None and target_scale_differs(fit):
         # The chain has neither the target's size nor the robot's errors corrected.
-        chain = scale.fit.calibration.uncorrected
-    if _has_undescribed_arm(fit.calibration.field):
-        # Link lengths of an undescribed arm are correlated with the mount: without the correction
-        # its chain has no meaning.
-        fit, own_chain = fit_candidate(data, fit, None, field_groups=4), False
-    seen = np.asarray(data.visible)
-    squares = expected_squares(fit, data)
-    parameters, pixels, poses = (float(np.mean(square[seen])) for square in squares)
-    lens = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
-    systematic = moved(fit.calibration, data)
+        chain = accepted.fit.calibration.uncorrected
+    if _has_generic_arm(fit.calibration.field):
+        # Link lengths of a generic arm are correlated with the mount: without the correction its
+        # chain has no meaning.
+        fit = fit_scale_hypothesis(data, fit, None, field_group_count=4)
+        uses_fitted_chain = False
+    visible = np.asarray(data.visible)
+    # Mean squared errors, px^2, over the visible points.
+    squares = expected_squared_errors(fit, data)
+    parameters, pixels, poses = (float(np.mean(square[visible])) for square in squares)
+    lens_rms = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
+    systematic_rms = rms_displacement(fit.calibration, data)
     # As the only systematic error, it may displace points farther than the chosen field does.
-    by_scale = 0.0 if scale is None else scale.px
+    scale_rms = 0.0 if accepted is None else accepted.rms_displacement
     if chain is None:
-        by_scale = min(by_scale, systematic)
-        # The parts are quadratic: systematic^2 = remaining^2 + by_scale^2.
-        systematic, chain = np.sqrt(systematic**2 - by_scale**2), fit.calibration.uncorrected
+        scale_rms = min(scale_rms, systematic_rms)
+        # The scale error is a part of the systematic error: total^2 = remaining^2 + scale_rms^2.
+        systematic_rms = np.sqrt(systematic_rms**2 - scale_rms**2)
+        chain = fit.calibration.uncorrected
     # The lens pattern is part of the pixel noise that the fit states, hence the subtraction.
-    sizes = {
-        PIXELS: np.sqrt(max(pixels - lens**2, 0.0)),
-        LENS: lens,
-        NOISE: np.sqrt(poses),
-        SCALE: by_scale,
-        SYSTEMATIC: systematic,
-        VIEWS: np.sqrt(parameters),
+    rms_by_cause = {
+        PIXEL_NOISE: np.sqrt(max(pixels - lens_rms**2, 0.0)),
+        LENS_MISFIT: lens_rms,
+        ROBOT_NOISE: np.sqrt(poses),
+        SCALE_ERROR: scale_rms,
+        SYSTEMATIC_ROBOT_ERROR: systematic_rms,
+        TOO_FEW_VIEWS: np.sqrt(parameters),
     }
-    order = sorted(sizes, key=lambda name: -sizes[name])
-    # With few views no part is reliable, so more views come first.
-    culprit = VIEWS if views < MINIMUM_RELIABLE_VIEWS else order[0]
-    worth = [n for n in order if n == culprit or sizes[n] >= LITTLE * sizes[order[0]]]
-    parts = tuple(
-        Part(n, float(sizes[n]), _advice(n, fit, views, rivals) if n in worth else "")
-        for n in order
+    ranked = sorted(rms_by_cause, key=lambda name: -rms_by_cause[name])
+    # With few views no cause is determined reliably, so more views come first.
+    dominant_cause = TOO_FEW_VIEWS if views < MINIMUM_RELIABLE_VIEWS else ranked[0]
+    advised = [
+        n
+        for n in ranked
+        if n == dominant_cause or rms_by_cause[n] >= MIN_ADVICE_FRACTION * rms_by_cause[ranked[0]]
+    ]
+    causes = tuple(
+        ErrorCause(
+            n, float(rms_by_cause[n]), _advice(n, fit, views, hypotheses) if n in advised else ""
+        )
+        for n in ranked
     )
-    total = deviations(chain, data).rms
-    words = _words(total, parts, culprit, own_chain)
-    return ErrorBudget(total, parts, rivals, culprit, words, own_chain)
+    total = reprojection_errors(chain, data).rms
+    summary = _summary(total, causes, dominant_cause, uses_fitted_chain)
+    return ErrorBudget(total, causes, hypotheses, dominant_cause, summary, uses_fitted_chain)
 
 
-def _one_number(rivals: tuple[Explanation, ...], found: bool) -> Explanation | None:
-    """Return the more probable alternative, if it explains most of what a field would.
+def _accepted_hypothesis(
+    hypotheses: tuple[ScaleHypothesis, ...], scale_differs: bool
+) -> ScaleHypothesis | None:
+    """Return the more probable hypothesis, if it explains most of what a field would.
 
     Args:
-        rivals: alternatives with what each gains.
-        found: whether the fit found the target to be of another size, which decides.
+        hypotheses: both hypotheses; empty if they were not compared.
+        scale_differs: whether the fit found the target to be of another size, which decides.
     """
-    if not rivals:
+    if not hypotheses:
         return None
-    if found:
-        return next(rival for rival in rivals if rival.name == "target scale")
-    best = max(rivals, key=lambda rival: rival.gain)
-    return best if best.gain >= max(GAINED, MOST * best.field_gain) else None
+    if scale_differs:
+        return next(hypothesis for hypothesis in hypotheses if hypothesis.name == "target scale")
+    best = max(hypotheses, key=lambda hypothesis: hypothesis.log_likelihood_ratio)
+    minimum = max(MIN_LOG_LIKELIHOOD_RATIO, MIN_FIELD_FRACTION * best.field_log_likelihood_ratio)
+    return best if best.log_likelihood_ratio >= minimum else None
 
 
-def _has_undescribed_arm(field: AbstractField | None) -> bool:
-    """Return whether the field contains the errors of an arm that was not described."""
-    parts = (field.first, field.second) if isinstance(field, CombinedField) else (field,)
-    return any(isinstance(part, ImpliedArm) for part in parts)
+def _has_generic_arm(field: AbstractField | None) -> bool:
+    """Return whether the field is, or contains, that of a generic six-axis arm."""
+    fields = (field.first, field.second) if isinstance(field, CombinedField) else (field,)
+    return any(isinstance(component, GenericSixAxisArm) for component in fields)
 
 
-def _words(total: float, parts: tuple[Part, ...], culprit: str, own_chain: bool) -> str:
+def _summary(
+    total_rms: float, causes: tuple[ErrorCause, ...], dominant_cause: str, uses_fitted_chain: bool
+) -> str:
     """Return the budget's summary and advice in one or two sentences."""
-    named = {part.name: part for part in parts}
-    first = named[culprit]
-    text = f"Of {total:.3g} px RMS of the chain without correction"
-    text += ", " if own_chain else " (of a field linear in the pose, in the arm's place), "
-    text += f"{first.name} is {first.px:.3g} px: {first.advice}."
-    second = next(part for part in parts if part.name != culprit)
-    if second.px > ALSO * first.px:
-        text += f" Then {second.name}, {second.px:.3g} px: {second.advice}."
+    cause_by_name = {cause.name: cause for cause in causes}
+    dominant = cause_by_name[dominant_cause]
+    text = f"Of {total_rms:.3g} px RMS of the chain without correction"
+    text += ", " if uses_fitted_chain else " (of a field linear in the pose, in the arm's place), "
+    text += f"{dominant.name} is {dominant.rms:.3g} px: {dominant.advice}."
+    runner_up = next(cause for cause in causes if cause.name != dominant_cause)
+    if runner_up.rms > MIN_SECOND_CAUSE_FRACTION * dominant.rms:
+        text += f" Then {runner_up.name}, {runner_up.rms:.3g} px: {runner_up.advice}."
     return text
 
 
-def _advice(name: str, fit: JointFit, views: int, rivals: tuple[Explanation, ...]) -> str:
+def _advice(name: str, fit: JointFit, views: int, hypotheses: tuple[ScaleHypothesis, ...]) -> str:
     """Return the recommended action for a cause."""
-    if name == SCALE and rivals:
-        return _measure_the_board(rivals)
+    if name == SCALE_ERROR and hypotheses:
+        return _target_measurement_advice(hypotheses)
     assert fit.noise is not None
     millimetres, degrees = 1e3 * fit.noise.translation, np.rad2deg(fit.noise.rotation)
+    more = "more" if views >= RECOMMENDED_VIEWS else f"{RECOMMENDED_VIEWS} at least"
     return {
-        PIXELS: "sharper pictures, steady light, a larger or better printed target",
-        LENS: "the lens bends in a way that its model does not know: try a richer model",
-        NOISE: f"poses are off by {millimetres:.3f} mm and {degrees:.4f} deg, each by itself: wait "
-        "until the arm stands still, approach from one side, check the clocks; more views help",
-        SCALE: "measure the board",
-        SYSTEMATIC: "keep the correction when predicting and commanding, or have the robot "
-        "calibrated; without either, work near the views",
-        VIEWS: f"{views} views leave the parameters open by so much: take "
-        f"{'more' if views >= ENOUGH else f'{ENOUGH} at least'}, that differ in direction, "
-        "distance and roll about the optical axis",
+        PIXEL_NOISE: "sharper pictures, steady light, a larger or better printed target",
+        LENS_MISFIT: "the lens bends in a way that its model does not know: try a richer model",
+        ROBOT_NOISE: f"poses are off by {millimetres:.3f} mm and {degrees:.4f} deg, each by "
+        "itself: wait until the arm stands still, approach from one side, check the clocks; more "
+        "views help",
+        SCALE_ERROR: "measure the board",
+        SYSTEMATIC_ROBOT_ERROR: "keep the correction when predicting and commanding, or have the "
+        "robot calibrated; without either, work near the views",
+        TOO_FEW_VIEWS: f"{views} views leave the parameters open by so much: take {more}, that "
+        "differ in direction, distance and roll about the optical axis",
     }[name]
 
 
-def _measure_the_board(rivals: tuple[Explanation, ...]) -> str:
-    """Return the advice to measure the target, with both sizes that explain the error."""
-    size = {rival.name: rival for rival in rivals}
-    target, robot = size["target scale"], size["robot stretch"]
+def _target_measurement_advice(hypotheses: tuple[ScaleHypothesis, ...]) -> str:
+    """Return the advice to measure the target, with the scales that explain the error."""
+    hypothesis_by_name = {hypothesis.name: hypothesis for hypothesis in hypotheses}
+    target, robot = hypothesis_by_name["target scale"], hypothesis_by_name["robot stretch"]
     return (
         "measure the board: either the target is "
-        f"{target.size:.4f} +- {target.std:.4f} of its stated size, or the robot goes "
-        f"{robot.size:.4f} +- {robot.std:.4f} of the way that it reports; the likelihood cannot "
-        f"tell ({target.gain:.0f} and {robot.gain:.0f} better than neither, twice its logarithm), "
-        "but arms go their way to half a percent"
+        f"{target.scale:.4f} +- {target.std:.4f} of its stated size, or the robot goes "
+        f"{robot.scale:.4f} +- {robot.std:.4f} of the way that it reports; the likelihood cannot "
+        f"tell ({target.log_likelihood_ratio:.0f} and {robot.log_likelihood_ratio:.0f} better "
+        "than neither, twice its logarithm), but arms go their way to half a percent"
     )

@@ -13,7 +13,7 @@ from ...calibration import Calibration
 from ...dataset import Dataset
 from ..free_poses import free_pose_predictions
 
-DEGREE = 5
+POLYNOMIAL_DEGREE = 5
 """The degree of the polynomials in u and v that describe the pattern: common lenses', plus one."""
 
 
@@ -23,7 +23,7 @@ def lens_misfit(
     """Return the RMS over points of the smooth pattern of residuals over the image, px.
 
     The contribution that noise alone would make to this many coefficients is subtracted; zero if
-    nothing remains.
+    nothing remains, or if there are too few points to estimate the noise.
 
     Args:
         calibration: its camera and target scale matter, its chain does not.
@@ -34,28 +34,34 @@ def lens_misfit(
     predicted, valid, _ = free_pose_predictions(calibration, data)
     used = np.asarray(data.visible & valid)
     residual = np.asarray(data.pixels - predicted)[used]
-    pattern = _smooth(np.asarray(predicted)[used], calibration.camera.image_size)
-    count, size = pattern.shape
+    design = _legendre_basis(np.asarray(predicted)[used], calibration.camera.image_size)
+    count, term_count = design.shape
     # Degrees of freedom: two residuals per point, less two per polynomial and six per view's pose.
-    free = 2 * (count - size) - 6 * int(used.any(axis=1).sum())
-    if free < count:
+    degrees_of_freedom = 2 * (count - term_count) - 6 * int(used.any(axis=1).sum())
+    if degrees_of_freedom < count:
         return 0.0
-    # E|Q^T r|^2 = |pattern|^2 + 2 size sigma^2, with Q an orthonormal basis of the polynomials and
-    # sigma^2 = (|r|^2 - |Q^T r|^2) / free the noise.
-    basis, _ = np.linalg.qr(pattern)
-    explained = np.sum((basis.T @ residual) ** 2)
-    noise = (np.sum(residual**2) - explained) / free
-    return float(np.sqrt(max(explained - 2 * size * noise, 0.0) / count))
+    # E|Q^T r|^2 = |pattern|^2 + 2 term_count noise_variance, with Q an orthonormal basis of the
+    # polynomials and noise_variance = (|r|^2 - |Q^T r|^2) / degrees_of_freedom.
+    orthonormal, _ = np.linalg.qr(design)
+    explained_sum_of_squares = np.sum((orthonormal.T @ residual) ** 2)
+    noise_variance = (np.sum(residual**2) - explained_sum_of_squares) / degrees_of_freedom
+    return float(
+        np.sqrt(max(explained_sum_of_squares - 2 * term_count * noise_variance, 0.0) / count)
+    )
 
 
-def _smooth(
+def _legendre_basis(
     pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]
 ) -> Float[np.ndarray, "points terms"]:
-    """Return products of Legendre polynomials of u and v up to total degree `DEGREE`.
+    """Return products of Legendre polynomials of u and v up to total degree `POLYNOMIAL_DEGREE`.
 
     Both are scaled to -1..1 on the image.
     """
-    place = 2.0 * pixels / np.array(image_size, dtype=float) - 1.0
-    powers = np.polynomial.legendre.legvander2d(place[:, 0], place[:, 1], [DEGREE, DEGREE])
-    u, v = np.meshgrid(range(DEGREE + 1), range(DEGREE + 1), indexing="ij")
-    return powers[:, (u + v).ravel() <= DEGREE]
+    normalised = 2.0 * pixels / np.array(image_size, dtype=float) - 1.0
+    products = np.polynomial.legendre.legvander2d(
+        normalised[:, 0], normalised[:, 1], [POLYNOMIAL_DEGREE, POLYNOMIAL_DEGREE]
+    )
+    # `legvander2d` limits the degree in u and in v each; products of a higher total are left out.
+    degrees = range(POLYNOMIAL_DEGREE + 1)
+    u_degree, v_degree = np.meshgrid(degrees, degrees, indexing="ij")
+    return products[:, (u_degree + v_degree).ravel() <= POLYNOMIAL_DEGREE]

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..measures import Deviations
+from ..measures import ReprojectionErrors
 
-RESAMPLES = 5000
+RESAMPLE_COUNT = 5000
 """The number of resampled sets of views.
 
 The ends of a 95 % interval are then good to about 2 % of it.
@@ -27,11 +27,11 @@ class Interval(NamedTuple):
     high: float
 
 
-def rms_interval(deviations: Deviations, level: float = 0.95) -> Interval:
+def rms_interval(errors: ReprojectionErrors, level: float = 0.95) -> Interval:
     """Return the bootstrap interval of the RMS reprojection error, px; NaN below two views.
 
     Args:
-        deviations: of any fit; views without a predicted point do not count.
+        errors: of any fit; views without a predicted point do not count.
         level: fraction of the resampled figures that lies inside.
 
     Raises:
@@ -39,15 +39,19 @@ def rms_interval(deviations: Deviations, level: float = 0.95) -> Interval:
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level: expected a number between 0 and 1, found {level}")
-    finite = np.isfinite(deviations.px)
+    finite = np.isfinite(errors.px)
     counts = finite.sum(axis=1)
-    squares = np.sum(np.where(finite, deviations.px, 0.0) ** 2, axis=1)
+    squares = np.sum(np.where(finite, errors.px, 0.0) ** 2, axis=1)
     # A view without predicted points has no error to resample.
     counts, squares = counts[counts > 0], squares[counts > 0]
     if len(counts) < 2:
         return Interval(float("nan"), float("nan"))
     # Views resampled with replacement, with a fixed seed; RMS = sqrt(sum of squares / points).
-    drawn = np.random.default_rng(0).integers(len(counts), size=(RESAMPLES, len(counts)))
-    drawn_rms = np.sqrt(squares[drawn].sum(axis=1) / counts[drawn].sum(axis=1))
-    low, high = np.quantile(drawn_rms, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    resampled_views = np.random.default_rng(0).integers(
+        len(counts), size=(RESAMPLE_COUNT, len(counts))
+    )
+    resampled_rms = np.sqrt(
+        squares[resampled_views].sum(axis=1) / counts[resampled_views].sum(axis=1)
+    )
+    low, high = np.quantile(resampled_rms, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
     return Interval(float(low), float(high))

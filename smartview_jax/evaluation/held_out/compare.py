@@ -3,31 +3,31 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from ...calibrate_data import LENS, calibrate
+from ...calibration_pipeline import DEFAULT_LENS, calibrate
 from ...cameras import AbstractLens
 from ...dataset import Dataset
 from ...fit_result import Rejection
 from ...staged import fit_one_view_intrinsics, fit_staged
-from ..free_poses import free_pose_deviations
-from ..measures import Deviations, deviations
+from ..free_poses import free_pose_errors
+from ..measures import ReprojectionErrors, reprojection_errors
 from ..rejections import rejected_by
 from .held_out import (
-    HeldOut,
-    Refit,
+    FoldFit,
+    HeldOutErrors,
+    choose_uncorrected,
+    fit_folds,
     has_correction,
     predictor_of,
-    refit,
     score,
-    whole,
-    without_correction,
+    whole_fit,
 )
 
-UNCORRECTED = "correction left out"
+UNCORRECTED_SUFFIX = "correction left out"
 """The suffix of a method's name for its row without the correction of the robot's error."""
 
 
 class Method(NamedTuple):
-    """One method of the comparison.
+    """A method of the comparison.
 
     Attributes:
         fitter: function from a data set to a fit. Methods with the same fitter use the same fits.
@@ -36,11 +36,11 @@ class Method(NamedTuple):
     """
 
     fitter: Callable[[Dataset], Any]
-    choose: Callable[[Any, Dataset], Any] = whole
-    measure: Callable[[Any, Dataset], Deviations] = deviations
+    choose: Callable[[Any, Dataset], Any] = whole_fit
+    measure: Callable[[Any, Dataset], ReprojectionErrors] = reprojection_errors
 
 
-class Row(NamedTuple):
+class MethodResult(NamedTuple):
     """The results of one method on one data set.
 
     Attributes:
@@ -53,26 +53,28 @@ class Row(NamedTuple):
     """
 
     name: str
-    fitted: Deviations | None
-    held_out: HeldOut | None
+    fitted: ReprojectionErrors | None
+    held_out: HeldOutErrors | None
     rejected: tuple[Rejection, ...] | None = None
     failure: str | None = None
 
 
-def standard_methods(lens: str | AbstractLens = LENS) -> dict[str, Method]:
+def standard_methods(lens: str | AbstractLens = DEFAULT_LENS) -> dict[str, Method]:
     """Return the paper's methods, the joint fit, and the lower bound of a free pose per view."""
 
-    def both(data: Dataset) -> Any:
+    def calibrate_trusted(data: Dataset) -> Any:
         return calibrate(data, lens, noise="trusted")
 
     return {
-        "staged": Method(both, lambda fit, _: fit.staged),
+        "staged": Method(calibrate_trusted, lambda fit, _: fit.staged),
         "staged, no distortion": Method(lambda data: fit_staged(data, lens="pinhole")),
-        "linear interpolation": Method(both, lambda fit, data: fit.staged.interpolation(data)),
+        "linear interpolation": Method(
+            calibrate_trusted, lambda fit, data: fit.staged.interpolation(data)
+        ),
         "one view's intrinsics": Method(fit_one_view_intrinsics),
-        "joint, robot trusted": Method(both),
+        "joint, robot trusted": Method(calibrate_trusted),
         "joint, errors estimated": Method(lambda data: calibrate(data, lens)),
-        "free pose a view": Method(both, measure=free_pose_deviations),
+        "free pose a view": Method(calibrate_trusted, measure=free_pose_errors),
     }
 
 
@@ -82,7 +84,7 @@ def compare(
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
     by: str = "view",
-) -> list[Row]:
+) -> list[MethodResult]:
     """Fit every method to all views and in every fold; the folds are the same for all methods.
 
     A fit that corrects the robot's error has a second row without the correction: the error of a
@@ -99,58 +101,64 @@ def compare(
         by: `"view"` or `"region"`: which views are hidden together, as for `held_out`.
     """
     say = progress or (lambda _: None)
-    fits: dict[Callable, _Fits | ValueError] = {}
-    rows = []
-    for name, given in (standard_methods() if methods is None else methods).items():
-        method = given if isinstance(given, Method) else Method(given)
+    # By fitter: its fits, or the error of its fit to all views.
+    fits: dict[Callable, _FoldedFits | ValueError] = {}
+    results = []
+    for name, method_or_fitter in (standard_methods() if methods is None else methods).items():
+        method = (
+            method_or_fitter if isinstance(method_or_fitter, Method) else Method(method_or_fitter)
+        )
         # Methods with the same fitter are parts of one fit: it runs once per fold for all of them.
         if method.fitter not in fits:
             say(name)
-            fits[method.fitter] = _fit(
+            fits[method.fitter] = _fit_folds(
                 data, method.fitter, folds, lambda s, n=name: say(f"{n}: {s}"), by
             )
-        found = fits[method.fitter]
-        rows.append(_row(name, method, found, data))
-        if isinstance(found, _Fits) and method.measure is deviations:
-            # Only reprojection errors depend on the correction: a free pose per view ignores the
-            # robot.
-            bare = method._replace(choose=without_correction(method.choose))
-            if any(has_correction(method.choose(fit, data)) for fit in found.every):
-                rows.append(_row(f"{name}, {UNCORRECTED}", bare, found, data))
-    return rows
+        method_fits = fits[method.fitter]
+        results.append(_method_result(name, method, method_fits, data))
+        if isinstance(method_fits, _FoldedFits) and method.measure is reprojection_errors:
+            # Only reprojection errors depend on the correction: free poses ignore the robot.
+            uncorrected = method._replace(choose=choose_uncorrected(method.choose))
+            if any(has_correction(method.choose(fit, data)) for fit in method_fits.all_fits):
+                results.append(
+                    _method_result(f"{name}, {UNCORRECTED_SUFFIX}", uncorrected, method_fits, data)
+                )
+    return results
 
 
-class _Fits(NamedTuple):
+class _FoldedFits(NamedTuple):
     """A fitter's fit to all views, and its refits in every fold."""
 
     fit: Any
-    refits: tuple[Refit, ...]
+    refits: tuple[FoldFit, ...]
 
     @property
-    def every(self) -> tuple[Any, ...]:
+    def all_fits(self) -> tuple[Any, ...]:
         """The fit to all views, and those of the folds that did not fail."""
         return (self.fit, *(fold.fit for fold in self.refits if fold.failure is None))
 
 
-def _fit(
+def _fit_folds(
     data: Dataset,
     fitter: Callable[[Dataset], Any],
     folds: int,
     progress: Callable[[str], None],
     by: str,
-) -> _Fits | ValueError:
+) -> _FoldedFits | ValueError:
     """Fit all views and every fold; return the error if the fit of all views fails."""
     try:
-        return _Fits(fitter(data), refit(data, fitter, folds, progress, by))
+        return _FoldedFits(fitter(data), fit_folds(data, fitter, folds, progress, by))
     except ValueError as error:
         return error
 
 
-def _row(name: str, method: Method, fits: _Fits | ValueError, data: Dataset) -> Row:
+def _method_result(
+    name: str, method: Method, fits: _FoldedFits | ValueError, data: Dataset
+) -> MethodResult:
     """Return one method's row from the fits of its fitter."""
     if isinstance(fits, ValueError):
-        return Row(name, None, None, failure=str(fits))
-    part = method.choose(fits.fit, data)
-    fitted = method.measure(predictor_of(part), data)
-    unseen = score(fits.refits, data, method.choose, method.measure)
-    return Row(name, fitted, unseen, rejected_by(part))
+        return MethodResult(name, None, None, failure=str(fits))
+    chosen = method.choose(fits.fit, data)
+    fitted = method.measure(predictor_of(chosen), data)
+    held_out_errors = score(fits.refits, data, method.choose, method.measure)
+    return MethodResult(name, fitted, held_out_errors, rejected_by(chosen))

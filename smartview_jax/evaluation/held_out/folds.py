@@ -12,10 +12,10 @@ from ...dataset import Dataset
 LEAVE_ONE_OUT_BELOW = 8
 """The number of views below which every view is its own fold."""
 
-LEAST_BY_REGION = 6
+MIN_VIEWS_BY_REGION = 6
 """The number of views below which hiding a region leaves too few to fit."""
 
-BY = ("view", "region")
+FOLD_KINDS = ("view", "region")
 """The accepted values of `by`."""
 
 
@@ -32,15 +32,15 @@ def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int,
     Raises:
         ValueError: fewer than two folds, too few usable views, or an unknown `by`.
     """
-    if by not in BY:
-        raise ValueError(f"by is one of {', '.join(BY)}; found {by!r}")
+    if by not in FOLD_KINDS:
+        raise ValueError(f"by is one of {', '.join(FOLD_KINDS)}; found {by!r}")
     if folds < 2:
         raise ValueError(f"folds: expected at least 2, found {folds}")
     views = data.usable_views()
-    least = LEAST_BY_REGION if by == "region" else 4
-    if len(views) < least:
+    minimum = MIN_VIEWS_BY_REGION if by == "region" else 4
+    if len(views) < minimum:
         raise ValueError(
-            f"held-out error by {by} needs at least {least} usable views, found {len(views)}"
+            f"held-out error by {by} needs at least {minimum} usable views, found {len(views)}"
         )
     if by == "view":
         return view_folds(views, folds)
@@ -49,12 +49,15 @@ def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int,
 
 
 def view_folds(views: Int[np.ndarray, "views"], folds: int) -> tuple[tuple[int, ...], ...]:
-    """Return the views of each fold by a fixed random permutation; below eight, one view each."""
+    """Return the views of each fold by a fixed random permutation.
+
+    Below `LEAVE_ONE_OUT_BELOW` views, each view is a fold of its own.
+    """
     # A fixed seed: every method, and every run, has the same folds.
     count = len(views)
-    number = count if count < LEAVE_ONE_OUT_BELOW else min(folds, count)
+    fold_count = count if count < LEAVE_ONE_OUT_BELOW else min(folds, count)
     order = np.random.default_rng(0).permutation(count)
-    return tuple(tuple(int(views[k]) for k in order[i::number]) for i in range(number))
+    return tuple(tuple(int(views[k]) for k in order[i::fold_count]) for i in range(fold_count))
 
 
 def region_folds(
@@ -67,27 +70,30 @@ def region_folds(
         positions: positions of the tool in the base frame, m.
         folds: number of regions, with at least two views each; sizes differ by at most one.
     """
-    regions = _halved(positions, np.arange(len(views)), min(folds, len(views) // 2))
+    regions = _bisect_regions(positions, np.arange(len(views)), min(folds, len(views) // 2))
     return tuple(tuple(int(views[k]) for k in sorted(region)) for region in regions)
 
 
-def _halved(
-    positions: Float[np.ndarray, "all 3"], chosen: Int[np.ndarray, "chosen"], parts: int
+def _bisect_regions(
+    positions: Float[np.ndarray, "all 3"],
+    view_indices: Int[np.ndarray, "chosen"],
+    region_count: int,
 ) -> list[Int[np.ndarray, "region"]]:
     """Return the regions of some views, halved across their longest direction."""
-    if parts == 1:
-        return [chosen]
-    offset = positions[chosen] - positions[chosen].mean(axis=0)
+    if region_count == 1:
+        return [view_indices]
+    offset = positions[view_indices] - positions[view_indices].mean(axis=0)
     # The first principal direction of the positions: the right singular vector of the largest
-    # value.
+    # singular value.
     axis = np.linalg.svd(offset, full_matrices=False)[2][0]
     # The sign is arbitrary; with the largest component positive it is the same on every machine.
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    ordered = chosen[np.argsort(offset @ axis, kind="stable")]
-    first = parts // 2
-    # In proportion to the number of regions on either side, so that regions are of equal size.
-    cut = len(chosen) * first // parts
+    ordered = view_indices[np.argsort(offset @ axis, kind="stable")]
+    left_count = region_count // 2
+    # Split in proportion to the number of regions on either side, so that all regions are of equal
+    # size.
+    split_index = len(view_indices) * left_count // region_count
     return [
-        *_halved(positions, ordered[:cut], first),
-        *_halved(positions, ordered[cut:], parts - first),
+        *_bisect_regions(positions, ordered[:split_index], left_count),
+        *_bisect_regions(positions, ordered[split_index:], region_count - left_count),
     ]

@@ -8,13 +8,13 @@ from jaxlie import SE3
 
 from ...calibration import Calibration
 from ...dataset import Dataset
-from ..measures import Deviations, Predictor, deviations
+from ..measures import Predictor, ReprojectionErrors, reprojection_errors
 from .bootstrap import Interval, rms_interval
 from .folds import split_views
 
 
-class Refit(NamedTuple):
-    """One fold: the views that it hides, and the fit to all others.
+class FoldFit(NamedTuple):
+    """The fit of one fold, with the views that the fold hides from it.
 
     Attributes:
         views: indices of the hidden views.
@@ -27,27 +27,28 @@ class Refit(NamedTuple):
     failure: str | None = None
 
 
-class HeldOut(NamedTuple):
+class HeldOutErrors(NamedTuple):
     """The errors of fits on views that they never used.
 
     Attributes:
-        deviations: pooled over all folds; NaN where not seen or the fold failed.
+        errors: pooled over all folds; NaN where not seen or the fold failed.
         folds: indices of the views held out in each fold.
         failures: fold and reason, for folds whose fit failed.
-        unconverged: fold and message, for folds whose fit stopped early; their predictions count.
-        extrapolated: indices of the views outside the region that their fold's predictor calls
-            `inside`; empty where it has no such region. Their predictions count.
+        unconverged_folds: fold and message, for folds whose fit stopped early; their predictions
+            count.
+        extrapolated_views: indices of the views for which their fold's predictor has `is_inside`
+            false; empty where it has no such method. Their predictions count.
     """
 
-    deviations: Deviations
+    errors: ReprojectionErrors
     folds: tuple[tuple[int, ...], ...]
     failures: tuple[tuple[int, str], ...]
-    unconverged: tuple[tuple[int, str], ...] = ()
-    extrapolated: tuple[int, ...] = ()
+    unconverged_folds: tuple[tuple[int, str], ...] = ()
+    extrapolated_views: tuple[int, ...] = ()
 
     def interval(self, level: float = 0.95) -> Interval:
         """Return the bootstrap interval of the RMS over views, px; see `rms_interval`."""
-        return rms_interval(self.deviations, level)
+        return rms_interval(self.errors, level)
 
 
 def held_out(
@@ -56,7 +57,7 @@ def held_out(
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
     by: str = "view",
-) -> HeldOut:
+) -> HeldOutErrors:
     """Cross-validate, by view or by region of the workspace.
 
     Args:
@@ -72,29 +73,30 @@ def held_out(
     Raises:
         ValueError: fewer than two folds, or too few usable views: four, six by region.
     """
-    return score(refit(data, fitter, folds, progress, by), data)
+    return score(fit_folds(data, fitter, folds, progress, by), data)
 
 
-def refit(
+def fit_folds(
     data: Dataset,
     fitter: Callable[[Dataset], Any],
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
     by: str = "view",
-) -> tuple[Refit, ...]:
+) -> tuple[FoldFit, ...]:
     """Return the fits behind `held_out`, so that several parts of one fit can be scored.
 
     The arguments are those of `held_out`.
     """
     split = split_views(data, folds, by)
     fits = []
-    for number, held in enumerate(split):
+    for number, hidden_views in enumerate(split):
         if progress is not None:
             progress(f"fold {number + 1} of {len(split)}")
         try:
-            fits.append(Refit(held, fitter(data.without(held))))
+            fits.append(FoldFit(hidden_views, fitter(data.mask_views(hidden_views))))
         except ValueError as error:
-            fits.append(Refit(held, None, str(error)))
+            # Reported with the results, so that one failed fold does not cost the others.
+            fits.append(FoldFit(hidden_views, None, str(error)))
     return tuple(fits)
 
 
@@ -103,7 +105,7 @@ def predictor_of(fit: Any) -> Predictor:
     return getattr(fit, "calibration", fit)
 
 
-def whole(fit: Any, data: Dataset) -> Any:
+def whole_fit(fit: Any, data: Dataset) -> Any:
     """Return the fit unchanged: the default choice of `score`."""
     return fit
 
@@ -113,81 +115,86 @@ def has_correction(fit: Any) -> bool:
     return getattr(predictor_of(fit), "robot_error", None) is not None
 
 
-def without_correction(
-    choose: Callable[[Any, Dataset], Any] = whole,
+def choose_uncorrected(
+    choose: Callable[[Any, Dataset], Any] = whole_fit,
 ) -> Callable[[Any, Dataset], Any]:
     """Return a choice for `score` that takes the same part with the robot's poses as reported."""
 
-    def bare(fit: Any, data: Dataset) -> Any:
-        part = choose(fit, data)
-        predictor = predictor_of(part)
-        return predictor.uncorrected if isinstance(predictor, Calibration) else part
+    def uncorrected_part(fit: Any, data: Dataset) -> Any:
+        chosen = choose(fit, data)
+        predictor = predictor_of(chosen)
+        return predictor.uncorrected if isinstance(predictor, Calibration) else chosen
 
-    return bare
+    return uncorrected_part
 
 
 def score(
-    refits: Sequence[Refit],
+    fold_fits: Sequence[FoldFit],
     data: Dataset,
-    choose: Callable[[Any, Dataset], Any] = whole,
-    measure: Callable[[Any, Dataset], Deviations] = deviations,
-) -> HeldOut:
+    choose: Callable[[Any, Dataset], Any] = whole_fit,
+    measure: Callable[[Any, Dataset], ReprojectionErrors] = reprojection_errors,
+) -> HeldOutErrors:
     """Return the pooled error of every fold on the views that it never used.
 
     Args:
-        refits: from `refit`, with the same data.
+        fold_fits: from `fit_folds`, with the same data.
         data: all views.
         choose: function from a fit and the data to the part of it to score: one of its fits, a
             predictor.
         measure: function from a predictor and the data to reprojection errors.
     """
-    parts = [
+    chosen = [
         fold if fold.failure is not None else fold._replace(fit=choose(fold.fit, data))
-        for fold in refits
+        for fold in fold_fits
     ]
-    found = pooled(parts, data, lambda part: measure(predictor_of(part), data))
+    pooled_errors = pool_errors(chosen, data, lambda part: measure(predictor_of(part), data))
     unconverged = []
-    for number, part in enumerate(parts):
+    for number, fold in enumerate(chosen):
         # Predictors other than fits have no `result`: nothing is known of their convergence.
-        result = getattr(part.fit, "result", None)
+        result = getattr(fold.fit, "result", None)
         if result is not None and not result.converged:
             unconverged.append((number, result.message))
-    outside = tuple(view for part in parts for view in _extrapolated(part, data))
-    return found._replace(unconverged=tuple(unconverged), extrapolated=outside)
+    extrapolated = tuple(view for fold in chosen for view in _extrapolated_views(fold, data))
+    return pooled_errors._replace(
+        unconverged_folds=tuple(unconverged), extrapolated_views=extrapolated
+    )
 
 
-def _extrapolated(fold: Refit, data: Dataset) -> tuple[int, ...]:
+def _extrapolated_views(fold: FoldFit, data: Dataset) -> tuple[int, ...]:
     """Return the hidden views that are outside the region of a fold's predictor."""
-    inside = None if fold.failure else getattr(predictor_of(fold.fit), "inside", None)
-    if inside is None:
+    is_inside = None if fold.failure else getattr(predictor_of(fold.fit), "is_inside", None)
+    if is_inside is None:
         return ()
     views = np.array(fold.views)
-    return tuple(int(v) for v in views[~inside(SE3(data.base_from_tool.wxyz_xyz[views]))])
+    return tuple(int(v) for v in views[~is_inside(SE3(data.base_from_tool.wxyz_xyz[views]))])
 
 
-def pooled(refits: Sequence[Refit], data: Dataset, measure: Callable[[Any], Deviations]) -> HeldOut:
-    """Return the values of a measure of every fold's fit, each on its hidden views.
+def pool_errors(
+    fold_fits: Sequence[FoldFit], data: Dataset, measure: Callable[[Any], ReprojectionErrors]
+) -> HeldOutErrors:
+    """Return the errors of every fold's fit by a measure, each on its hidden views.
 
     Args:
-        refits: from `refit`, with the same data.
+        fold_fits: from `fit_folds`, with the same data.
         data: all views.
-        measure: function from a fit to numbers for every point; a `ValueError` is that fold's
+        measure: function from a fit to errors of every point; a `ValueError` is that fold's
             failure.
     """
     # Each view is hidden in one fold only, so the folds fill separate rows.
     px = np.full(data.visible.shape, np.nan)
     metres = px.copy()
     failures = []
-    for number, (held, fit, failure) in enumerate(refits):
+    for number, (hidden_views, fit, failure) in enumerate(fold_fits):
         if failure is None:
             try:
-                found = measure(fit)
+                errors = measure(fit)
             except ValueError as error:
                 failure = str(error)
             else:
-                index = list(held)
-                px[index], metres[index] = found.px[index], found.m[index]
+                rows = list(hidden_views)
+                px[rows] = errors.px[rows]
+                metres[rows] = errors.metres[rows]
         if failure is not None:
             failures.append((number, failure))
-    folds = tuple(fold.views for fold in refits)
-    return HeldOut(Deviations(px, metres), folds, tuple(failures))
+    folds = tuple(fold.views for fold in fold_fits)
+    return HeldOutErrors(ReprojectionErrors(px, metres), folds, tuple(failures))

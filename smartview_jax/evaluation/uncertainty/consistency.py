@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtri, ndtri, stdtrit
 
-LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95
 """The probability of intervals and bands."""
 
 
-class Measured(NamedTuple):
-    """A mean over runs, with the band that contains it with probability `LEVEL`.
+class ConsistencyStatistic(NamedTuple):
+    """A mean over runs, with the band that contains it with probability `CONFIDENCE_LEVEL`.
 
     The band holds if all uncertainty is as stated.
     """
@@ -29,7 +29,7 @@ class Measured(NamedTuple):
     high: float
 
     @property
-    def within(self) -> bool:
+    def is_consistent(self) -> bool:
         """Whether the mean lies in its band."""
         return self.low <= self.value <= self.high
 
@@ -48,34 +48,45 @@ def nees(
         ValueError: a covariance is not positive definite; the message names the run.
     """
     variances = np.diagonal(covariances, axis1=1, axis2=2)
-    sound = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
-    sound &= np.asarray((variances > 0.0).all(axis=1))
+    valid = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    valid &= np.asarray((variances > 0.0).all(axis=1))
     # Correlations instead of covariances: numbers of very different units keep their precision.
-    lengths = np.sqrt(np.where(sound[:, None], variances, 1.0))
-    unit = covariances / (lengths[:, :, None] * lengths[:, None])
-    unit = np.where(sound[:, None, None], unit, np.eye(variances.shape[1]))
-    sound &= np.linalg.eigvalsh(unit)[:, 0] > 0.0
-    if not sound.all():
-        run = int(np.argmin(sound))
+    stds = np.sqrt(np.where(valid[:, None], variances, 1.0))
+    correlations = covariances / (stds[:, :, None] * stds[:, None])
+    correlations = np.where(valid[:, None, None], correlations, np.eye(variances.shape[1]))
+    valid &= np.linalg.eigvalsh(correlations)[:, 0] > 0.0
+    if not valid.all():
+        run = int(np.argmin(valid))
         raise ValueError(f"covariances: that of run {run} is not finite and positive definite")
-    scaled = errors / lengths
-    return np.einsum("ri,ri->r", scaled, np.linalg.solve(unit, scaled[..., None])[..., 0])
+    # e^T P^-1 e = (L^-1 e)^T C^-1 (L^-1 e), with P = L C L, L the stds and C the correlations.
+    standardised_errors = errors / stds
+    return np.einsum(
+        "ri,ri->r",
+        standardised_errors,
+        np.linalg.solve(correlations, standardised_errors[..., None])[..., 0],
+    )
 
 
-def mean_nees(squares: Float[np.ndarray, "runs"], numbers: int) -> Measured:
-    """Return the mean of `nees` and its band; it is near `numbers` if the covariances are true."""
-    tail, runs = 0.5 - 0.5 * LEVEL, len(squares)
+def mean_nees(nees_values: Float[np.ndarray, "runs"], dimension: int) -> ConsistencyStatistic:
+    """Return the mean of `nees` with its band.
+
+    The mean is near `dimension` if the covariances are true.
+    """
+    tail_probability, runs = 0.5 - 0.5 * CONFIDENCE_LEVEL, len(nees_values)
     # Over n runs the sum is chi-square with n times as many degrees of freedom.
-    low, high = (float(chdtri(runs * numbers, p)) / runs for p in (1.0 - tail, tail))
-    return Measured(float(np.mean(squares)), low, high)
+    low, high = (
+        float(chdtri(runs * dimension, p)) / runs
+        for p in (1.0 - tail_probability, tail_probability)
+    )
+    return ConsistencyStatistic(float(np.mean(nees_values)), low, high)
 
 
-def covered(
+def within_interval(
     errors: Float[np.ndarray, "*runs"],
     std: Float[np.ndarray, "*runs"],
     degrees_of_freedom: Float[np.ndarray, "*runs"] | float = np.inf,
 ) -> Bool[np.ndarray, "*runs"]:
-    """Return whether each error lies within its two-sided interval at `LEVEL`.
+    """Return whether each error lies within its two-sided interval at `CONFIDENCE_LEVEL`.
 
     Args:
         errors: estimates minus truth.
@@ -83,18 +94,23 @@ def covered(
         degrees_of_freedom: degrees of freedom of the standard deviations (Student's t); infinite
             where they are known.
     """
-    degrees, p = np.asarray(degrees_of_freedom, dtype=float), 0.5 + 0.5 * LEVEL
-    finite = np.isfinite(degrees)
+    nu, p = np.asarray(degrees_of_freedom, dtype=float), 0.5 + 0.5 * CONFIDENCE_LEVEL
+    finite = np.isfinite(nu)
     # Student's t quantile with finite degrees of freedom, otherwise the normal one.
-    times = np.where(finite, stdtrit(np.where(finite, degrees, 1.0), p), ndtri(p))
-    return np.abs(errors) <= times * std
+    quantile = np.where(finite, stdtrit(np.where(finite, nu, 1.0), p), ndtri(p))
+    return np.abs(errors) <= quantile * std
 
 
-def coverage(held: Bool[np.ndarray, "runs"]) -> Measured:
+def coverage(is_within: Bool[np.ndarray, "runs"]) -> ConsistencyStatistic:
     """Return the fraction of runs whose interval contains the truth.
 
     Its band is that of the normal approximation.
     """
     # The binomial standard deviation sqrt(p (1 - p) / n) at the stated probability p.
-    half = float(ndtri(0.5 + 0.5 * LEVEL) * np.sqrt(LEVEL * (1.0 - LEVEL) / len(held)))
-    return Measured(float(np.mean(held)), LEVEL - half, LEVEL + half)
+    half_width = float(
+        ndtri(0.5 + 0.5 * CONFIDENCE_LEVEL)
+        * np.sqrt(CONFIDENCE_LEVEL * (1.0 - CONFIDENCE_LEVEL) / len(is_within))
+    )
+    return ConsistencyStatistic(
+        float(np.mean(is_within)), CONFIDENCE_LEVEL - half_width, CONFIDENCE_LEVEL + half_width
+    )

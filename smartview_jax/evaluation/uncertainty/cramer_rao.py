@@ -17,16 +17,16 @@ from ...engine import (
     Noise,
     Observability,
     Prior,
-    UnitColumns,
+    ScaledJacobian,
     build_problem,
     covariance,
     eliminate,
     observability,
 )
-from ...robot_errors import AbstractField
+from ...robot_errors import FieldChoice
 
 
-class Bound(eqx.Module):
+class CramerRaoBound(eqx.Module):
     """The Cramer-Rao bound of a set-up; `std_of` carries it to any function of a calibration.
 
     Attributes:
@@ -50,11 +50,12 @@ def cramer_rao(
     calibration: Calibration,
     data: Dataset,
     noise: Noise | float,
-    field: AbstractField | None = None,
+    *,
+    field: FieldChoice = "auto",
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-) -> Bound:
+) -> CramerRaoBound:
     """Return the Cramer-Rao bound of all parameters that a joint fit estimates.
 
     Errors of reported poses, and the coefficients of a field, are marginalised under their priors,
@@ -67,7 +68,7 @@ def cramer_rao(
         noise: the noise model; a number is the standard deviation of pixels, px, with an exact
             robot.
         field: the robot error field, with one standard deviation for each of its groups in the
-            noise.
+            noise; by default the calibration's own error is taken as known.
         fixed: paths of known parameters, as for `fit_joint`.
         free: as for `fit_joint`.
         priors: as for `fit_joint`.
@@ -75,31 +76,31 @@ def cramer_rao(
     Raises:
         ValueError: as `fit_joint` does.
     """
-    robot = noise if isinstance(noise, Noise) else "trusted"
+    noise_model = noise if isinstance(noise, Noise) else "trusted"
     built = build_problem(
-        data, calibration, noise=robot, field=field, fixed=fixed, free=free, priors=priors
+        data, calibration, noise=noise_model, field=field, fixed=fixed, free=free, priors=priors
     )
     # An exact robot has no noise model to hold the pixel sigma, so it is set in the problem.
     if not isinstance(noise, Noise):
         sigma = np.asarray(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)
     # Bound: covariance >= I^-1, with I = J^T S^-1 J + priors the Fisher information matrix.
-    reduced, lengths = _information(built.problem)
-    columns = UnitColumns(np.asarray(reduced), np.asarray(lengths))
-    least, std = covariance(columns, 1.0)
+    reduced, column_norms = _information_matrix(built.problem)
+    scaled_jacobian = ScaledJacobian(np.asarray(reduced), np.asarray(column_norms))
+    bound_covariance, std = covariance(scaled_jacobian, 1.0)
     truth = built.problem.parameters.start
-    return Bound(
+    return CramerRaoBound(
         truth,
-        least,
-        dict(zip(built.names, map(float, std), strict=True)),
-        observability(columns, built.names, truth),
-        built.names,
+        bound_covariance,
+        dict(zip(built.shared_names, map(float, std), strict=True)),
+        observability(scaled_jacobian, built.shared_names, truth),
+        built.shared_names,
     )
 
 
 @compiled
-def _information(problem: JointProblem) -> tuple:
+def _information_matrix(problem: JointProblem) -> tuple:
     """Return the information matrix, pose corrections marginalised, and its columns' lengths."""
     # Marginalising Gaussian corrections is the Schur complement: I = A - sum_v B_v^T C_v^-1 B_v.
-    matrix = problem.normal_equations(problem.start()).matrix
-    return eliminate(matrix).reduced, matrix.diagonal().shared ** 0.5
+    matrix = problem.normal_equations(problem.zero_step()).matrix
+    return eliminate(matrix).schur_complement, matrix.diagonal().shared ** 0.5

@@ -14,7 +14,7 @@ from ...engine import Observability, Parameters, Step, parameter_names
 
 
 @runtime_checkable
-class Estimate(Protocol):
+class CalibrationEstimate(Protocol):
     """A calibration with the covariance of its parameters, such as a joint fit or a bound."""
 
     calibration: Calibration
@@ -28,7 +28,7 @@ class Estimate(Protocol):
 
 
 def std_of(
-    estimate: Estimate, function: Callable[[Calibration], Array]
+    estimate: CalibrationEstimate, function: Callable[[Calibration], Array]
 ) -> Float[Array, "*numbers"]:
     """Return the standard deviation of every number that a function of the calibration gives.
 
@@ -44,33 +44,36 @@ def std_of(
     Raises:
         ValueError: the data leave something entirely undetermined; the message names it.
     """
-    return jnp.sqrt(_variance(estimate.calibration, function, _independent_steps(estimate)))
+    return jnp.sqrt(_variance(estimate.calibration, function, _covariance_root(estimate)))
 
 
 def covariance_of(
-    estimate: Estimate, function: Callable[[Calibration], Float[Array, "numbers"]]
+    estimate: CalibrationEstimate, function: Callable[[Calibration], Float[Array, "numbers"]]
 ) -> Float[Array, "numbers numbers"]:
     """Return the covariance of the numbers in a vector that a function gives; see `std_of`."""
-    # J P J^T = sum_k (J d_k) (J d_k)^T, with P = sum_k d_k d_k^T.
-    spread = _moves(estimate.calibration, function, _independent_steps(estimate))
-    return spread.T @ spread
+    # J P J^T = sum_k (J d_k) (J d_k)^T, with P = sum_k d_k d_k^T. The rows of `changes` are J d_k.
+    changes = _directional_derivatives(estimate.calibration, function, _covariance_root(estimate))
+    return changes.T @ changes
 
 
-def _independent_steps(estimate: Estimate) -> Float[Array, "directions parameters"]:
+def _covariance_root(estimate: CalibrationEstimate) -> Float[Array, "directions parameters"]:
     """Return steps of one standard deviation along independent directions of the covariance."""
-    if estimate.observability.null:
-        words = "; ".join(direction.words for direction in estimate.observability.null)
-        raise ValueError(f"the data leave something open, add views or a prior: {words}")
+    if estimate.observability.null_directions:
+        descriptions = "; ".join(
+            direction.description for direction in estimate.observability.null_directions
+        )
+        raise ValueError(f"the data leave something open, add views or a prior: {descriptions}")
     names = parameter_names(estimate.calibration)
-    where = np.array([names.index(name) for name in estimate.parameter_names], dtype=int)
-    lengths = np.sqrt(np.diagonal(estimate.covariance))
+    indices = np.array([names.index(name) for name in estimate.parameter_names], dtype=int)
+    stds = np.sqrt(np.diagonal(estimate.covariance))
     # P = L C L with L the standard deviations, C = V diag(s) V^T the correlations, and P = sum_k
     # d_k d_k^T with d_k = sqrt(s_k) L v_k. Correlations instead of the covariance: with pixels
     # beside radians the eigenvectors would lose precision.
-    values, vectors = np.linalg.eigh(estimate.covariance / np.outer(lengths, lengths))
-    roots = (vectors * np.sqrt(np.maximum(values, 0.0))).T * lengths
+    eigenvalues, eigenvectors = np.linalg.eigh(estimate.covariance / np.outer(stds, stds))
+    roots = (eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T * stds
+    # Held parameters have no uncertainty: their entries of every step stay zero.
     steps = np.zeros((len(roots), len(names)))
-    steps[:, where] = roots
+    steps[:, indices] = roots
     return jnp.asarray(steps)
 
 
@@ -80,44 +83,45 @@ def _variance(
     function: Callable[[Calibration], Array],
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "*numbers"]:
-    # var(f) = sum_k (J d_k)^2, as P = sum_k d_k d_k^T. One tangent at a time: J is never stored.
     """Return the variances of a function's numbers under steps of one standard deviation each."""
-    return sum_of_squares(_by_step(calibration, function), steps)
+    # var(f) = sum_k (J d_k)^2, as P = sum_k d_k d_k^T. One tangent at a time: J is never stored.
+    return sum_of_squared_derivatives(_function_of_step(calibration, function), steps)
 
 
 @compiled
-def _moves(
+def _directional_derivatives(
     calibration: Calibration,
     function: Callable[[Calibration], Array],
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "directions *numbers"]:
     """Return the function's first-order changes `J d_k` along each of the steps."""
-    _, along = jax.linearize(_by_step(calibration, function), jnp.zeros(steps.shape[1]))
-    return jax.lax.map(along, steps)
+    _, jvp = jax.linearize(_function_of_step(calibration, function), jnp.zeros(steps.shape[1]))
+    return jax.lax.map(jvp, steps)
 
 
-def _by_step(
+def _function_of_step(
     calibration: Calibration, function: Callable[[Calibration], Array]
 ) -> Callable[[Float[Array, "parameters"]], Array]:
     """Return the function composed with a step of the calibration's common parameters."""
     parameters = Parameters(calibration)
 
-    def of(step: Float[Array, "parameters"]) -> Array:
-        return function(parameters.moved(Step(step, jnp.zeros((0, 6))))[0])
+    # Without pose corrections: the function depends on the common parameters alone.
+    def composed(step: Float[Array, "parameters"]) -> Array:
+        return function(parameters.retract(Step(step, jnp.zeros((0, 6))))[0])
 
-    return of
+    return composed
 
 
-def sum_of_squares(
+def sum_of_squared_derivatives(
     function: Callable[[Float[Array, "inputs"]], Array], steps: Float[Array, "directions inputs"]
 ) -> Float[Array, "*numbers"]:
     """Return the sum of squares of a function's first-order changes along all steps from zero.
 
     It takes one step at a time, so that memory does not grow with their number.
     """
-    value, along = jax.linearize(function, jnp.zeros(steps.shape[1]))
+    value, jvp = jax.linearize(function, jnp.zeros(steps.shape[1]))
 
-    def add(total: Array, step: Array) -> tuple[Array, None]:
-        return total + along(step) ** 2, None
+    def add_squared(total: Array, step: Array) -> tuple[Array, None]:
+        return total + jvp(step) ** 2, None
 
-    return jax.lax.scan(add, jnp.zeros_like(value), steps)[0]
+    return jax.lax.scan(add_squared, jnp.zeros_like(value), steps)[0]

@@ -6,9 +6,13 @@ import pytest
 from starts import nudged
 
 from smartview_jax import error_budget, fit_joint, fit_staged, held_out
-from smartview_jax.evaluation import deviations
-from smartview_jax.evaluation.diagnosis.budget import SCALE, SYSTEMATIC, VIEWS
-from smartview_jax.robot_errors import ImpliedArm, LinearInPose, RobotError
+from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.evaluation.diagnosis.budget import (
+    SCALE_ERROR,
+    SYSTEMATIC_ROBOT_ERROR,
+    TOO_FEW_VIEWS,
+)
+from smartview_jax.robot_errors import GenericSixAxisArm, LinearInPose, RobotError
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene, six_axis_scene
 
 VIEWS_TAKEN = 16
@@ -24,7 +28,7 @@ def budget(scene):
 
 
 def sizes(found):
-    return {part.name: part.px for part in found.parts}
+    return {part.name: part.rms for part in found.causes}
 
 
 @pytest.fixture(scope="module")
@@ -36,71 +40,77 @@ def misprinted():
 
 def test_a_misprinted_target_is_one_of_two_explanations(misprinted):
     found = misprinted[2]
-    assert found.culprit == SCALE
-    assert "measure the board" in found.words
-    target, robot = found.explanations
-    assert target.region_px is None
-    assert abs(target.size - PRINTED) < 4.0 * target.std < 0.02
+    assert found.dominant_cause == SCALE_ERROR
+    assert "measure the board" in found.summary
+    target, robot = found.scale_hypotheses
+    assert target.region_rms is None
+    assert abs(target.scale - PRINTED) < 4.0 * target.std < 0.02
     # What a ruler decides: the robot would go farther than it says, by as much.
-    assert robot.size == pytest.approx(1.0 / PRINTED, abs=0.01)
-    assert abs(target.gain - robot.gain) < 0.5 * target.gain
-    assert target.gain > 10.0
+    assert robot.scale == pytest.approx(1.0 / PRINTED, abs=0.01)
+    assert (
+        abs(target.log_likelihood_ratio - robot.log_likelihood_ratio)
+        < 0.5 * target.log_likelihood_ratio
+    )
+    assert target.log_likelihood_ratio > 10.0
 
 
 def test_what_explains_predicts_regions_that_it_never_saw(misprinted):
     """Better than a chain that leaves the error to the mount; no better than its pixels."""
     scene, fit, _ = misprinted
-    target = error_budget(scene.data, fit, regions=True).explanations[0]
-    bare = held_out(scene.data, lambda part: trusting(part, fit), 5, by="region").deviations.rms
-    assert target.region_px is not None
-    assert 0.15 < target.region_px < bare
+    target = error_budget(scene.data, fit, held_out_by_region=True).scale_hypotheses[0]
+    bare = held_out(scene.data, lambda part: trusting(part, fit), 5, by="region").errors.rms
+    assert target.region_rms is not None
+    assert 0.15 < target.region_rms < bare
 
 
 def trusting(data, fit):
-    return fit_joint(data, fit.calibration.uncorrected, noise="trusted", bad_views="keep")
+    return fit_joint(data, fit.calibration.uncorrected, noise="trusted", gross_errors="keep")
 
 
 def test_its_parts_make_up_the_whole(misprinted):
     found = misprinted[2]
-    whole = np.sqrt(sum(part.px**2 for part in found.parts))
-    assert whole == pytest.approx(found.total, rel=0.3)
-    assert [part.px for part in found.parts] == sorted(sizes(found).values())[::-1]
+    whole = np.sqrt(sum(part.rms**2 for part in found.causes))
+    assert whole == pytest.approx(found.total_rms, rel=0.3)
+    assert [part.rms for part in found.causes] == sorted(sizes(found).values())[::-1]
 
 
 def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
     poses = random_scene(0, VIEWS_TAKEN, POINTS).data.base_from_tool
-    field = LinearInPose.over(poses)
+    field = LinearInPose.from_poses(poses)
     by_group = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
     coefficients = by_group * np.random.default_rng(1).normal(size=field.size)
     error = RobotError(field, jnp.asarray(coefficients))
     truth = dataclasses.replace(paper_calibration(), robot_error=error)
     _, _, found = budget(random_scene(0, VIEWS_TAKEN, POINTS, truth, **SMALL))
-    assert found.culprit == SYSTEMATIC
-    assert sizes(found)[SCALE] == 0.0
-    assert "have the robot calibrated" in found.words
-    assert found.explanations[0].gain < 0.5 * found.explanations[0].field_gain
+    assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
+    assert sizes(found)[SCALE_ERROR] == 0.0
+    assert "have the robot calibrated" in found.summary
+    assert (
+        found.scale_hypotheses[0].log_likelihood_ratio
+        < 0.5 * found.scale_hypotheses[0].field_log_likelihood_ratio
+    )
 
 
 def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain():
     """Its own bare chain is farther off: lengths take from the mount what they give."""
     data = six_axis_scene(0).data
     fit = fit_joint(data, fit_staged(data, "opencv4").calibration, noise="estimated")
-    assert isinstance(fit.calibration.robot_error.field, ImpliedArm)
+    assert isinstance(fit.calibration.robot_error.field, GenericSixAxisArm)
     found = error_budget(data, fit)
-    assert found.culprit == SYSTEMATIC
-    assert found.total < deviations(fit.calibration.uncorrected, data).rms
+    assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
+    assert found.total_rms < reprojection_errors(fit.calibration.uncorrected, data).rms
 
 
 def test_few_views_come_before_all_else(misprinted):
     scene, fit, _ = misprinted
-    few = scene.data.without(range(6, VIEWS_TAKEN))
+    few = scene.data.mask_views(range(6, VIEWS_TAKEN))
     found = error_budget(few, fit)
-    assert found.culprit == VIEWS
-    assert found.explanations == ()
-    assert "6 views" in found.words
+    assert found.dominant_cause == TOO_FEW_VIEWS
+    assert found.scale_hypotheses == ()
+    assert "6 views" in found.summary
 
 
 def test_a_fit_that_trusts_the_robot_has_no_budget(misprinted):
     scene, fit, _ = misprinted
     with pytest.raises(ValueError, match='needs a fit with noise="estimated"'):
-        error_budget(scene.data, dataclasses.replace(fit, estimate=None))
+        error_budget(scene.data, dataclasses.replace(fit, noise_estimate=None))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from smartview_jax.evaluation import Deviations, HeldOut, rms_interval
+from smartview_jax.evaluation import HeldOutErrors, ReprojectionErrors, rms_interval
 
 
 def deviations(views=12, points=30):
@@ -12,7 +12,7 @@ def deviations(views=12, points=30):
     px[rng.random(px.shape) < 0.2] = np.nan
     px[0, :3] = np.inf
     px[3] = np.nan
-    return Deviations(px, 1e-3 * px)
+    return ReprojectionErrors(px, 1e-3 * px)
 
 
 @pytest.mark.parametrize("level", [0.68, 0.95])
@@ -40,13 +40,13 @@ def test_it_is_wider_than_points_by_themselves_would_make_it():
     points = found.values
     drawn = np.random.default_rng(0).choice(points, (2000, points.size))
     low, high = np.quantile(np.sqrt(np.mean(drawn**2, axis=1)), [0.025, 0.975])
-    interval = HeldOut(found, (), ()).interval()
+    interval = HeldOutErrors(found, (), ()).interval()
     assert interval.low < found.rms < interval.high
     assert interval.high - interval.low > 2.0 * (high - low)
 
 
 def test_one_view_has_no_interval_and_a_level_is_a_share():
-    one = Deviations(np.ones((1, 3)), np.ones((1, 3)))
+    one = ReprojectionErrors(np.ones((1, 3)), np.ones((1, 3)))
     assert np.isnan(rms_interval(one)).all()
     with pytest.raises(ValueError, match="between 0 and 1, found 95"):
         rms_interval(one, 95.0)

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from smartview_jax.evaluation import (
-    UNCORRECTED,
+    UNCORRECTED_SUFFIX,
     Method,
     compare,
     count_rejected,
-    deviations,
-    free_pose_deviations,
+    free_pose_errors,
     held_out,
     rejected_by,
+    reprojection_errors,
     standard_methods,
 )
 from smartview_jax.robot_errors import LinearInPosition, RobotError
@@ -43,28 +43,28 @@ def test_a_row_holds_what_the_method_did_alone(scene):
     assert len(calls) == 6  # all views, then five folds; methods with one fitter share them
     assert said[0] == "first"
     assert "first: fold 5 of 5" in said
-    assert first.fitted.rms == deviations(scene.calibration, scene.data).rms
+    assert first.fitted.rms == reprojection_errors(scene.calibration, scene.data).rms
     assert first.held_out.folds == held_out(scene.data, fitter).folds
     assert count_rejected(first.rejected) == (1, 1)
     assert again.rejected is None
-    np.testing.assert_array_equal(first.held_out.deviations.px, again.held_out.deviations.px)
+    np.testing.assert_array_equal(first.held_out.errors.px, again.held_out.errors.px)
 
 
 def test_a_fit_with_a_correction_has_a_row_without_it(scene):
     """In some folds it found none; the bound by free poses has no chain to correct."""
-    field = LinearInPosition.over(scene.data.base_from_tool)
+    field = LinearInPosition.from_poses(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(field.size, 1e-3))
     bent = dataclasses.replace(scene.calibration, robot_error=error)
     fitter = lambda data: bent if np.asarray(data.visible)[3].any() else scene.calibration  # noqa: E731
     methods = {
         "joint": Method(fitter),
-        "free": Method(fitter, measure=free_pose_deviations),
+        "free": Method(fitter, measure=free_pose_errors),
         "plain": lambda _: scene.calibration,
     }
     rows = compare(scene.data, methods)
-    assert [row.name for row in rows] == ["joint", f"joint, {UNCORRECTED}", "free", "plain"]
+    assert [row.name for row in rows] == ["joint", f"joint, {UNCORRECTED_SUFFIX}", "free", "plain"]
     joint, bare, _, plain = rows
-    np.testing.assert_array_equal(bare.held_out.deviations.px, plain.held_out.deviations.px)
+    np.testing.assert_array_equal(bare.held_out.errors.px, plain.held_out.errors.px)
     assert joint.fitted.rms > 10.0 * bare.fitted.rms == 10.0 * plain.fitted.rms
 
 

@@ -7,12 +7,12 @@ import pytest
 
 from smartview_jax import Calibration, held_out
 from smartview_jax.evaluation import (
-    deviations,
+    choose_uncorrected,
+    fit_folds,
     has_correction,
-    refit,
+    reprojection_errors,
     score,
     view_folds,
-    without_correction,
 )
 from smartview_jax.fit_result import FitCode, FitResult
 from smartview_jax.robot_errors import LinearInPosition, RobotError
@@ -25,12 +25,12 @@ def scene():
 
 
 def test_deviations_of_the_truth_are_the_pixel_noise(scene):
-    found = deviations(scene.calibration, scene.data)
+    found = reprojection_errors(scene.calibration, scene.data)
     seen = np.asarray(scene.data.visible)
     assert found.rms == pytest.approx(0.15 * np.sqrt(2.0), rel=0.1)
     depth = scene.calibration.points_in_camera(scene.data.base_from_tool, scene.data.points)[..., 2]
     np.testing.assert_allclose(
-        found.m[seen], (found.px * np.asarray(depth) / 2133.0)[seen], rtol=1e-12
+        found.metres[seen], (found.px * np.asarray(depth) / 2133.0)[seen], rtol=1e-12
     )
 
 
@@ -56,8 +56,8 @@ def test_every_view_is_predicted_by_a_fit_that_never_saw_it(scene):
     assert len(shown) == 5
     for fold, visible in zip(found.folds, shown, strict=True):
         assert set(np.flatnonzero(~visible)) == set(fold)
-    np.testing.assert_array_equal(np.isfinite(found.deviations.px), np.asarray(scene.data.visible))
-    assert found.deviations.rms == deviations(scene.calibration, scene.data).rms
+    np.testing.assert_array_equal(np.isfinite(found.errors.px), np.asarray(scene.data.visible))
+    assert found.errors.rms == reprojection_errors(scene.calibration, scene.data).rms
 
 
 def test_views_outside_of_what_a_predictor_knows_are_listed(scene):
@@ -76,13 +76,13 @@ def test_views_outside_of_what_a_predictor_knows_are_listed(scene):
         def project(self, base_from_tool, points):
             return self.chain.project(base_from_tool, points)
 
-        def inside(self, base_from_tool):
+        def is_inside(self, base_from_tool):
             return np.asarray(base_from_tool.translation())[:, 0] <= 0.47
 
     found = held_out(scene.data, lambda _: Cautious(scene.calibration))
     assert 0 < far.sum() < 10
-    assert sorted(found.extrapolated) == np.flatnonzero(far).tolist()
-    assert held_out(scene.data, lambda _: scene.calibration).extrapolated == ()
+    assert sorted(found.extrapolated_views) == np.flatnonzero(far).tolist()
+    assert held_out(scene.data, lambda _: scene.calibration).extrapolated_views == ()
 
 
 def test_only_the_usable_views_are_dealt_out(scene):
@@ -105,8 +105,8 @@ def test_a_fold_that_fails_is_reported(scene):
 
     found = held_out(scene.data, fitter)
     assert found.failures == ((1, "no"),)
-    assert np.isnan(found.deviations.px[list(found.folds[1])]).all()
-    assert np.isfinite(found.deviations.px[list(found.folds[0])]).all()
+    assert np.isnan(found.errors.px[list(found.folds[1])]).all()
+    assert np.isfinite(found.errors.px[list(found.folds[0])]).all()
 
 
 class Fit:
@@ -124,8 +124,8 @@ class Fit:
 def test_a_fold_that_did_not_converge_is_named_and_counts(scene):
     found = held_out(scene.data, lambda data: Fit(data, scene.calibration))
     fold = next(k for k, views in enumerate(found.folds) if 0 in views)
-    assert found.unconverged == ((fold, "stopped"),)
-    assert np.isfinite(found.deviations.px).all()
+    assert found.unconverged_folds == ((fold, "stopped"),)
+    assert np.isfinite(found.errors.px).all()
 
 
 def test_parts_of_one_fit_are_scored_from_the_same_refits(scene):
@@ -136,25 +136,25 @@ def test_parts_of_one_fit_are_scored_from_the_same_refits(scene):
         scene.calibration.base_from_world,
         far,
     )
-    fits = refit(scene.data, lambda _: {"good": scene.calibration, "bad": worse})
-    good = score(fits, scene.data, lambda fit, _: fit["good"]).deviations
-    bad = score(fits, scene.data, lambda fit, _: fit["bad"]).deviations
-    assert good.rms == deviations(scene.calibration, scene.data).rms
-    assert bad.rms == deviations(worse, scene.data).rms > good.rms
+    fits = fit_folds(scene.data, lambda _: {"good": scene.calibration, "bad": worse})
+    good = score(fits, scene.data, lambda fit, _: fit["good"]).errors
+    bad = score(fits, scene.data, lambda fit, _: fit["bad"]).errors
+    assert good.rms == reprojection_errors(scene.calibration, scene.data).rms
+    assert bad.rms == reprojection_errors(worse, scene.data).rms > good.rms
 
 
 def test_what_a_fit_predicts_without_its_correction_is_scored_too(scene):
-    field = LinearInPosition.over(scene.data.base_from_tool)
+    field = LinearInPosition.from_poses(scene.data.base_from_tool)
     bent = dataclasses.replace(
         scene.calibration, robot_error=RobotError(field, jnp.full(field.size, 1e-3))
     )
     assert has_correction(bent)
     assert not has_correction(scene.calibration)
-    fits = refit(scene.data, lambda _: bent)
-    bare = score(fits, scene.data, without_correction()).deviations
+    fits = fit_folds(scene.data, lambda _: bent)
+    bare = score(fits, scene.data, choose_uncorrected()).errors
     # The scene was made by a robot without error.
-    assert bare.rms == deviations(scene.calibration, scene.data).rms
-    assert score(fits, scene.data).deviations.rms > 10.0 * bare.rms
+    assert bare.rms == reprojection_errors(scene.calibration, scene.data).rms
+    assert score(fits, scene.data).errors.rms > 10.0 * bare.rms
 
 
 def test_too_little_to_hold_out(scene):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from smartview_jax.evaluation import coverage, covered, mean_nees, nees
+from smartview_jax.evaluation import coverage, mean_nees, nees, within_interval
 
 RUNS = 2000
 
@@ -27,22 +27,22 @@ def test_squares_are_chi_square_distributed(runs):
 
 def test_the_band_is_that_of_a_chi_square_mean(runs):
     found = mean_nees(nees(*runs), 3)
-    assert found.within
+    assert found.is_consistent
     low, high = stats.chi2(3 * RUNS).interval(0.95)
     assert (found.low, found.high) == pytest.approx((low / RUNS, high / RUNS), rel=1e-9)
     too_sure = mean_nees(nees(runs[0], 0.9 * runs[1]), 3)
-    assert not too_sure.within
+    assert not too_sure.is_consistent
     assert too_sure.value > too_sure.high
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(runs):
     errors, covariances = runs
     std = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    found = coverage(covered(errors, std)[:, 0])
-    assert found.within
+    found = coverage(within_interval(errors, std)[:, 0])
+    assert found.is_consistent
     low, high = stats.binom(RUNS, 0.95).interval(0.95)
     assert (found.low, found.high) == pytest.approx((low / RUNS, high / RUNS), abs=1e-3)
-    assert not coverage(covered(errors, 0.8 * std)[:, 1]).within
+    assert not coverage(within_interval(errors, 0.8 * std)[:, 1]).is_consistent
 
 
 def test_few_degrees_of_freedom_widen_them():
@@ -50,12 +50,12 @@ def test_few_degrees_of_freedom_widen_them():
     degrees = 4.0
     std = np.sqrt(rng.chisquare(degrees, 20 * RUNS) / degrees)
     errors = rng.normal(size=20 * RUNS)
-    assert coverage(covered(errors, std, degrees)).within
-    assert coverage(covered(errors, std)).value < 0.9
+    assert coverage(within_interval(errors, std, degrees)).is_consistent
+    assert coverage(within_interval(errors, std)).value < 0.9
     edge = stats.t(degrees).interval(0.95)[1]
     one = np.ones(1)
-    assert covered((edge - 1e-9) * one, one, degrees).all()
-    assert not covered((edge + 1e-9) * one, one, degrees).any()
+    assert within_interval((edge - 1e-9) * one, one, degrees).all()
+    assert not within_interval((edge + 1e-9) * one, one, degrees).any()
 
 
 def test_a_covariance_that_is_none_is_named():

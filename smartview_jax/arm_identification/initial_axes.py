@@ -1,0 +1,229 @@
+"""Find initial joint axes of an arm in the frame of a camera that observes its motion.
+
+The pose model is a product of exponentials,
+
+    camera_from_target(q) = prod_k F_k exp(r_k q_k z) F_k^-1 @ home
+
+with `F_k` a frame on joint axis k, `r_k` the gear ratio, and `z` the unit twist of a rotation
+about, or a translation along, the z axis.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3, SO3
+from jaxtyping import Array, Float
+
+from ..robots import SerialArm
+
+MAX_REST_MOTION = 2e-3
+"""The largest change of a reading between two views of a joint at rest, rad or m."""
+
+MIN_JOINT_MOTION, MAX_JOINT_MOTION = 0.05, 2.5
+"""The smallest (rad or m) and largest (rad) joint motion from which an axis is found.
+
+The upper limit stays below pi: a rotation by more than pi has the opposite axis.
+"""
+
+MAX_VIEWS = 300
+"""The largest number of views of which all pairs are examined."""
+
+
+class ProductOfExponentials(eqx.Module):
+    """A product of exponentials: an arm's joint axes, their ratios and the target pose at zero.
+
+    Attributes:
+        frames: `(joints)` frames whose z axes are the joint axes where all joints read zero, in the
+            camera's frame.
+        ratios: true joint motion per unit of its reading.
+        home: the pose of the target where all joints read zero, in the camera's frame.
+    """
+
+    frames: SE3
+    ratios: Float[Array, "joints"]
+    home: SE3
+
+    def camera_from_target(
+        self, joints: Float[Array, "views joints"], prismatic: tuple[bool, ...]
+    ) -> SE3:
+        """Return the target's pose in the camera's frame at the given joint readings."""
+        pose = SE3.identity((len(joints),))
+        for k, is_prismatic in enumerate(prismatic):
+            frame = SE3(jnp.broadcast_to(self.frames.wxyz_xyz[k], (len(joints), 7)))
+            pose = (
+                pose
+                @ frame
+                @ _motion(self.ratios[k] * joints[:, k], is_prismatic)
+                @ frame.inverse()
+            )
+        return pose @ SE3(jnp.broadcast_to(self.home.wxyz_xyz, (len(joints), 7)))
+
+    def displaced(self, step: Float[Array, "parameters"]) -> "ProductOfExponentials":
+        """Return the axes after a parameter step.
+
+        The step has five numbers per joint (translation along x and y of the axis frame, rotation
+        about x and y, change of the ratio), then the six of a twist of `home`. Translation along an
+        axis and rotation about it leave the axis as it is and are not parameters.
+        """
+        per_joint = step[:-6].reshape(-1, 5)
+        zeros = jnp.zeros(len(per_joint))
+        # F_k <- F_k exp((v_x, v_y, 0, w_x, w_y, 0)), r_k <- r_k + dr_k, home <- home exp(twist)
+        twists = [per_joint[:, 0], per_joint[:, 1], zeros, per_joint[:, 2], per_joint[:, 3], zeros]
+        return ProductOfExponentials(
+            self.frames @ SE3.exp(jnp.stack(twists, axis=-1)),
+            self.ratios + per_joint[:, 4],
+            self.home @ SE3.exp(step[-6:]),
+        )
+
+
+def axes_from_motions(
+    joints: Float[np.ndarray, "views joints"], poses: SE3, prismatic: tuple[bool, ...]
+) -> ProductOfExponentials:
+    """Find the joint axes in order, each from views between which no later joint moves.
+
+    Once the motion of the earlier joints is removed, the target moves about (or along) that axis
+    alone between two such views.
+
+    Raises:
+        ValueError: no pair of views determines a joint's axis; the message names the joint.
+    """
+    subsample = np.unique(np.linspace(0, len(joints) - 1, MAX_VIEWS).astype(int))
+    remaining, frames_found = np.asarray(poses.as_matrix()), []
+    for k, is_prismatic in enumerate(prismatic):
+        frame = _joint_axis_frame(
+            joints[subsample, k], joints[subsample, k + 1 :], remaining[subsample], is_prismatic
+        )
+        if frame is None:
+            raise ValueError(
+                f"no two views determine the axis of joint {1 + k}: it has to move by "
+                f"{MIN_JOINT_MOTION} rad or m, or more, while the joints after it rest; or give "
+                "start=, the nominal arm"
+            )
+        frames_found.append(frame)
+        # Remove this joint's motion: remaining <- F_k exp(-q_k z) F_k^-1 remaining. What remains is
+        # the motion of the later joints and the constant pose `home`.
+        motion = np.asarray(_motion(jnp.asarray(-joints[:, k]), is_prismatic).as_matrix())
+        remaining = frame @ motion @ np.linalg.inv(frame) @ remaining
+    # With all joints removed every view gives an estimate of `home`; one is enough to start.
+    home = SE3.from_matrix(jnp.asarray(remaining[len(remaining) // 2])).normalize()
+    frames = SE3.from_matrix(jnp.asarray(np.stack(frames_found))).normalize()
+    return ProductOfExponentials(frames, jnp.ones(len(prismatic)), home)
+
+
+def axes_from_arm(
+    start: SerialArm, joints: Float[np.ndarray, "views joints"], poses: SE3
+) -> ProductOfExponentials:
+    """Return a known arm's axes, its base and the target positioned to match measured poses.
+
+    The model is `P = X B Y` for every view, with P the measured pose, B the arm's forward
+    kinematics, X the pose of its base and Y that of the target on its flange. The rotation part is
+    linear in the rotation matrices of X and of inverse Y; given these, the translation part is
+    linear in their translations.
+    """
+    B, P = (np.asarray(p.as_matrix()) for p in (start.base_from_tool(joints), poses))
+    # Rotation part, stacked by rows: R_P R_Y^-1 - R_X R_B = 0. With vec by rows and the Kronecker
+    # product x, vec(R_P M) = (R_P x I) vec(M) and vec(M R_B) = (I x R_B^T) vec(M). The solution is
+    # the right singular vector of the smallest singular value, up to a factor; both halves are then
+    # projected onto rotations.
+    identity = np.eye(3)
+    rows = [
+        np.hstack([np.kron(p, identity), -np.kron(identity, b.T)])
+        for p, b in zip(P[:, :3, :3], B[:, :3, :3], strict=True)
+    ]
+    rotations = np.linalg.svd(np.concatenate(rows), full_matrices=False)[2][-1].reshape(2, 3, 3)
+    rotations = rotations * np.sign(np.linalg.det(rotations[0]))
+    inverse_rotation_y, rotation_x = (_nearest_rotation(m) for m in rotations)
+    # Translation part: t_P - R_X t_B = R_X R_B t_Y + t_X.
+    A = np.concatenate([np.hstack([rotation_x @ b[:3, :3], identity]) for b in B])
+    differences = P[:, :3, 3] - B[:, :3, 3] @ rotation_x.T
+    translations = np.linalg.lstsq(A, differences.ravel(), rcond=None)[0]
+    camera_from_base, tool_from_target = np.eye(4), np.eye(4)
+    camera_from_base[:3, :3], camera_from_base[:3, 3] = rotation_x, translations[3:]
+    tool_from_target[:3, :3], tool_from_target[:3, 3] = inverse_rotation_y.T, translations[:3]
+    base_from_tool = np.asarray(start.base_from_tool(np.zeros(start.joint_count)).as_matrix())
+    frames = SE3.from_matrix(jnp.asarray(camera_from_base @ nominal_axis_frames(start))).normalize()
+    home = SE3.from_matrix(
+        jnp.asarray(camera_from_base @ base_from_tool @ tool_from_target)
+    ).normalize()
+    return ProductOfExponentials(frames, jnp.ones(start.joint_count), home)
+
+
+def nominal_axis_frames(arm: SerialArm) -> Float[np.ndarray, "joints 4 4"]:
+    """Return frames whose z axes are an arm's joint axes at zero readings, in its base frame."""
+    frames, frame = [], arm.base_from_first
+    for k in range(arm.joint_count):
+        # The screws of one link: x = Tx(a) Rx(alpha), z = Rz(theta) Tz(d).
+        x = SE3.from_rotation_and_translation(
+            SO3.from_x_radians(arm.alpha[k]), jnp.array([1.0, 0.0, 0.0]) * arm.a[k]
+        )
+        z = SE3.from_rotation_and_translation(
+            SO3.from_z_radians(arm.theta[k]), jnp.array([0.0, 0.0, 1.0]) * arm.d[k]
+        )
+        # One link is Rz Tz Tx Rx (standard) or Rx Tx Rz Tz (modified): in the modified convention
+        # the joint axis comes after the link's own twist and length.
+        axis_frame = frame if arm.convention == "standard" else frame @ x
+        frames.append(np.asarray(axis_frame.as_matrix()))
+        frame = frame @ z @ x if arm.convention == "standard" else axis_frame @ z
+    return np.stack(frames)
+
+
+def _motion(displacement: Float[Array, "views"], is_prismatic: bool) -> SE3:
+    """Return exp(displacement * z): a rotation about the z axis, or a translation along it."""
+    zeros = jnp.zeros_like(displacement)
+    if is_prismatic:
+        return SE3.from_translation(jnp.stack([zeros, zeros, displacement], axis=-1))
+    return SE3.from_rotation(SO3.from_z_radians(displacement))
+
+
+def _joint_axis_frame(
+    readings: Float[np.ndarray, "views"],
+    later_readings: Float[np.ndarray, "views others"],
+    remaining: Float[np.ndarray, "views 4 4"],
+    is_prismatic: bool,
+) -> Float[np.ndarray, "4 4"] | None:
+    """Return a frame on the axis common to the rigid motions between pairs of views, or None.
+
+    None means that no pair of views has a large enough motion of this joint with all later joints
+    at rest.
+    """
+    i, j = np.triu_indices(len(readings), 1)
+    displacement = readings[j] - readings[i]
+    others_at_rest = (np.abs(later_readings[j] - later_readings[i]) < MAX_REST_MOTION).all(axis=1)
+    selected = (
+        others_at_rest
+        & (np.abs(displacement) > MIN_JOINT_MOTION)
+        & (is_prismatic | (np.abs(displacement) < MAX_JOINT_MOTION))
+    )
+    if not selected.any():
+        return None
+    # M_ij = T_j T_i^-1 = F exp((q_j - q_i) z) F^-1: a rotation about, or a translation along, the
+    # axis.
+    motion = remaining[j[selected]] @ np.linalg.inv(remaining[i[selected]])
+    rotation = motion[:, :3, :3]
+    if is_prismatic:
+        # The position of a prismatic joint's axis has no effect on the motion; any point will do.
+        axis = np.mean(motion[:, :3, 3] / displacement[selected, None], axis=0)
+        point = remaining[0, :3, 3]
+    else:
+        # Rotation vectors are summed with the sign of the joint's motion, so that long rotations
+        # weigh most.
+        rotation_vectors = np.asarray(SO3.from_matrix(jnp.asarray(rotation)).log())
+        axis = np.sum(rotation_vectors * np.sign(displacement[selected])[:, None], axis=0)
+        # A rotation M = (R, t) leaves the points p of its axis fixed: t = (I - R) p. The extra row
+        # a . p = 0 selects the point nearest the origin.
+        A = np.concatenate([*(np.eye(3) - rotation), axis[None] / np.linalg.norm(axis)])
+        point = np.linalg.lstsq(A, np.append(motion[:, :3, 3].ravel(), 0.0), rcond=None)[0]
+    # Any x axis perpendicular to z will do; the coordinate axis least parallel to z gives one.
+    z = axis / np.linalg.norm(axis)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    frame = np.eye(4)
+    frame[:3] = np.stack([x, np.cross(z, x), z, point], axis=1)
+    return frame
+
+
+def _nearest_rotation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation matrix nearest to a matrix in the Frobenius norm."""
+    # R = U diag(1, 1, det(U V^T)) V^T: the determinant excludes reflections.
+    U, _, Vt = np.linalg.svd(matrix)
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

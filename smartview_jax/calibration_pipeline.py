@@ -1,0 +1,245 @@
+"""Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .calibration import Calibration
+from .cameras import AbstractLens, Camera
+from .dataset import Dataset, chain_residuals
+from .deprecation import DeprecatedAttribute
+from .engine import JointProblem, Noise, Observability, parameter_names
+from .fit_result import FitResult, Rejection
+from .joint import JointFit, batch_least_squares, fit_joint, precompile
+from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
+from .variance import NoiseEstimate
+
+DEFAULT_LENS = "opencv4"
+"""The default lens model: it predicts unseen views of real data sets best.
+
+The command `python -m benchmarks defaults` shows it. On some of these data sets a lens without
+decentring distortion conceals errors of the arm.
+"""
+
+MAX_RMS_RATIO_TO_STAGED, MAX_UNCORRECTED_RMS_RATIO_TO_STAGED = 1.5, 5.0
+"""The ratios of joint to staged residual RMS above which a warning is given.
+
+The first applies to the whole joint fit, the second to its chain without the robot correction.
+"""
+
+STEP2_METHODS = {"kalman": kalman_filter, "batch": batch_least_squares}
+"""The methods, by name, that fit one camera to all views."""
+
+
+class CalibrationFit(eqx.Module):
+    """A staged fit and the joint fit that started from it.
+
+    The properties are those of the joint fit; `rejected` and `warnings` are those of both fits.
+
+    Attributes:
+        staged: the fit by the paper's pipeline.
+        joint: the joint fit.
+    """
+
+    staged: StagedFit
+    joint: JointFit
+
+    freedom = DeprecatedAttribute("degrees_of_freedom")
+    estimate = DeprecatedAttribute("noise_estimate")
+    margin = DeprecatedAttribute("confidence_half_width")
+
+    @property
+    def rejected(self) -> tuple[Rejection, ...]:
+        """The observations that either fit left out, each once and with the first reason.
+
+        The joint fit did not use what the staged fit had left out.
+        """
+        both = (*self.staged.rejected, *self.joint.rejected)
+        return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The doubts about the answer: the joint fit's own, and differences from the staged fit."""
+        return (*self.joint.warnings, *_staged_comparison_warnings(self))
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration of the joint fit."""
+        return self.joint.calibration
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "free free"]:
+        """The covariance of the parameters that all views share."""
+        return self.joint.covariance
+
+    @property
+    def std(self) -> dict[str, float]:
+        """The standard deviation of every free parameter, by name."""
+        return self.joint.std
+
+    @property
+    def degrees_of_freedom(self) -> dict[str, float]:
+        """The degrees of freedom of the standard deviations, by name."""
+        return self.joint.degrees_of_freedom
+
+    @property
+    def noise(self) -> Noise | None:
+        """The standard deviations of pixels and reported poses; None if the robot is trusted."""
+        return self.joint.noise
+
+    @property
+    def noise_estimate(self) -> NoiseEstimate | None:
+        """The estimate of the noise and its candidates; None if it was given."""
+        return self.joint.noise_estimate
+
+    @property
+    def pixel_sigma(self) -> float:
+        """The standard deviation of u and of v, px."""
+        return self.joint.pixel_sigma
+
+    @property
+    def residuals(self) -> Float[Array, "views points 2"]:
+        """The residuals of all observations, px; see `JointFit`."""
+        return self.joint.residuals
+
+    @property
+    def inliers(self) -> Bool[Array, "views points"]:
+        """The observations within the joint fit's chi-square gate."""
+        return self.joint.inliers
+
+    @property
+    def pose_corrections(self) -> Float[Array, "views 6"]:
+        """The twist by which each reported pose was corrected."""
+        return self.joint.pose_corrections
+
+    @property
+    def observability(self) -> Observability:
+        """The directions that the data do not determine."""
+        return self.joint.observability
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of the free parameters that all views share."""
+        return self.joint.parameter_names
+
+    @property
+    def problem(self) -> JointProblem:
+        """The least-squares problem that the joint fit solved."""
+        return self.joint.problem
+
+    @property
+    def view_ids(self) -> tuple[str, ...]:
+        """The names of the views."""
+        return self.joint.view_ids
+
+    @property
+    def result(self) -> FitResult:
+        """The outcome of the joint fit."""
+        return self.joint.result
+
+    def confidence_half_width(self, name: str, level: float = 0.95) -> float:
+        """Return the half width of a parameter's confidence interval; see `JointFit`."""
+        return self.joint.confidence_half_width(name, level)
+
+    def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
+        """Return the p-value of the hypothesis that parameters are those of `truth`."""
+        return self.joint.p_value(truth, paths)
+
+
+def calibrate(
+    data: Dataset,
+    lens: str | AbstractLens = DEFAULT_LENS,
+    *,
+    camera: Camera | None = None,
+    step2: str = "kalman",
+    progress: Callable[[str], None] | None = None,
+    **joint_options,
+) -> CalibrationFit:
+    """Calibrate by the staged pipeline, then by the joint fit without the staged fit's outliers.
+
+    Args:
+        data: at least three views with six visible points each.
+        lens: the lens model of both fits; the paper's is `"radial"`.
+        camera: a known camera, which both fits then hold.
+        step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
+        progress: called with a line of text for each stage.
+        joint_options: passed on to `fit_joint`.
+
+    Raises:
+        ValueError: as `fit_staged` and `fit_joint` do.
+    """
+    if step2 not in STEP2_METHODS:
+        raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
+    if camera is not None:
+        joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
+    # Errors in the data are raised before the precompilation, which cannot be interrupted.
+    views_to_use(data, camera)
+    with ThreadPoolExecutor(max_workers=1) as background:
+        precompilation = background.submit(precompile, data, lens, camera, joint_options)
+        staged = fit_staged(
+            data, lens, camera=camera, step2=STEP2_METHODS[step2], progress=progress
+        )
+        # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
+        precompilation.exception()
+    inlier_data = _restrict_visible(data, staged.inliers)
+    joint = fit_joint(inlier_data, staged.calibration, progress=progress, **joint_options)
+    # Residuals are reported for every observation, outliers too. The region is left out so that the
+    # calibration has the structure for which the fits have already compiled `chain_residuals`.
+    without_region = dataclasses.replace(joint.calibration, region=None)
+    residuals = chain_residuals(without_region, data.observations)
+    joint = eqx.tree_at(lambda f: f.residuals, joint, residuals)
+    return CalibrationFit(staged, joint)
+
+
+def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
+    """Fit the chain that predicts best where the robot's error is not corrected.
+
+    It is for programs that use transforms only. The fit takes the robot's poses as exact, so its
+    camera and hand-eye transform absorb the robot's error: this hand-eye transform is not the best
+    estimate of the camera's mount. Rejected observations stay out and held parameters stay held;
+    priors are not known here.
+
+    Args:
+        data: the data set that `fit` was fitted to.
+        fit: the calibration to refit without a correction.
+    """
+    start, estimated = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
+    fixed = tuple(name for name in parameter_names(start) if name not in estimated)
+    free = tuple(name for name in ("target_scale",) if name in estimated)
+    used = _restrict_visible(data, fit.joint.problem.observations.visible)
+    return fit_joint(used, start, noise="trusted", fixed=fixed, free=free).calibration
+
+
+def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
+    """Return the warnings from comparing the joint fit's residuals with the staged fit's."""
+    joint = fit.joint
+    inliers = np.asarray(joint.inliers)
+
+    def rms(residuals: Array) -> float:
+        return float(np.sqrt(np.mean(np.sum(np.asarray(residuals)[inliers] ** 2, axis=-1))))
+
+    staged_rms, joint_rms = rms(fit.staged.residuals), rms(joint.residuals)
+    messages = []
+    if joint_rms > MAX_RMS_RATIO_TO_STAGED * staged_rms:
+        messages.append(
+            f"the joint fit leaves {joint_rms:.2f} px RMS, the staged one {staged_rms:.2f}"
+        )
+    if joint.calibration.robot_error is not None:
+        uncorrected_rms = rms(
+            chain_residuals(joint.calibration.uncorrected, joint.problem.observations)
+        )
+        if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
+            messages.append(
+                f"without its correction of the robot the chain leaves {uncorrected_rms:.1f} px "
+                f"RMS, the staged one {staged_rms:.1f}: the correction holds what belongs elsewhere"
+            )
+    return tuple(messages)
+
+
+def _restrict_visible(data: Dataset, mask: Bool[Array, "views points"]) -> Dataset:
+    """Return the data with only these of the visible observations."""
+    return eqx.tree_at(lambda d: d.visible, data, data.visible & mask)

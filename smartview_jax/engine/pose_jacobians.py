@@ -1,0 +1,112 @@
+"""Differentiate the camera pose of every view by the parameters of the calibration.
+
+Every parameter except the camera's acts on the pixels through `camera_from_world` of each view.
+This file computes the derivatives of these poses by the hand-eye and target transforms, the
+target's scale, the robot error field and the views' own corrections, once for all estimators;
+`view_normal_equations.py` computes the effect of a twist of a view on its pixels.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxlie import SE3
+from jaxtyping import Array, Float
+
+from ..calibration import Calibration
+from ..geometry import se3_left_jacobian
+from ..robots import Command
+from .parameters import Parameters, Step
+
+
+class PoseJacobians(eqx.Module):
+    """The pose of the camera in every view, and its derivatives as twists in the camera frame.
+
+    Attributes:
+        calibration: the calibration after the step.
+        camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
+        shared_jacobian: derivatives by the translation and rotation step of both transforms, by the
+            target's scale, and by the coefficients of the robot error field.
+        per_view_jacobian: derivatives by each view's own correction; no views where there are no
+            corrections.
+    """
+
+    calibration: Calibration
+    camera_from_world: SE3
+    shared_jacobian: Float[Array, "views 6 chained"]
+    per_view_jacobian: Float[Array, "corrected 6 6"]
+
+
+def linearise_poses(parameters: Parameters, step: Step, reported: Command) -> PoseJacobians:
+    """Compute all camera poses and their derivatives at a step from the start.
+
+    Args:
+        parameters: the start and the layout of its parameters.
+        step: step from the start.
+        reported: commands or poses that the robot reported, batch shape `(views)`.
+    """
+    calibration, corrections = parameters.retract(step)
+    n = parameters.camera_size
+    # A @ exp(d) @ B = exp(Ad_A d) @ A @ B: every derivative below is a twist at the transform that
+    # the parameter changes, mapped to the camera frame by the adjoint of the transforms left of it.
+    mount_jacobian = _step_jacobian(calibration.camera_from_mount, step.shared[n : n + 6])
+    holder_jacobian = _step_jacobian(calibration.holder_from_world, step.shared[n + 6 : n + 12])
+    eye_in_hand = calibration.mount == "eye_in_hand"
+
+    error = calibration.robot_error
+    pose = reported.base_from_tool if error is None else error.actual_pose(reported)
+    # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
+    identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, pose.wxyz_xyz.shape))
+    before, after = (identity, pose.inverse()) if eye_in_hand else (pose, identity)
+    signed_corrections = corrections if eye_in_hand else -corrections
+    camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])
+    holder_from_world = SE3(calibration.holder_from_world.wxyz_xyz[None])
+    camera_from_before = camera_from_mount @ before
+    camera_from_after = camera_from_before
+    if len(corrections):
+        camera_from_after = camera_from_before @ SE3.exp(signed_corrections)
+    camera_from_holder = camera_from_after @ after
+    camera_from_world = camera_from_holder @ holder_from_world
+
+    views = len(pose.wxyz_xyz)
+    # p = scale R X + t, so dp/dscale = R X = (p - t) / scale. The part p / scale lies along the ray
+    # and does not change the pixel; what remains is the translation -t / scale.
+    translation_by_scale = -camera_from_world.translation() / calibration.target_scale
+    scale_twist = jnp.concatenate([translation_by_scale, jnp.zeros((views, 3))], axis=1)
+    scale_jacobian = scale_twist[..., None]
+    columns = [
+        jnp.broadcast_to(mount_jacobian[None], (views, 6, 6)),
+        camera_from_holder.adjoint() @ holder_jacobian[None],
+        scale_jacobian,
+    ]
+    if error is not None:
+        # actual_pose(coefficients + d) = actual_pose(coefficients) @ exp(F d), F = field_jacobian.
+        # With the camera on the hand the chain has the inverse, exp(-F d) @ pose^-1, with the
+        # correction to its left; with the camera beside the arm it has pose @ exp(F d), with the
+        # correction to its right.
+        camera_from_tool = camera_from_after if eye_in_hand else camera_from_before
+        field_jacobian = error.jacobian(reported)
+        columns.append(
+            camera_from_tool.adjoint() @ (-field_jacobian if eye_in_hand else field_jacobian)
+        )
+    per_view_jacobian = jnp.zeros((0, 6, 6))
+    if len(corrections):
+        # exp(c + dc) = exp(J_l(c) dc) @ exp(c); the sign is that of the correction in the chain.
+        left_jacobian = jax.vmap(se3_left_jacobian)(signed_corrections)
+        per_view_jacobian = camera_from_before.adjoint() @ (
+            left_jacobian if eye_in_hand else -left_jacobian
+        )
+    return PoseJacobians(
+        calibration, camera_from_world, jnp.concatenate(columns, axis=2), per_view_jacobian
+    )
+
+
+def _step_jacobian(transform: SE3, step: Float[Array, "6"]) -> Float[Array, "6 6"]:
+    """Compute the left twist of a transform per unit of its own step (see `Parameters.retract`).
+
+    The upper three rows are the translation, the lower three the rotation.
+    """
+    # T = (exp(r) R0, t0 + d). A left twist (v, w) changes its translation by v + w x t, hence
+    # w = J_l(r) dr and v = dd - w x t = dd + t x (J_l(r) dr).
+    rotation_jacobian = se3_left_jacobian(step.at[:3].set(0.0))[3:, 3:]
+    translation_coupling = jnp.cross(transform.translation()[None], rotation_jacobian.T).T
+    return jnp.block([[jnp.eye(3), translation_coupling], [jnp.zeros((3, 3)), rotation_jacobian]])

@@ -1,0 +1,245 @@
+"""Build the least-squares problem of a joint fit from the user's arguments.
+
+It combines the lens, the noise model, the free and fixed parameters, and the priors.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+
+from ..calibration import Calibration
+from ..cameras import AbstractLens, Camera, initial_lens
+from ..dataset import Dataset
+from ..robot_errors import AbstractField, FieldChoice, RobotError
+from .losses import AbstractLoss, loss_by_name
+from .noise import Noise
+from .parameters import ROBOT_ERROR, Parameters, Step, parameter_mask, parameter_names
+from .priors import Prior
+from .problem import JointProblem, valid_at_start
+
+
+class BuiltProblem(eqx.Module):
+    """A least-squares problem together with the names of its parameters.
+
+    Attributes:
+        problem: the problem, in the parameters' own units.
+        shared_names: names of the free shared parameters.
+        per_view_names: names of the free parameters of single views, in order.
+        noise: the assumed noise; None where the robot's poses are taken as exact.
+        unprojectable: visible points that cannot be projected at the start; they are left out.
+    """
+
+    problem: JointProblem
+    shared_names: tuple[str, ...] = eqx.field(static=True)
+    per_view_names: tuple[str, ...] = eqx.field(static=True)
+    noise: Noise | None = eqx.field(static=True)
+    unprojectable: Bool[np.ndarray, "views points"]
+
+    @property
+    def sigma_known(self) -> bool:
+        """Whether the pixel sigma is taken as given; if not, it is estimated from the residuals."""
+        return self.noise is not None and self.noise.has_pose_prior
+
+    @property
+    def depends_on_sigma(self) -> bool:
+        """Whether the result depends on the pixel sigma, because of a prior or a robust loss."""
+        weight = self.problem.prior_weight
+        shared = np.asarray(weight.shared)[list(self.problem.free)]
+        per_view = np.asarray(weight.per_view)[np.asarray(self.problem.per_view_free)]
+        return self.problem.loss is not None or bool(shared.any() or per_view.any())
+
+
+def build_problem(
+    data: Dataset,
+    start: Calibration,
+    *,
+    lens: str | AbstractLens | None = None,
+    noise: str | Noise = "trusted",
+    loss: str | AbstractLoss | None = None,
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    field: FieldChoice = "auto",
+) -> BuiltProblem:
+    """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.
+
+    The coefficients of a robot error field begin at their values in the start if the start has the
+    same field, otherwise at zero. With `field="auto"` the robot error of the start is kept fixed.
+    """
+    if not (noise == "trusted" or isinstance(noise, Noise)):
+        raise ValueError(
+            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), and what '
+            f"estimates it is fit_joint alone; found {noise!r}"
+        )
+    for argument, paths in (("fixed", fixed), ("free", free)):
+        if isinstance(paths, str):
+            raise ValueError(f"{argument}: expected paths, as in ({paths!r},); found {paths!r}")
+    if start.mount != data.mount:
+        raise ValueError(f"the start is {start.mount}, the data {data.mount}")
+    start = with_field(with_lens(start, lens), field)
+    priors = dict(priors or {})
+    views = data.usable_views()
+    if len(views) < 3 and not priors:
+        raise ValueError(
+            f"a joint fit needs at least 3 views with 4 points each, or priors; found {len(views)}"
+        )
+
+    noise_model = noise if isinstance(noise, Noise) else None
+    parameters = Parameters(start)
+    shared_size = parameters.shared_size
+    names = parameter_names(start, data.view_ids if noise_model else ())
+    default_fixed = ["target_scale"]
+    if field == "auto" and start.robot_error is not None:
+        default_fixed.append(ROBOT_ERROR)
+    # `free` overrides what is held by default; `fixed` overrides both.
+    is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, free)
+    is_free &= ~parameter_mask(names, fixed)
+    fitted_field = None if field == "auto" else field
+    mean, weight = _prior_means_and_weights(names, shared_size, priors, noise_model, fitted_field)
+    if noise_model is not None:
+        # The correction of a view with too few points to determine its pose is held, unless a prior
+        # constrains it.
+        usable = np.isin(np.arange(data.view_count), views).repeat(6)
+        is_free[shared_size:] &= usable | (weight[shared_size:] > 0.0)
+    problem = JointProblem(
+        parameters,
+        data.observations,
+        jnp.asarray(noise_model.pixel if noise_model else 1.0, dtype=float),
+        tuple(int(k) for k in np.flatnonzero(is_free[:shared_size])),
+        jnp.asarray(is_free[shared_size:].reshape(-1, 6)),
+        _step_from_vector(mean, shared_size),
+        _step_from_vector(weight, shared_size),
+        Step(
+            jnp.ones(int(is_free[:shared_size].sum())), jnp.ones((len(names[shared_size:]) // 6, 6))
+        ),
+        loss_by_name(loss),
+    )
+    unprojectable = np.asarray(data.visible & ~valid_at_start(problem))
+    _check_views_projectable(data, unprojectable)
+    visible = data.visible & ~jnp.asarray(unprojectable)
+    problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
+    return BuiltProblem(
+        problem,
+        tuple(names[k] for k in problem.free),
+        tuple(names[shared_size + k] for k in np.flatnonzero(is_free[shared_size:])),
+        noise_model,
+        unprojectable,
+    )
+
+
+def with_free_camera_poses(
+    data: Dataset, camera: Camera, camera_from_world: SE3
+) -> tuple[Dataset, Calibration]:
+    """Return data and a start in which each view's own camera pose replaces the robot's report.
+
+    With both transforms held, the corrections of the reported poses are then free camera poses: the
+    corrected pose of a view is `exp(correction) @ camera_from_world`.
+    """
+    identity_start = Calibration(camera, SE3.identity(), SE3.identity(), "eye_in_hand")
+    repositioned = dataclasses.replace(
+        data, base_from_tool=camera_from_world.inverse(), mount="eye_in_hand"
+    )
+    return repositioned, identity_start
+
+
+def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
+    """Return the start with another lens, initialised from its own lens; None keeps its own."""
+    # The region describes the data of an earlier fit, so that it does not apply to a start.
+    start = dataclasses.replace(start, region=None)
+    if lens is None:
+        return start
+    return eqx.tree_at(lambda c: c.camera.lens, start, initial_lens(lens, start.camera.lens))
+
+
+def with_field(start: Calibration, field: FieldChoice) -> Calibration:
+    """Return the start with a given robot error field; `"auto"` keeps its own.
+
+    Raises:
+        ValueError: any other text than `"auto"`.
+    """
+    if isinstance(field, str) and field != "auto":
+        raise ValueError(
+            f'field is "auto", None or a field such as robot_errors.JointOffsets(arm); '
+            f"found {field!r}"
+        )
+    if field == "auto":
+        return start
+    if field is None:
+        return start.uncorrected
+    current = start.robot_error
+    if current is not None and bool(eqx.tree_equal(current.field, field)):
+        return start
+    return dataclasses.replace(start, robot_error=RobotError.zero(field))
+
+
+def _prior_means_and_weights(
+    names: tuple[str, ...],
+    shared_size: int,
+    priors: Mapping[str, Prior],
+    noise: Noise | None,
+    field: AbstractField | None,
+) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
+    """Return the prior mean and weight of every parameter.
+
+    A mean of NaN is the value of the start. The weight is one over the standard deviation; zero is
+    no prior.
+    """
+    mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
+    groups = () if field is None else field.groups
+    if noise is not None:
+        if len(noise.field) != len(groups):
+            raise ValueError(
+                f"Noise.field: expected one deviation for each of the field's {len(groups)} "
+                f"groups, found {len(noise.field)}" + ("; say field= too" if not groups else "")
+            )
+        for (group, _), sigma in zip(groups, noise.field, strict=True):
+            selected = parameter_mask(names, (f"{ROBOT_ERROR}.{group}",))
+            mean[selected], weight[selected] = 0.0, 1.0 / sigma
+        # One over infinity is a weight of zero, which is no prior: the poses are then free.
+        pose_sigmas = np.repeat([noise.translation, noise.rotation], 3)
+        weight[shared_size:] = np.tile(1.0 / pose_sigmas, (len(names) - shared_size) // 6)
+    for path, prior in priors.items():
+        selected = parameter_mask(names, (path,))
+        rotation_names = [names[k] for k in np.flatnonzero(selected) if ".rotation." in names[k]]
+        if prior.mean is not None and rotation_names:
+            raise ValueError(f"prior on {path!r}: a rotation's prior is about the start; no mean")
+        weight[selected] = 1.0 / prior.std
+        if prior.mean is not None:
+            mean[selected] = prior.mean
+    return mean, weight
+
+
+def _step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
+    """Split a flat vector into the shared parameters and six per view."""
+    return Step(jnp.asarray(vector[:shared_size]), jnp.asarray(vector[shared_size:].reshape(-1, 6)))
+
+
+def _check_views_projectable(
+    data: Dataset, unprojectable: Bool[np.ndarray, "views points"]
+) -> None:
+    """Raise if the start cannot project a single point of some view.
+
+    Raises:
+        ValueError: every point seen in a view lies behind the camera or outside the lens's domain.
+    """
+    visible_counts = np.asarray(data.visible).sum(axis=1)
+    unprojectable_views = [
+        data.view_ids[k]
+        for k in range(len(visible_counts))
+        if visible_counts[k] > 0 and unprojectable[k].sum() == visible_counts[k]
+    ]
+    if unprojectable_views:
+        raise ValueError(unprojectable_views_message(unprojectable_views))
+
+
+def unprojectable_views_message(views: Sequence[str]) -> str:
+    """Return the error message for views of which the start cannot project a single point."""
+    return (
+        f"start: every point of view {', '.join(views)} lies behind the camera or outside the "
+        f"lens's domain; start nearer to the truth (fit_staged), or check the poses"
+    )

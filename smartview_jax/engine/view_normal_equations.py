@@ -1,0 +1,333 @@
+"""Linearise all observations into one small matrix of normal equations per view.
+
+Every parameter except the camera's acts on the pixels of a view only through the pose of that view,
+and a change of a pose is a twist. Whatever is being fitted, the Jacobian of a point therefore has
+columns for the camera's parameters and six columns for a twist in the camera frame; this file does
+not depend on the robot. The products of these columns are formed at once, chunk by chunk, so that
+memory does not grow with the number of points. `pose_jacobians.py` continues from twists to
+parameters.
+
+The columns of u and of v are kept apart, because v does not depend on alpha_u and u0, nor u on
+alpha_v and v0.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..cameras import AbstractLens, AbstractPerspectiveLens, Camera
+from ..dataset import Observations
+from .losses import AbstractLoss
+
+INVALID_PROJECTION_RESIDUAL = 1e3
+"""Whitened residual, in pixel sigmas, of u and of v of a visible point that cannot be projected.
+
+It is so large that moving points out of the lens's domain never lowers the cost.
+"""
+
+MAX_CHUNK_POINTS = 4096
+"""Largest number of points of a view linearised at once; their columns fit the CPU's cache."""
+
+MAX_GROUP_POINTS, MAX_GROUP_CHUNKS = 1024, 8
+"""Largest number of points, and of chunks, linearised in one iteration.
+
+Chunks with few points are grouped, because every iteration of a compiled loop costs some 10 us.
+"""
+
+
+class ViewNormalEquations(eqx.Module):
+    """The normal equations of every view in the camera's parameters and a twist of its pose.
+
+    The columns are the camera's parameters in the order of its leaves, then the twist `(v, w)` of
+    `camera_from_world -> exp((v, w)) @ camera_from_world`.
+
+    Attributes:
+        matrix: sum of `J^T J` over the points of a view, whitened.
+        gradient: gradient of the cost.
+        cost: half the sum of squared whitened residuals, or of the loss.
+    """
+
+    matrix: Float[Array, "views columns columns"]
+    gradient: Float[Array, "views columns"]
+    cost: Float[Array, "views"]
+
+
+def linearise_views(
+    camera: Camera,
+    camera_from_world: SE3,
+    observations: Observations,
+    target_scale: Float[Array, ""],
+    pixel_sigma: Float[Array, ""],
+    loss: AbstractLoss | None,
+) -> ViewNormalEquations:
+    """Compute the normal equations of every view from all its observations.
+
+    Args:
+        camera: camera with any central lens, one whose pixels depend only on a point's direction.
+        camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
+        observations: observations of shape `(views, points)`; points that are not visible do not
+            count.
+        target_scale: factor by which the points are multiplied.
+        pixel_sigma: standard deviation of u and of v, px.
+        loss: robust loss, whose weights give the normal equations of iteratively reweighted least
+            squares; None is least squares.
+    """
+    views = len(observations.visible)
+    # A chunk is a piece of one view; a group is several chunks, linearised in one iteration of the
+    # loop below.
+    points, pixels, visible = _split_into_chunks(observations)
+    total_chunks, count = visible.shape
+    chunks = total_chunks // views
+    group = min(total_chunks, MAX_GROUP_CHUNKS, max(1, MAX_GROUP_POINTS // count))
+
+    def linearise_group(group_arrays: tuple) -> tuple[Array, Array, Array]:
+        """Linearise one group of chunks."""
+        rotation, translation, points, pixels, visible = group_arrays
+        # p = scale R X + t, with X the point on the target and p the point in the camera frame.
+        # One product per chunk: batched products of small matrices are several times slower.
+        in_camera = jnp.concatenate(
+            [
+                (target_scale * rotation[k]) @ points[k].T + translation[k][:, None]
+                for k in range(group)
+            ],
+            axis=1,
+        )
+        columns_u, columns_v, cost = _jacobian_columns(
+            camera, in_camera, pixels.reshape(-1, 2).T, visible.ravel(), pixel_sigma, loss
+        )
+        return (
+            _gram_matrices(columns_u, group),
+            _gram_matrices(columns_v, group),
+            cost.reshape(group, -1).sum(axis=1),
+        )
+
+    def group_chunks(x: Array) -> Array:
+        """Arrange an array of chunks in groups, padded with zeros (invisible points) at the end."""
+        padded = jnp.pad(x, ((0, -total_chunks % group), *((0, 0),) * (x.ndim - 1)))
+        return padded.reshape(-1, group, *x.shape[1:])
+
+    rotations = jnp.repeat(camera_from_world.rotation().as_matrix(), chunks, axis=0)
+    translations = jnp.repeat(camera_from_world.translation(), chunks, axis=0)
+    groups = tuple(group_chunks(x) for x in (rotations, translations, points, pixels, visible))
+    # Back from groups to chunks, without the padding; the matrix of a view is the sum over its
+    # chunks.
+    gram_u, gram_v, cost = (
+        x.reshape(-1, *x.shape[2:])[:total_chunks].reshape(views, chunks, *x.shape[2:]).sum(axis=1)
+        for x in jax.lax.map(linearise_group, groups)
+    )
+    return _assemble(gram_u, gram_v, cost)
+
+
+def _gram_matrices(
+    columns: Float[Array, "rows points"], group: int
+) -> Float[Array, "group rows rows"]:
+    """Compute `columns @ columns.T` separately for each chunk of points."""
+    chunks = jnp.split(columns, group, axis=1)
+    return jnp.stack([chunk @ chunk.T for chunk in chunks])
+
+
+def _split_into_chunks(observations: Observations) -> tuple[Array, Array, Array]:
+    """Split points, pixels and visibility into chunks, `(views * chunks, points, ...)`.
+
+    The last chunk of a view is padded with invisible points where the points do not divide evenly.
+    """
+    views, count = observations.visible.shape
+    min_chunks = max(1, -(-count // MAX_CHUNK_POINTS))
+    # A number of chunks that divides the points evenly is preferred, because padding copies all
+    # observations.
+    chunks = next((k for k in range(min_chunks, 2 * min_chunks) if count % k == 0), min_chunks)
+    padding = chunks * -(-count // chunks) - count
+
+    def split(x: Array) -> Array:
+        """Split one array into chunks."""
+        padded = jnp.pad(x, ((0, 0), (0, padding), *((0, 0),) * (x.ndim - 2))) if padding else x
+        return padded.reshape(views * chunks, -1, *x.shape[2:])
+
+    return split(observations.points), split(observations.pixels), split(observations.visible)
+
+
+def _jacobian_columns(
+    camera: Camera,
+    in_camera: Float[Array, "3 points"],
+    pixels: Float[Array, "2 points"],
+    visible: Bool[Array, "points"],
+    pixel_sigma: Float[Array, ""],
+    loss: AbstractLoss | None,
+) -> tuple[Float[Array, "rows points"], Float[Array, "rows points"], Float[Array, "points"]]:
+    """Compute the Jacobian columns of u and of v, and the cost of each point.
+
+    The rows of both results are: alpha, centre, lens parameters, twist, residual.
+
+    A visible point that cannot be projected has zero columns and the cost of
+    `INVALID_PROJECTION_RESIDUAL`.
+    """
+    # u = alpha_u x + u0 and v = alpha_v y + v0, with (x, y) the distorted point on the unit plane;
+    # r = (measured - predicted) / sigma.
+    (x, y), valid, lens_jacobian, point_jacobian = _project_with_jacobians(
+        camera.lens, in_camera, visible
+    )
+    predicted = (camera.alpha_u * x + camera.u0, camera.alpha_v * y + camera.v0)
+    residual = [jnp.where(valid, (pixels[k] - predicted[k]) / pixel_sigma, 0.0) for k in range(2)]
+    unprojectable = visible & ~valid
+    square = residual[0] ** 2 + residual[1] ** 2
+    if loss is None:
+        weight = jnp.ones_like(square)
+        cost = 0.5 * square + jnp.where(unprojectable, INVALID_PROJECTION_RESIDUAL**2, 0.0)
+    else:
+        # cost = rho(s) / 2 with s = |r|^2; its gradient is rho'(s) J^T r, hence the weight rho'(s).
+        rho, weight = jax.jvp(loss.rho, (square,), (jnp.ones_like(square),))
+        invalid_loss = loss.rho(jnp.asarray(2.0 * INVALID_PROJECTION_RESIDUAL**2))
+        cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(unprojectable, invalid_loss, 0.0))
+    # Columns and residual are multiplied by sqrt(weight), so that their products are weighted once.
+    # With the square root XLA evaluates the expensive expression once, not again for every column.
+    scaled_sqrt_weight = jnp.sqrt(jnp.where(valid, weight, 0.0)) / pixel_sigma
+    px, py, pz = in_camera
+    columns = []
+    for k, (normalised, alpha) in enumerate(((x, camera.alpha_u), (y, camera.alpha_v))):
+        # Pose Jacobian: the twist (v, w) moves a point by dp = v + w x p. With g = du/dp the chain
+        # rule gives du = g . v + g . (w x p) = g . v + (p x g) . w, so the six columns are
+        # (g, p x g).
+        gx, gy, gz = (alpha * scaled_sqrt_weight * g[k] for g in point_jacobian)
+        columns.append(
+            jnp.stack(
+                [
+                    scaled_sqrt_weight * normalised,
+                    scaled_sqrt_weight,
+                    *(alpha * scaled_sqrt_weight * column[k] for column in lens_jacobian),
+                    gx,
+                    gy,
+                    gz,
+                    py * gz - pz * gy,
+                    pz * gx - px * gz,
+                    px * gy - py * gx,
+                    scaled_sqrt_weight * pixel_sigma * residual[k],
+                ]
+            )
+        )
+    return columns[0], columns[1], cost
+
+
+def _project_with_jacobians(
+    lens: AbstractLens, in_camera: Float[Array, "3 points"], visible: Bool[Array, "points"]
+) -> tuple[tuple[Array, Array], Bool[Array, "points"], list, list]:
+    """Project points onto the unit plane, with derivatives by the lens and by the point.
+
+    Points that are invisible or cannot be projected are replaced by a point on the optical axis,
+    where every lens is smooth.
+
+    Returns:
+        The distorted point (x, y), where it is valid, its derivatives by each lens parameter, and
+        its derivatives by the three coordinates of the point; derivatives are pairs of components.
+    """
+    lens_parameters, tree = jax.tree.flatten(lens)
+    px, py, pz = in_camera
+
+    def lens_with(lens_parameters: list) -> AbstractLens:
+        """Return the lens with other parameter values."""
+        return jax.tree.unflatten(tree, lens_parameters)
+
+    if isinstance(lens, AbstractPerspectiveLens):
+        in_front = pz > 0.0
+        inverse_depth = 1.0 / jnp.where(in_front, pz, 1.0)
+        coordinates = (px * inverse_depth, py * inverse_depth)
+        valid = visible & in_front & lens.distort_normalised(jnp.stack(coordinates, axis=-1))[1]
+        coordinates = tuple(jnp.where(valid, p, 0.0) for p in coordinates)
+
+        def distort_plane_point(lens_parameters: list, x: Array, y: Array) -> tuple[Array, Array]:
+            """Distort points on the unit plane."""
+            lens = lens_with(lens_parameters)
+            assert isinstance(lens, AbstractPerspectiveLens)
+            distorted = lens.distort_normalised(jnp.stack([x, y], axis=-1))[0]
+            return distorted[..., 0], distorted[..., 1]
+
+        # Only the direction of a point matters: the lens maps (a, b) with a = px / pz and
+        # b = py / pz to the distorted point. By the chain rule d/dpx = (d/da) / pz,
+        # d/dpy = (d/db) / pz and d/dpz = -(a d/da + b d/db) / pz: two derivatives of the lens
+        # instead of three.
+        value, lens_jacobian, (by_x, by_y) = _value_and_derivatives(
+            distort_plane_point, lens_parameters, coordinates
+        )
+        point_jacobian = [
+            tuple(inverse_depth * d for d in by_x),
+            tuple(inverse_depth * d for d in by_y),
+            tuple(
+                -inverse_depth * (coordinates[0] * a + coordinates[1] * b)
+                for a, b in zip(by_x, by_y, strict=True)
+            ),
+        ]
+        return value, valid, lens_jacobian, point_jacobian
+
+    # Other lenses (fisheye) may see points beside or behind the camera, which (a, b) cannot
+    # describe; they are differentiated by all three coordinates.
+    valid = visible & lens.distort(in_camera.T)[1]
+    coordinates = tuple(
+        jnp.where(valid, p, axis) for p, axis in zip(in_camera, (0.0, 0.0, 1.0), strict=True)
+    )
+
+    def distort_camera_point(
+        lens_parameters: list, x: Array, y: Array, z: Array
+    ) -> tuple[Array, Array]:
+        """Project points in the camera frame onto the distorted unit plane."""
+        distorted = lens_with(lens_parameters).distort(jnp.stack([x, y, z], axis=-1))[0]
+        return distorted[..., 0], distorted[..., 1]
+
+    value, lens_jacobian, point_jacobian = _value_and_derivatives(
+        distort_camera_point, lens_parameters, coordinates
+    )
+    return value, valid, lens_jacobian, point_jacobian
+
+
+def _value_and_derivatives(
+    function: Callable, lens_parameters: list, coordinates: tuple[Array, ...]
+) -> tuple[tuple[Array, Array], list, list]:
+    """Compute the value, and the derivatives by every lens parameter and by every coordinate.
+
+    The function is linearised once: a lens that solves an equation iteratively solves it once.
+    """
+    value, linear = jax.linearize(function, lens_parameters, *coordinates)
+    zeros = (
+        [jnp.zeros_like(n) for n in lens_parameters],
+        *(jnp.zeros_like(p) for p in coordinates),
+    )
+    flat, tree = jax.tree.flatten(zeros)
+
+    def derivative(k: int) -> tuple[Array, Array]:
+        """Return the derivative along the k-th input, for all points at once."""
+        # Points are independent, so that one tangent of ones gives the derivative of every point.
+        tangent = [jnp.ones_like(t) if i == k else t for i, t in enumerate(flat)]
+        return linear(*jax.tree.unflatten(tree, tangent))
+
+    columns = [derivative(k) for k in range(len(flat))]
+    return value, columns[: len(lens_parameters)], columns[len(lens_parameters) :]
+
+
+def _assemble(
+    gram_u: Float[Array, "views rows rows"],
+    gram_v: Float[Array, "views rows rows"],
+    cost: Float[Array, "views"],
+) -> ViewNormalEquations:
+    """Add the products of u and of v in one order of columns.
+
+    The order is alpha_u, alpha_v, u0, v0, lens, twist. The last row and column of each product
+    belong to the residual: `J^T r` and `r^T r`.
+    """
+    views, rows = gram_u.shape[:2]
+    size = rows + 2
+    common_indices = range(4, size)
+    augmented = jnp.zeros((views, size * size))
+    for gram, pinhole_indices in ((gram_u, (0, 2)), (gram_v, (1, 3))):
+        indices = np.array([*pinhole_indices, *common_indices])
+        # Index of the source of every entry; entries that this direction lacks read the zero
+        # appended at the end.
+        source = np.full((size, size), rows * rows)
+        source[np.ix_(indices, indices)] = np.arange(rows * rows).reshape(rows, rows)
+        padded = jnp.pad(gram.reshape(views, -1), ((0, 0), (0, 1)))
+        augmented = augmented + padded[:, source.ravel()]
+    augmented = augmented.reshape(views, size, size)
+    # r = measured - predicted and J is the Jacobian of the prediction: the gradient is -J^T r.
+    return ViewNormalEquations(augmented[:, :-1, :-1], -augmented[:, :-1, -1], cost)

@@ -1,0 +1,111 @@
+"""Collect the held-out errors of a calibration's staged and joint fits, from the same refits."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ...calibration_pipeline import CalibrationFit
+from ...dataset import Dataset
+from ..free_poses import free_pose_errors
+from .compare import UNCORRECTED_SUFFIX
+from .folds import MIN_VIEWS_BY_REGION
+from .held_out import FoldFit, HeldOutErrors, choose_uncorrected, fit_folds, has_correction, score
+from .predicted_error import PredictedError, predicted_error
+
+
+class HeldOutReport(NamedTuple):
+    """The held-out errors of one fit; None where they were not requested.
+
+    Attributes:
+        held_out: by view.
+        by_region: by region of the workspace.
+        free_pose: by view, with a free pose for every hidden view: the error of the camera alone.
+        predicted_error: by view, with the errors that the fits predicted.
+        error_models: name of the robot error model of each fold by view; empty where it was not
+            estimated.
+    """
+
+    held_out: HeldOutErrors
+    by_region: HeldOutErrors | None = None
+    free_pose: HeldOutErrors | None = None
+    predicted_error: PredictedError | None = None
+    error_models: tuple[str, ...] = ()
+
+
+def held_out_reports(
+    data: Dataset,
+    fitter: Callable[[Dataset], CalibrationFit],
+    thorough: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, HeldOutReport]:
+    """Return the held-out errors of a calibration, by the report's name of each part.
+
+    Args:
+        data: all views.
+        fitter: such as `calibrate`.
+        thorough: also by region, where there are enough views, with the free-pose errors and the
+            errors that the joint fits predicted; twice the number of fits.
+        progress: called with a line of text for each fit.
+
+    Raises:
+        ValueError: fewer than four usable views.
+    """
+    say = progress or (lambda _: None)
+    by_view = fit_folds(data, fitter, progress=lambda text: say(f"held-out: {text}"))
+    by_region = None
+    # Hiding a region of few views leaves too few to fit.
+    if thorough and len(data.usable_views()) >= MIN_VIEWS_BY_REGION:
+        by_region = fit_folds(
+            data, fitter, progress=lambda text: say(f"held-out by region: {text}"), by="region"
+        )
+    reports = {
+        name: _part_report(by_view, by_region, data, choose, thorough)
+        for name, choose in (("staged", _choose_staged), ("joint", _choose_joint))
+    }
+    if any(fold.failure is None and has_correction(fold.fit.joint) for fold in by_view):
+        reports[f"joint, {UNCORRECTED_SUFFIX}"] = _uncorrected_report(by_view, by_region, data)
+    return reports
+
+
+def _choose_staged(fit: CalibrationFit, _: Dataset):
+    """Return the staged fit of a calibration."""
+    return fit.staged
+
+
+def _choose_joint(fit: CalibrationFit, _: Dataset):
+    """Return the joint fit of a calibration."""
+    return fit.joint
+
+
+def _part_report(
+    by_view: tuple[FoldFit, ...],
+    by_region: tuple[FoldFit, ...] | None,
+    data: Dataset,
+    choose: Callable,
+    thorough: bool,
+) -> HeldOutReport:
+    """Return the held-out errors of one part of a calibration."""
+    held_out, error_models = score(by_view, data, choose), ()
+    # Only the joint fit estimates a robot error model and predicts its own error.
+    if choose is _choose_joint:
+        fits = [fold.fit.joint for fold in by_view if fold.failure is None]
+        error_models = tuple(
+            fit.noise_estimate.name for fit in fits if fit.noise_estimate is not None
+        )
+    if not thorough:
+        return HeldOutReport(held_out, error_models=error_models)
+    return HeldOutReport(
+        held_out,
+        None if by_region is None else score(by_region, data, choose),
+        score(by_view, data, choose, free_pose_errors),
+        predicted_error(by_view, data, choose) if choose is _choose_joint else None,
+        error_models,
+    )
+
+
+def _uncorrected_report(
+    by_view: tuple[FoldFit, ...], by_region: tuple[FoldFit, ...] | None, data: Dataset
+) -> HeldOutReport:
+    """Return the held-out errors of the joint fit without its correction of the robot's error."""
+    choose_joint_uncorrected = choose_uncorrected(_choose_joint)
+    region_errors = None if by_region is None else score(by_region, data, choose_joint_uncorrected)
+    return HeldOutReport(score(by_view, data, choose_joint_uncorrected), region_errors)

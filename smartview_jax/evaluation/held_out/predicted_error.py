@@ -1,0 +1,187 @@
+"""Compare the error that a fit predicts for unseen views with the error that it has there.
+
+A fit states how well it knows its parameters, and how large the errors of pixels and poses are.
+Together these predict its error at any pose. If the actual error is larger, its standard deviations
+are too small, whatever the reason.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Float
+
+from ...calibration import Calibration
+from ...compilation import compiled
+from ...dataset import Dataset
+from ...joint import JointFit
+from ...robots import Command
+from ..measures import ReprojectionErrors, errors_at_target, predict
+from ..uncertainty import std_of, sum_of_squared_derivatives
+from .held_out import FoldFit, HeldOutErrors, pool_errors, score, whole_fit
+
+
+class PredictedError(NamedTuple):
+    """The errors that the fits of all folds predicted for their hidden views, and the actual ones.
+
+    Attributes:
+        predicted: root of the expected squared reprojection error of every point.
+        actual: the actual reprojection errors.
+    """
+
+    predicted: HeldOutErrors
+    actual: HeldOutErrors
+
+    @property
+    def rms_ratio(self) -> float:
+        """The actual over the predicted RMS: 1 is consistent, 2 is twice the stated uncertainty."""
+        return _rms_ratio(self.actual.errors.px, self.predicted.errors.px)
+
+    @property
+    def rms_ratio_per_view(self) -> Float[np.ndarray, "views"]:
+        """The same ratio for every view; NaN for one that was not held out."""
+        return np.array([self._rms_ratio_of_views([k]) for k in range(len(self.actual.errors.px))])
+
+    @property
+    def rms_ratio_per_fold(self) -> Float[np.ndarray, "folds"]:
+        """The same ratio for every fold; NaN for one that failed."""
+        return np.array([self._rms_ratio_of_views(list(fold)) for fold in self.actual.folds])
+
+    def _rms_ratio_of_views(self, views: list[int]) -> float:
+        """Return the ratio for some views."""
+        return _rms_ratio(self.actual.errors.px[views], self.predicted.errors.px[views])
+
+
+def _rms_ratio(actual: np.ndarray, predicted: np.ndarray) -> float:
+    """Return the ratio of actual to predicted RMS over points that have both; NaN if none has."""
+    # sqrt(sum(actual^2) / sum(predicted^2)), pooled so that tiny predicted errors do not dominate.
+    both = np.isfinite(actual) & np.isfinite(predicted)
+    if not both.any():
+        return float("nan")
+    return float(np.sqrt(np.sum(actual[both] ** 2) / np.sum(predicted[both] ** 2)))
+
+
+def predicted_error(
+    fold_fits: Sequence[FoldFit], data: Dataset, choose: Callable[[Any, Dataset], Any] = whole_fit
+) -> PredictedError:
+    """Return the errors that the fits of all folds predicted, with the actual errors.
+
+    Args:
+        fold_fits: from `fit_folds`, with the same data.
+        data: all views.
+        choose: function from a fit and the data to the `JointFit` in it. A fold whose fit leaves a
+            parameter undetermined predicts no error, and is a failure of `predicted`.
+    """
+    return PredictedError(
+        pool_errors(
+            fold_fits, data, lambda fit: expected_reprojection_errors(choose(fit, data), data)
+        ),
+        score(fold_fits, data, choose),
+    )
+
+
+def expected_reprojection_errors(fit: JointFit, data: Dataset) -> ReprojectionErrors:
+    """Return the root of the expected squared reprojection error of every point seen.
+
+    Under the model four independent errors add up: of the parameters, by the fit's covariance; of
+    pixels about their view's own best pose, by the white sigma; of that pose, by the excess of the
+    effective over the white sigma; and independent errors of the poses that the robot reports.
+
+    Args:
+        fit: a joint fit; its parameters' uncertainty is that of views it never used.
+        data: any views. Points that cannot be predicted are infinite, those not seen NaN.
+
+    Raises:
+        ValueError: the fit's data leave a parameter undetermined, or its noise leaves the poses
+            free.
+    """
+    calibration, visible = fit.calibration, np.asarray(data.visible)
+    _, valid, depth = predict(calibration, data.command, data.points)
+    expected_square = sum(expected_squared_errors(fit, data))
+    px = np.where(visible, np.where(np.asarray(valid), np.sqrt(expected_square), np.inf), np.nan)
+    return errors_at_target(calibration.camera, px, depth)
+
+
+class ExpectedSquaredErrors(NamedTuple):
+    """The expected squared reprojection error of points, u and v together, px^2, by cause.
+
+    Attributes:
+        parameters: due to the covariance of the parameters.
+        pixels: due to noise of pixels, independent and common to a view.
+        poses: due to noise of the poses that the robot reports.
+    """
+
+    parameters: Float[np.ndarray, "views points"]
+    pixels: Float[np.ndarray, "views points"]
+    poses: Float[np.ndarray, "views points"]
+
+
+def expected_squared_errors(fit: JointFit, data: Dataset) -> ExpectedSquaredErrors:
+    """Return the contributions to `expected_reprojection_errors`; raises as it does."""
+    calibration, noise = fit.calibration, fit.noise
+    white_sigma = effective_sigma = fit.pixel_sigma
+    pose_variance = np.zeros(data.visible.shape)
+    if noise is not None:
+        if not max(noise.translation, noise.rotation) < np.inf:
+            raise ValueError("a robot whose poses may be anywhere leaves nothing to predict")
+        pose_sigmas = jnp.repeat(jnp.array([noise.translation, noise.rotation]), 3)
+        pose_variance = np.asarray(
+            _pose_noise_variance(calibration, pose_sigmas, data.command, data.points)
+        )
+        if noise.white_pixel is not None:
+            white_sigma, effective_sigma = noise.white_pixel, noise.pixel
+    # E|e|^2 = tr(J P J^T) + pixels + poses, for u and v together, with J the Jacobian with respect
+    # to the parameters and P their covariance. std_of^2 is the diagonal of J P J^T.
+    parameter_std = np.asarray(std_of(fit, _PixelFunction(data.command, data.points)))
+    point_counts = np.maximum(np.asarray(data.visible).sum(axis=1, keepdims=True), 1)
+    # A pose has six parameters, so of the 2 n residuals of a view with n points six have the
+    # effective variance. On average over the points:
+    #     2 white_sigma^2 + 6 (effective_sigma^2 - white_sigma^2) / n
+    pixel_variance = (
+        2.0 * white_sigma**2 + 6.0 * (effective_sigma**2 - white_sigma**2) / point_counts
+    )
+    return ExpectedSquaredErrors(
+        np.sum(parameter_std**2, axis=-1),
+        np.broadcast_to(pixel_variance, pose_variance.shape),
+        pose_variance,
+    )
+
+
+class _PixelFunction(eqx.Module):
+    """A function from calibrations to pixels of given points, zero where there are none.
+
+    It is a pytree, so that it is compiled once.
+    """
+
+    command: Command
+    points: Float[Array, "views points 3"]
+
+    def __call__(self, calibration: Calibration) -> Float[Array, "views points 2"]:
+        """Return the pixels under a calibration."""
+        pixels, valid = calibration.project(self.command, self.points)
+        return jnp.where(valid[..., None], pixels, 0.0)
+
+
+@compiled
+def _pose_noise_variance(
+    calibration: Calibration,
+    pose_sigmas: Float[Array, "6"],
+    command: Command,
+    points: Float[Array, "views points 3"],
+) -> Float[Array, "views points"]:
+    """Return the variance of pixels, u and v together, due to white noise of the reported poses."""
+    error = calibration.robot_error
+    # The noise is on top of the smooth correction, so the corrected pose is perturbed.
+    poses = command.base_from_tool if error is None else error.actual_pose(command)
+
+    def pixels(correction: Float[Array, "6"]) -> Float[Array, "views points 2"]:
+        # tool_from_base = exp(correction) @ reported, so its inverse has exp(-correction) behind.
+        twists = jnp.broadcast_to(-correction, (*poses.get_batch_axes(), 6))
+        projected, valid = calibration.project(poses @ SE3.exp(twists), points, corrected=False)
+        return jnp.where(valid[..., None], projected, 0.0)
+
+    # sum_k (sigma_k d(pixel) / d(correction_k))^2, at zero.
+    return jnp.sum(sum_of_squared_derivatives(pixels, jnp.diag(pose_sigmas)), axis=-1)

@@ -1,0 +1,134 @@
+"""Compute poses of cameras that look at a point, the paper's five viewpoints among them.
+
+Roll is measured from the following orientation. A camera that looks straight down (along the
+world's -z) with zero roll has the picture's x along the world's x. The same holds for a camera that
+looks straight up, along +z, as towards a board whose z points into it. For any other direction,
+zero roll is the orientation reached from the nearer of these two by the smallest rotation, and for
+a horizontal direction from the one that looks down. With this definition roll varies smoothly near
+the usual views. Definitions by an upright direction are singular where the camera looks straight
+down.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3, SO3
+from jaxtyping import Array, Float
+
+FIVE_VIEWPOINT_STEP = float(np.deg2rad(9.5))
+"""Angle between neighbours of the paper's five viewpoints from the object, rad (Section 5)."""
+
+FIVE_VIEWPOINT_PATTERNS = {
+    "cross": ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)),
+    "L": ((0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (0.0, 1.0), (0.0, 2.0)),
+}
+"""Offsets along X and along Y of the five viewpoints of each pattern, in steps.
+
+The cross is the paper's pattern; the L has viewpoints twice as far from the first one.
+"""
+
+
+def look_at(
+    point: Float[Array, "*#views 3"] | np.ndarray | tuple[float, float, float],
+    direction: Float[Array, "*#views 3"] | np.ndarray | tuple[float, float, float],
+    distance: float | Float[Array, "*#views"] | np.ndarray,
+    roll: float | Float[Array, "*#views"] | np.ndarray = 0.0,
+) -> SE3:
+    """Return `camera_from_world` of cameras that look at a point.
+
+    Args:
+        point: the point on the optical axis, in the world's frame, m.
+        direction: viewing direction in the world's frame, of any length except zero, for which the
+            result is NaN.
+        distance: distance of the point from the camera along the optical axis, m.
+        roll: rotation of the camera about its optical axis, from x towards y of the picture, rad;
+            the module's docstring defines its zero.
+
+    Returns:
+        Transforms with the broadcast shape of all four arguments.
+    """
+    # With d the unit direction and S (`smallest_rotation`) the smallest rotation to d from the
+    # nearer of +z and -z:
+    #   camera_from_world = (R, t),   R = Rz(-roll) R0 S^-1,   t = (0, 0, distance) - R point,
+    # where R0 (`zero_roll_rotation`) is the identity for +z and half a rotation about x for -z.
+    point, direction = jnp.asarray(point, dtype=float), jnp.asarray(direction, dtype=float)
+    distances, rolls = jnp.asarray(distance, dtype=float), jnp.asarray(roll, dtype=float)
+    views = jnp.broadcast_shapes(
+        point.shape[:-1], direction.shape[:-1], distances.shape, rolls.shape
+    )
+    point = jnp.broadcast_to(point, (*views, 3))
+    direction = jnp.broadcast_to(direction, (*views, 3))
+    distances, rolls = jnp.broadcast_to(distances, views), jnp.broadcast_to(rolls, views)
+    x, y, z = jnp.moveaxis(direction / jnp.linalg.norm(direction, axis=-1, keepdims=True), -1, 0)
+    zero = jnp.zeros_like(z)
+    # The smallest rotation from +-z to (x, y, z) has the quaternion (1 + |z|, -+y, +-x, 0) before
+    # normalisation. With the nearer axis the angle is at most 90 degrees and the real part not
+    # below 1, so that the norm cannot vanish.
+    upward = jnp.stack([1.0 + jnp.abs(z), -y, x, zero], axis=-1)
+    downward = jnp.stack([1.0 + jnp.abs(z), y, -x, zero], axis=-1)
+    looks_up = z > 0.0
+    quaternion = jnp.where(looks_up[..., None], upward, downward)
+    smallest_rotation = SO3(quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True))
+    zero_roll_rotation = SO3.from_x_radians(jnp.where(looks_up, 0.0, jnp.pi))
+    rotation = SO3.from_z_radians(-rolls) @ zero_roll_rotation @ smallest_rotation.inverse()
+    offset = jnp.stack([zero, zero, distances], axis=-1)
+    return SE3.from_rotation_and_translation(rotation, offset - rotation.apply(point))
+
+
+def viewing_direction(
+    tilt: float | Float[Array, "*#views"] | np.ndarray,
+    azimuth: float | Float[Array, "*#views"] | np.ndarray,
+    above: bool = True,
+) -> Float[Array, "*views 3"]:
+    """Return the unit viewing direction of a camera given by tilt and azimuth from its object.
+
+    Args:
+        tilt: angle between the direction from object to camera and the world's z axis, rad.
+        azimuth: angle of the direction from object to camera about the world's z axis, measured
+            from x, rad.
+        above: whether the camera is on the +z side; False for a board with z into it, as in
+            OpenCV, where the tilt is measured from -z.
+    """
+    tilts, azimuths = jnp.broadcast_arrays(jnp.asarray(tilt, float), jnp.asarray(azimuth, float))
+    horizontal, height = jnp.sin(tilts), jnp.cos(tilts)
+    to_camera = [
+        horizontal * jnp.cos(azimuths),
+        horizontal * jnp.sin(azimuths),
+        height if above else -height,
+    ]
+    return -jnp.stack(to_camera, axis=-1)
+
+
+def five_viewpoints(
+    point: Float[Array, "*#views 3"] | np.ndarray,
+    distance: float | Float[Array, "5"] | np.ndarray,
+    roll: float | Float[Array, "5"] | np.ndarray = 0.0,
+    step: float = FIVE_VIEWPOINT_STEP,
+    above: bool = True,
+    pattern: str = "cross",
+) -> SE3:
+    """Return the paper's viewpoints (Fig. 6): one from above, and two each along X and Y.
+
+    If all views have the same roll, the hand-eye transform is poorly determined; a different roll
+    for each view is recommended.
+
+    Args:
+        point: the point that all cameras look at, or one for each camera, m.
+        distance: distance of the cameras from the point, m.
+        roll: rotation about the optical axis, for all cameras or for each, rad.
+        step: angle between neighbours as seen from the point, rad.
+        above: as in `viewing_direction`.
+        pattern: `"cross"`, one step to either side along X and along Y; or `"L"`, one and two steps
+            to the same side.
+
+    Returns:
+        `camera_from_world`, `(5)`.
+
+    Raises:
+        ValueError: an unknown pattern.
+    """
+    if pattern not in FIVE_VIEWPOINT_PATTERNS:
+        known = ", ".join(FIVE_VIEWPOINT_PATTERNS)
+        raise ValueError(f"pattern: expected one of {known}, found {pattern!r}")
+    x, y = np.array(FIVE_VIEWPOINT_PATTERNS[pattern]).T
+    tilt, azimuth = step * np.hypot(x, y), np.arctan2(y, x)
+    return look_at(point, viewing_direction(tilt, azimuth, above), distance, roll)

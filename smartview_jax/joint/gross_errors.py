@@ -1,0 +1,247 @@
+"""Find gross errors before the joint fit, using a free pose for every view instead of the robot's.
+
+With a free pose, an outlying point stands out by itself, because the view's other points hold its
+pose, whatever the robot reported. The poses are fitted with a robust loss, and points beyond a
+chi-square gate around them are left out; then views whose pose is inconsistent with one hand-eye
+transform for all. Smaller disagreement can only be judged with the variance components
+(`influence.py`).
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration, mount_from_holder
+from ..compilation import compiled
+from ..dataset import Dataset, Observations
+from ..engine import (
+    Cauchy,
+    JointProblem,
+    Noise,
+    Prior,
+    Step,
+    StructuredLM,
+    build_problem,
+    robust_variance,
+    solve,
+    with_free_camera_poses,
+)
+from ..fit_result import Rejection
+from ..staged import estimate_view_poses, find_consistent_views, median_reprojection_errors
+from ..variance import SIGMA_FLOOR
+
+MAX_SQUARED_RESIDUAL = 144.0
+"""The squared whitened residual from a view's own best pose beyond which a point is left out.
+
+It is far above the gate of the fit itself. With that gate one corner in sixty of a good real data
+set would be rejected; with half of this value, corners of an image whose lens is slightly more
+complex than its model.
+"""
+
+MAX_SIGMA_ITERATIONS = 8
+"""The largest number of fits, each with the pixel sigma estimated from the one before."""
+
+SIGMA_CONVERGENCE_RATIO = 0.9
+"""The ratio of successive pixel sigmas above which further fits are not worth while."""
+
+MAX_MEDIAN_RATIO, MAX_MEDIAN_RESIDUAL = 10.0, 20.0
+"""The median residual of a view under the start's chain above which its pose is found anew.
+
+The first is relative to the median view's, the second in px; both must be exceeded.
+"""
+
+MAX_OUTLIER_FRACTION = 0.5
+"""The fraction of a view's points outside the gate above which the whole view is left out."""
+
+LOOSE_SOLVER = StructuredLM(rtol=1e-3)
+"""The solver of the fits with free poses, with a loose tolerance.
+
+Poses at which the cost changes by a thousandth identify outlying points just as well.
+"""
+
+
+def remove_gross_errors(
+    data: Dataset,
+    start: Calibration,
+    fixed: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Dataset, tuple[Rejection, ...]]:
+    """Return the data without gross outliers and without views that contradict the others.
+
+    Args:
+        data: the data; what is left out is hidden, not deleted, and a whole view's reason is in
+            `masked_views`.
+        start: as for `fit_joint`; views whose chain is far off get a pose from their points.
+        fixed: as for `fit_joint`; paths outside the camera are ignored here.
+        priors: as for `fit_joint`; paths outside the camera are ignored here.
+        progress: called with a line of text on what is left out.
+
+    Returns:
+        The data, and view id, point and reason of the points left out one by one.
+    """
+    usable = np.isin(np.arange(data.view_count), data.usable_views())
+    if usable.sum() < 3:
+        return data, ()
+    poses, unlocated = _start_poses(data, start, usable)
+    located_data = without_views(data, unlocated)
+    sigma, residual_norms, poses = _robust_poses(located_data, start, poses, fixed, priors)
+    visible = np.asarray(located_data.visible)
+    # Gate on squared whitened residuals: |r|^2 > MAX_SQUARED_RESIDUAL sigma^2.
+    outside = visible & (residual_norms > np.sqrt(MAX_SQUARED_RESIDUAL) * sigma)
+    count, outlier_count = visible.sum(axis=1), outside.sum(axis=1)
+    rejected_views = {
+        int(k): f"no pose fits it: {outlier_count[k]} of its {count[k]} points lie apart"
+        for k in np.flatnonzero(outlier_count > MAX_OUTLIER_FRACTION * count)
+    }
+    # Four points are the fewest that determine a pose.
+    trusted = (count >= 4) & ~np.isin(np.arange(len(count)), list(rejected_views))
+    robot_poses = mount_from_holder(data.mount, data.base_from_tool)
+    rejected_views |= find_consistent_views(
+        robot_poses,
+        poses,
+        jnp.asarray(trusted, dtype=float),
+        lambda camera_from_mount, holder_from_world: median_reprojection_errors(
+            Calibration(start.camera, camera_from_mount, holder_from_world, data.mount),
+            located_data.observations,
+            jnp.asarray(visible & ~outside),
+        ),
+        data.view_ids,
+    ).reasons
+
+    # Points of a rejected view are reported with the view, not one by one.
+    outside[list(rejected_views)] = False
+    point_rejections = tuple(
+        Rejection(
+            data.view_ids[view],
+            int(point),
+            _outlier_reason(float(residual_norms[view, point]), sigma),
+        )
+        for view, point in np.argwhere(outside)
+    )
+    if progress is not None and (point_rejections or rejected_views or unlocated):
+        view_count = len(rejected_views) + len(unlocated)
+        progress(f"left out: {len(point_rejections)} points, {view_count} views")
+    clean_data = dataclasses.replace(located_data, visible=jnp.asarray(visible & ~outside))
+    return without_views(clean_data, rejected_views), point_rejections
+
+
+def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
+    """Return the data with these views hidden, by index, with the reason for each."""
+    masked = [(data.view_ids[view], text) for view, text in reasons.items()]
+    return dataclasses.replace(
+        data.mask_views(list(reasons)), masked_views=(*data.masked_views, *masked)
+    )
+
+
+def _outlier_reason(residual_norm: float, sigma: float) -> str:
+    """Return the reason for rejecting a point, with its residual."""
+    return (
+        f"{residual_norm:.1f} px from where its view's own best pose puts it, "
+        f"{residual_norm / sigma:.0f} standard deviations"
+    )
+
+
+def _start_poses(
+    data: Dataset, start: Calibration, usable: Bool[np.ndarray, "views"]
+) -> tuple[SE3, dict[int, str]]:
+    """Return `camera_from_world` of every view, and reasons for views of which no pose was found.
+
+    The pose comes from the chain where that is close, otherwise from the view's points.
+    """
+    chain = start.camera_from_world(data.command)
+    residual_norms = np.asarray(_chain_residual_norms(start, data.observations))
+    visible = np.asarray(data.visible)
+    # The median residual of a view, so that a few outlying points do not make its pose look wrong.
+    median_residual = np.zeros(len(visible))
+    for k in np.flatnonzero(visible.any(axis=1)):
+        median_residual[k] = np.median(residual_norms[k, visible[k]])
+    limit = max(MAX_MEDIAN_RATIO * float(np.median(median_residual[usable])), MAX_MEDIAN_RESIDUAL)
+    misplaced = usable & (median_residual > limit)
+    if not misplaced.any():
+        return chain, {}
+    misplaced_observations = eqx.tree_at(
+        lambda o: o.visible, data.observations, data.visible & jnp.asarray(misplaced)[:, None]
+    )
+    located = estimate_view_poses(misplaced_observations, start.camera)[0].wxyz_xyz
+    has_pose = np.isfinite(np.asarray(located)).all(axis=1)
+    unlocated = {int(k): "no pose was found for it" for k in np.flatnonzero(misplaced & ~has_pose)}
+    relocated = jnp.asarray(misplaced & has_pose)
+    return SE3(jnp.where(relocated[:, None], located, chain.wxyz_xyz)), unlocated
+
+
+def _robust_poses(
+    data: Dataset,
+    start: Calibration,
+    poses: SE3,
+    fixed: Sequence[str],
+    priors: Mapping[str, Prior] | None,
+) -> tuple[float, Float[np.ndarray, "views points"], SE3]:
+    """Fit a free pose to every view with a robust loss.
+
+    Returns:
+        The pixel sigma, px; the norm of every point's residual, px; every view's best pose.
+    """
+    # Priors and held parameters that concern the robot have no meaning here; those of the camera
+    # stay.
+    free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses)
+    camera_priors = {path: prior for path, prior in (priors or {}).items() if _is_camera_path(path)}
+    problem = build_problem(
+        free_pose_data,
+        identity_start,
+        noise=Noise(1.0, np.inf, np.inf),
+        loss=Cauchy(),
+        fixed=(*identity_start.transform_names, *filter(_is_camera_path, fixed)),
+        priors=camera_priors,
+    ).problem
+    z = problem.zero_step()
+    squares, variance = _squares_and_variance(problem, z)
+    for _ in range(MAX_SIGMA_ITERATIONS):
+        sigma = max(float(np.sqrt(variance)), SIGMA_FLOOR)
+        reweighted = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
+        # Cauchy's loss has the scale sigma, and sigma is estimated from the residuals under it:
+        # alternate until sigma falls by less than a tenth.
+        z = solve(reweighted, LOOSE_SOLVER, start=z)[0].z
+        squares, variance = _squares_and_variance(problem, z)
+        if variance > (SIGMA_CONVERGENCE_RATIO * sigma) ** 2:
+            break
+    fitted_poses = SE3.exp(z.per_view) @ poses
+    return max(float(np.sqrt(variance)), SIGMA_FLOOR), np.sqrt(squares), fitted_poses
+
+
+def _is_camera_path(path: str) -> bool:
+    """Return whether a path is one of the camera's."""
+    return path.split(".")[0] == "camera"
+
+
+@compiled
+def _squares_and_variance(
+    problem: JointProblem, z: Step
+) -> tuple[Float[Array, "views points"], Float[Array, ""]]:
+    """Return every point's squared whitened residual, and their robust variance.
+
+    Both are in px^2 if the problem's pixel sigma is 1 px.
+    """
+    squares = problem.squared_residuals(z)
+    return squares, robust_variance(squares, problem.observations.visible)
+
+
+@compiled
+def _chain_residual_norms(
+    start: Calibration, observations: Observations
+) -> Float[Array, "views points"]:
+    """Return the norms of all residuals under the chain, px; infinite without a projection."""
+
+    def view_residual_norms(view: Observations) -> Float[Array, "points"]:
+        predicted, valid = start.project(view.command, view.points)
+        norms = jnp.linalg.norm(view.residuals(predicted, valid), axis=-1)
+        return jnp.where(valid, norms, jnp.inf)
+
+    # View by view: a projection of all observations at once takes several times the data's memory.
+    return jax.lax.map(view_residual_norms, observations)

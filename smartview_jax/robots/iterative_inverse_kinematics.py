@@ -1,0 +1,131 @@
+"""Solve inverse kinematics numerically, by Levenberg-Marquardt iteration from a start near by."""
+
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..compilation import compiled_optimised
+from .command import JointsLike
+from .serial_arm import SerialArm
+
+MAX_STEPS = 100
+"""Largest number of Levenberg-Marquardt steps per pose."""
+
+TWIST_TOLERANCE = 1e-9
+"""Largest component of the residual twist at which a pose counts as reached, m and rad."""
+
+MAX_INITIAL_RANGE_FRACTION = 0.999
+"""Largest distance of a start from the middle of a joint's range, per half of that range."""
+
+
+@compiled_optimised
+def solve_joints_iteratively(
+    arm: SerialArm, base_from_tool: SE3, near: JointsLike
+) -> tuple[Float[Array, "*views joints"], Bool[Array, "*views"]]:
+    """Return joint angles near a start at which the tool of an arm has the wanted pose.
+
+    The Levenberg-Marquardt damping keeps the solution of a redundant arm close to the start. For a
+    pose out of reach the result is near the pose. Joints stay within their limits; a joint that its
+    limit holds back ends at the limit.
+
+    Args:
+        arm: any serial arm.
+        base_from_tool: wanted pose, `(*views)`.
+        near: joint readings at which the iteration starts.
+
+    Returns:
+        Joint readings, and whether they reach the pose.
+    """
+    # Per pose, minimise |r|^2 over the joints q, with the residual twist
+    #     r(q) = log(wanted^-1 base_from_tool(q)).
+    # Each step solves the damped normal equations
+    #     (J^T J + lambda I) step = -J^T r,    J = dr/dq,
+    # and lambda adapts to whether the step reduced |r|^2. With J^T J singular, at a singularity or
+    # for a redundant arm, the damping makes the step unique.
+    solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
+
+    def solve_view(
+        pose: Float[Array, "7"], start: Float[Array, "joints"]
+    ) -> tuple[Float[Array, "joints"], Bool[Array, ""]]:
+        tool_from_base = SE3(pose).inverse()
+
+        def residual_twist(joints: Float[Array, "joints"]) -> Float[Array, "6"]:
+            return (tool_from_base @ arm.base_from_tool(joints)).log()
+
+        def unbounded_residual(
+            unbounded: Float[Array, "joints"], _: None = None
+        ) -> Float[Array, "6"]:
+            return residual_twist(_joints_from_unbounded(unbounded, arm.limits))
+
+        initial = _unbounded_from_joints(start, arm.limits)
+        # The iteration runs over unbounded coordinates, so that no step can leave the joint limits.
+        # A pose out of reach is not an error here: the second result reports it.
+        solution = optx.least_squares(
+            unbounded_residual, solver, initial, max_steps=MAX_STEPS, throw=False
+        ).value
+        solution = _joints_from_unbounded(solution, arm.limits)
+        return solution, jnp.max(jnp.abs(residual_twist(solution))) < TWIST_TOLERANCE
+
+    poses = base_from_tool.wxyz_xyz
+    starts = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*poses.shape[:-1], arm.joint_count))
+    # Every pose has its own damping and its own number of steps.
+    for _ in poses.shape[:-1]:
+        solve_view = jax.vmap(solve_view)
+    return solve_view(poses, starts)
+
+
+def _unbounded_from_joints(
+    joints: Float[Array, "n"], limits: Float[Array, "n 2"]
+) -> Float[Array, "n"]:
+    """Return unbounded coordinates of joints within limits.
+
+    It is the inverse of `_joints_from_unbounded`; joints without limits are their own coordinates.
+    """
+    lower, upper, one_sided, two_sided = _finite_bounds(limits)
+    # With two limits q = middle + half_range sin(x), solved for the unbounded coordinate x.
+    two_sided_coordinates = jnp.arcsin(
+        jnp.clip(
+            (joints - 0.5 * (lower + upper)) / (0.5 * (upper - lower)),
+            -MAX_INITIAL_RANGE_FRACTION,
+            MAX_INITIAL_RANGE_FRACTION,
+        )
+    )
+    # With one limit q = lower + distance, or upper - distance, with distance = sqrt(1 + x^2) - 1.
+    # At a limit dq/dx is zero, and the iteration could never leave it: it starts slightly inside.
+    distance = jnp.maximum(
+        jnp.where(jnp.isfinite(limits[:, 0]), joints - lower, upper - joints),
+        1.0 - MAX_INITIAL_RANGE_FRACTION,
+    )
+    return jnp.where(
+        two_sided,
+        two_sided_coordinates,
+        jnp.where(one_sided, jnp.sqrt((1.0 + distance) ** 2 - 1.0), joints),
+    )
+
+
+def _joints_from_unbounded(
+    unbounded: Float[Array, "n"], limits: Float[Array, "n 2"]
+) -> Float[Array, "n"]:
+    """Return joints within their limits as a smooth function of unbounded coordinates.
+
+    With two limits it is a sine, with one limit a hyperbola, without limits the identity.
+    """
+    lower, upper, one_sided, two_sided = _finite_bounds(limits)
+    two_sided_joints = 0.5 * (lower + upper) + 0.5 * (upper - lower) * jnp.sin(
+        jnp.where(two_sided, unbounded, 0.0)
+    )
+    distance = jnp.sqrt(1.0 + jnp.where(one_sided, unbounded, 0.0) ** 2) - 1.0
+    one_sided_joints = jnp.where(jnp.isfinite(limits[:, 0]), lower + distance, upper - distance)
+    return jnp.where(two_sided, two_sided_joints, jnp.where(one_sided, one_sided_joints, unbounded))
+
+
+def _finite_bounds(limits: Float[Array, "n 2"]) -> tuple[Array, Array, Array, Array]:
+    """Return lower and upper bounds, and masks of the joints with one and with two finite limits.
+
+    A bound that does not exist is replaced by -1 or 1, which keeps derivatives finite.
+    """
+    finite = jnp.isfinite(limits)
+    lower, upper = jnp.where(finite, limits, jnp.array([[-1.0, 1.0]])).T
+    return lower, upper, finite[:, 0] ^ finite[:, 1], finite.all(axis=1)

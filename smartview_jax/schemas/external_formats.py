@@ -1,0 +1,196 @@
+"""Define schemas for files of other programs; only the entries that are read are validated."""
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, TypeAdapter, model_validator
+
+from .dataset import CodecName
+from .entry import Angle, Coordinate, Entry, Expected, FiniteNumber, Name
+
+QuaternionComponent = Annotated[
+    float, Field(ge=-1.01, le=1.01), Expected("a number of a unit quaternion")
+]
+_GridCount = Annotated[int, Field(ge=2, le=1000), Expected("a whole number from 2 to 1000")]
+_Spacing = Annotated[float, Field(gt=0.0, le=100.0), Expected("a length in m, above 0 up to 100")]
+
+
+class ForeignEntry(Entry):
+    """A mapping written by another program, whose unknown entries are ignored."""
+
+    model_config: ClassVar[Any] = Entry.model_config | {"extra": "ignore"}
+
+
+class QuaternionPoseEntry(ForeignEntry):
+    """A pose of robot_cal_tools: m, and a unit quaternion."""
+
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
+    qx: QuaternionComponent
+    qy: QuaternionComponent
+    qz: QuaternionComponent
+    qw: QuaternionComponent
+
+
+class CalDataEntry(ForeignEntry):
+    """A view in a file of robot_cal_tools: the names of its pose file and its picture."""
+
+    pose: Name
+    image: Name
+
+
+class TargetFinderEntry(ForeignEntry):
+    """A circle grid of robot_cal_tools."""
+
+    type: Name
+    rows: _GridCount
+    cols: _GridCount
+    spacing: _Spacing
+
+
+class TargetFile(ForeignEntry):
+    """A `target.yaml` of robot_cal_tools."""
+
+    target_finder: TargetFinderEntry
+
+
+class KinematicMeasurementEntry(ForeignEntry):
+    """A measurement of robot_cal_tools' kinematic calibration; joints in rad."""
+
+    camera_joints: list[Angle] | None = None
+    target_joints: Annotated[list[Angle], Field(min_length=1, max_length=20)]
+    pose: QuaternionPoseEntry
+
+
+class TranslationMessage(ForeignEntry):
+    """A translation of a ROS message, m."""
+
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
+
+
+class RotationMessage(ForeignEntry):
+    """A rotation of a ROS message."""
+
+    x: QuaternionComponent
+    y: QuaternionComponent
+    z: QuaternionComponent
+    w: QuaternionComponent
+
+
+class TransformMessage(ForeignEntry):
+    """A transform of a ROS message."""
+
+    translation: TranslationMessage
+    rotation: RotationMessage
+
+
+class SampleEntry(ForeignEntry):
+    """A sample of easy_handeye: a pose of the robot and the pose of the tracked marker."""
+
+    robot: TransformMessage
+    tracking: TransformMessage
+
+
+class SamplesFile(ForeignEntry):
+    """A `.samples` file of easy_handeye."""
+
+    samples: Annotated[
+        list[SampleEntry], Field(min_length=1), Expected("a list of one sample or more")
+    ]
+
+
+class OpenCVMatrix(ForeignEntry):
+    """A matrix of `cv2.FileStorage`."""
+
+    rows: Annotated[int, Field(ge=1, le=1000), Expected("a whole number from 1 to 1000")]
+    cols: Annotated[int, Field(ge=1, le=1000), Expected("a whole number from 1 to 1000")]
+    data: Annotated[list[FiniteNumber], Field(max_length=10_000), Expected("up to 10000 numbers")]
+
+
+class OpenCVCameraFile(ForeignEntry):
+    """A camera of `cv2.FileStorage`."""
+
+    image_width: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
+    image_height: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
+    camera_matrix: OpenCVMatrix
+    distortion_coefficients: OpenCVMatrix
+
+
+class VispPoseFile(ForeignEntry):
+    """ViSP's pose vector: m, and axis times angle in rad."""
+
+    data: Annotated[
+        list[
+            Annotated[
+                list[Coordinate],
+                Field(min_length=1, max_length=1),
+                Expected("a list of one number"),
+            ]
+            | Coordinate
+        ],
+        Field(min_length=6, max_length=6),
+        Expected("6 numbers: x, y, z in m, and axis times angle in rad"),
+    ]
+
+
+class VispCameraEntry(ForeignEntry):
+    """The model without distortion of a ViSP camera, px."""
+
+    image_width: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
+    image_height: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
+    px: Annotated[float, Field(gt=0.0, le=1e7), Expected("px, above 0 up to 1e7")]
+    py: Annotated[float, Field(gt=0.0, le=1e7), Expected("px, above 0 up to 1e7")]
+    u0: Annotated[float, Field(ge=-1e6, le=1e6), Expected("px, from -1e6 to 1e6")]
+    v0: Annotated[float, Field(ge=-1e6, le=1e6), Expected("px, from -1e6 to 1e6")]
+
+
+class ViewpointEntry(Entry):
+    """A command: a pose in a manufacturer's format, and joint readings in rad or m."""
+
+    name: Name
+    xyzoat: (
+        Annotated[
+            list[FiniteNumber],
+            Field(min_length=6, max_length=6),
+            Expected("x, y, z in mm, O, A, T in degrees"),
+        ]
+        | None
+    ) = None
+    pose: (
+        Annotated[
+            list[FiniteNumber],
+            Field(min_length=6, max_length=16),
+            Expected("the numbers that the file's format has, 6 to 16, in the file's units"),
+        ]
+        | None
+    ) = None
+    joints: Annotated[list[Angle], Field(min_length=1, max_length=20)] | None = None
+
+    @model_validator(mode="after")
+    def _check_single_pose(self) -> "ViewpointEntry":
+        if (self.xyzoat is None) == (self.pose is None):
+            raise ValueError("expected either xyzoat, of the format val_oat, or pose")
+        return self
+
+
+class ViewpointsFile(Entry):
+    """A JSON file that `io.write_viewpoints` writes."""
+
+    smartview_viewpoints: Literal[1]
+    format: CodecName = "val_oat"
+    columns: Annotated[list[Name], Field(max_length=16)] | None = None
+    units: dict[str, str]
+    viewpoints: list[ViewpointEntry]
+
+
+CAL_DATA_SCHEMA = TypeAdapter(Annotated[list[CalDataEntry], Field(min_length=1)])
+TARGET_SCHEMA = TypeAdapter(TargetFile)
+POSE_SCHEMA = TypeAdapter(QuaternionPoseEntry)
+KINEMATIC_MEASUREMENTS_SCHEMA = TypeAdapter(dict[Name | int, KinematicMeasurementEntry])
+SAMPLES_SCHEMA = TypeAdapter(SamplesFile)
+OPENCV_CAMERA_SCHEMA = TypeAdapter(OpenCVCameraFile)
+VISP_POSE_SCHEMA = TypeAdapter(VispPoseFile)
+VISP_CAMERA_SCHEMA = TypeAdapter(VispCameraEntry)
+VIEWPOINTS_SCHEMA = TypeAdapter(ViewpointsFile)

@@ -1,0 +1,115 @@
+"""Validate the content of a file; errors name the file and the entry."""
+
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from pydantic import ValidationError
+
+from .messages import shortened_repr, spelling_suggestion
+
+_MAX_REPORTED_ERRORS = 5
+"""Largest number of wrong entries that an error message names."""
+
+Content = TypeVar("Content", covariant=True)
+
+
+@runtime_checkable
+class Schema(Protocol[Content]):
+    """A schema that validates content, as `pydantic.TypeAdapter` does.
+
+    The protocol stands for that class, which the type checker of the tests cannot check.
+    """
+
+    def validate_python(self, found: Any, /) -> Content:
+        """Return the content converted to its type, or raise a `ValidationError`."""
+        ...
+
+
+def validate_content(
+    content: Any, schema: Schema[Content], source: str | os.PathLike[str] = ""
+) -> Content:
+    """Validate the content of a file, and return it as the type of its schema.
+
+    Args:
+        content: mappings, lists and values, as read from YAML or JSON.
+        schema: schema of the whole content.
+        source: the file, or the file and an entry in it, for error messages; may be empty.
+
+    Raises:
+        ValueError: the content does not fit; the message names the file, the wrong entries, the
+            values found and the values expected.
+    """
+    try:
+        return schema.validate_python(content)
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        messages = [_error_message(problem, content) for problem in errors[:_MAX_REPORTED_ERRORS]]
+        if len(errors) > _MAX_REPORTED_ERRORS:
+            messages.append(f"and {len(errors) - _MAX_REPORTED_ERRORS} more")
+        start = f"{source}: " if str(source) else ""
+        raise ValueError(start + "; ".join(dict.fromkeys(messages))) from None
+
+
+def _error_message(problem: Any, content: Any) -> str:
+    """Return one problem of a `ValidationError` as a sentence that names the entry."""
+    # pydantic's own messages name Python types and tags; a reader of YAML knows only entries.
+    kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
+    path = entry_path(problem["loc"], content, keep_last=kind == "missing")
+    prefix = f"{path}: " if path else ""
+    if kind == "missing":
+        return f"entry {path!r} is missing"
+    if kind == "literal_error":
+        return _choice_message(path, context["expected"], value)
+    if kind == "union_tag_invalid":
+        key = context["discriminator"].strip("'")
+        return _choice_message(f"{path}.{key}".strip("."), context["expected_tags"], context["tag"])
+    if kind == "union_tag_not_found" and isinstance(value, dict):
+        key = context["discriminator"].strip("'")
+        return f"entry {f'{path}.{key}'.strip('.')!r} is missing"
+    if kind in ("model_type", "model_attributes_type", "dict_type", "union_tag_not_found"):
+        return f"{prefix}expected a mapping, found {shortened_repr(value)}"
+    if kind in ("unknown_entry", "other_value"):
+        return f"{prefix}{problem['msg']}"
+    if kind == "value_error":
+        return f"{prefix}{context['error']}"
+    message = problem["msg"].replace("Input should be", "expected")
+    return f"{prefix}{message}, found {shortened_repr(value)}"
+
+
+def _choice_message(path: str, expected: str, found: object) -> str:
+    """Return the sentence for an entry with a fixed set of values, with the nearest one."""
+    # pydantic lists the values as text, such as "'a', 'b' or 'c'".
+    known = [word.strip("' ") for part in expected.split(",") for word in part.split(" or ")]
+    start = f"{path} is one of" if len(known) > 1 else f"{path}: expected"
+    end = (
+        f"; found {shortened_repr(found)}" if len(known) > 1 else f", found {shortened_repr(found)}"
+    )
+    return f"{start} {', '.join(known)}{end}{spelling_suggestion(found, known)}"
+
+
+def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = False) -> str:
+    """Return the dotted path of an entry in the file.
+
+    The steps of pydantic's location include the alternatives of a union; they are not in the file
+    and are left out.
+
+    Args:
+        location: steps of the problem's location, from pydantic.
+        content: content of the file.
+        keep_last: whether to keep the last step although the file does not have it, for an entry
+            that is missing.
+    """
+    # A step that leads further into the content is part of the path; any other is the tag of a
+    # union or the name of a type, which pydantic has inserted.
+    steps: list[str] = []
+    for number, step in enumerate(location, start=1):
+        if isinstance(step, str) and isinstance(content, dict) and step in content:
+            content = content[step]
+            steps.append(step)
+        elif isinstance(step, int) and isinstance(content, list) and step < len(content):
+            content = content[step]
+            steps.append(str(step))
+        elif keep_last and number == len(location):
+            steps.append(str(step))
+    return ".".join(steps)

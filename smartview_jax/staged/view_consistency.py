@@ -1,0 +1,239 @@
+"""Find the views whose robot and camera poses agree with those of the others, for use in Step 3.
+
+A picture that is paired with the wrong pose, or was taken while the robot was moving, biases the
+hand-eye transform in proportion to its error. Therefore the transforms are computed again without
+the view that fits worst; if that view is then an outlier it is left out, and the procedure repeats.
+
+A view may also be an outlier because its own points determine its pose badly: they are few, or all
+in one corner of the target. The transforms of the other views then predict its points where they
+were seen. Such a view is not used for the transforms, but it is not reported as wrong.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration
+from ..compilation import compiled
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, chain_residuals
+from ..geometry import host_matrices, mean_pose
+from .closed_form import park_martin
+
+MAX_MISFIT_RATIO = 10.0
+"""Limit on a view's misfit in rotation or translation, in multiples of the median view's.
+
+A robot's own errors do not reach it: on nine real data sets the worst view is at one to seven
+times."""
+
+MAX_REJECTED_FRACTION = 0.25
+"""Largest fraction of the views that is left out; with more the fault is not in single views."""
+
+MISFIT_FLOOR = 1e-3
+"""Lower bound of the median view's misfit, rad and as a fraction of the distance to the target.
+
+With nearly exact poses, a view that sees the target badly would otherwise be an outlier by a
+negligible amount. Smaller misfits are left for the joint fit to judge.
+"""
+
+MAX_REPROJECTION_ERROR_RATIO = 5.0
+"""Reprojection error, in multiples of the median view's, up to which a view's points agree with
+the transforms of the others. A wrong pose is at tens to hundreds of times."""
+
+
+class ViewConsistency(NamedTuple):
+    """The result of `find_consistent_views`.
+
+    Attributes:
+        consistent: mask of the views that Step 3 uses.
+        reasons: by view index, what is wrong with the views that are rejected.
+        uncertain: views with an uncertain pose of their own, whose points agree with the others.
+    """
+
+    consistent: Bool[np.ndarray, "views"]
+    reasons: dict[int, str]
+    uncertain: tuple[int, ...]
+
+
+def find_consistent_views(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    weights: Float[Array, "views"],
+    reprojection_error: Callable[[SE3, SE3], Float[np.ndarray, "views"]] | None = None,
+    view_ids: Sequence[str] | None = None,
+) -> ViewConsistency:
+    """Find the views that agree, and state what is wrong with the others.
+
+    Args:
+        mount_from_holder: the robot's part of the chain, `(views)`.
+        camera_from_world: from the pictures alone, `(views)`.
+        weights: zero leaves a view out without reporting it.
+        reprojection_error: function of `camera_from_mount` and `holder_from_world` that returns the
+            reprojection error of each view, px; without it a view's own pose decides.
+        view_ids: names of the views in the sentences; by default numbers.
+    """
+    weighted = np.asarray(weights) > 0.0
+    ids = [str(k) for k in range(len(weighted))] if view_ids is None else view_ids
+    consistent, rejected, uncertain = weighted.copy(), [], []
+    distance = np.linalg.norm(np.asarray(camera_from_world.wxyz_xyz)[:, 4:], axis=1)
+    misfit_floor = MISFIT_FLOOR * np.stack([distance, np.ones(len(distance))], axis=1)
+
+    def fit_transforms_to(used: np.ndarray) -> _TransformFit:
+        """Compute the transforms from some views, and the misfits of all views."""
+        camera_from_mount, holder_from_world, misfit = _fit_transforms(
+            mount_from_holder, camera_from_world, jnp.asarray(used)
+        )
+        misfit = np.asarray(misfit)
+        # Misfits are judged relative to the median view, because robots differ in accuracy.
+        misfit_scale = np.maximum(np.median(misfit[used], axis=0), misfit_floor)
+        return _TransformFit(
+            camera_from_mount,
+            holder_from_world,
+            misfit,
+            (misfit / misfit_scale).max(axis=1),
+            misfit_scale,
+        )
+
+    # One view per round, judged by transforms computed without it: a wrong view biases the
+    # transforms, and then good views may look worse than it does.
+    while (
+        consistent.sum() >= MINIMUM_RELIABLE_VIEWS
+        and len(rejected) + len(uncertain) < MAX_REJECTED_FRACTION * weighted.sum()
+    ):
+        worst = int(
+            np.argmax(np.where(consistent, fit_transforms_to(consistent).misfit_ratio, 0.0))
+        )
+        remaining = consistent & (np.arange(len(consistent)) != worst)
+        fit = fit_transforms_to(remaining)
+        if not fit.misfit_ratio[worst] > MAX_MISFIT_RATIO:
+            break
+        consistent = remaining
+        errors = None
+        if reprojection_error is not None:
+            errors = reprojection_error(fit.camera_from_mount, fit.holder_from_world)
+        # Its points are where the others predict them: its pose is uncertain, not wrong.
+        if errors is not None and errors[worst] <= MAX_REPROJECTION_ERROR_RATIO * np.median(
+            errors[remaining]
+        ):
+            uncertain.append(worst)
+        else:
+            rejected.append(worst)
+    # The sentences use transforms without any rejected view: of two exchanged pictures, the
+    # second still biased the transforms when the first was rejected.
+    fit = fit_transforms_to(consistent)
+    errors = (
+        None
+        if reprojection_error is None
+        else reprojection_error(fit.camera_from_mount, fit.holder_from_world)
+    )
+    reasons = {}
+    for view in rejected:
+        text = (
+            f"robot and camera disagree by {_misfit_text(fit.misfit[view])} there, "
+            f"{fit.misfit_ratio[view]:.0f} times as much as in the median view"
+        )
+        if errors is not None:
+            where = (
+                f"{errors[view]:.3g} px off" if np.isfinite(errors[view]) else "out of the picture"
+            )
+            median_error = np.median(errors[consistent])
+            text += f", and its points {where} (the median view's {median_error:.2g} px)"
+        explanation = _matching_pose_text(view, fit, mount_from_holder, camera_from_world, ids)
+        reasons[view] = f"{text}: {explanation}"
+    return ViewConsistency(consistent, reasons, tuple(uncertain))
+
+
+def median_reprojection_errors(
+    calibration: Calibration, observations: Observations, inliers: Bool[Array, "views points"]
+) -> Float[np.ndarray, "views"]:
+    """Return the median reprojection error of each view through the whole chain, px.
+
+    It is infinite for a view without visible points.
+    """
+    errors = np.linalg.norm(np.asarray(chain_residuals(calibration, observations)), axis=2)
+    return np.array(
+        [
+            np.median(distances[used]) if used.any() else np.inf
+            for distances, used in zip(errors, np.asarray(inliers), strict=True)
+        ]
+    )
+
+
+class _TransformFit(NamedTuple):
+    """The transforms computed from some of the views, and the misfit of every view.
+
+    Attributes:
+        camera_from_mount, holder_from_world: the transforms.
+        misfit: translation (m) and rotation (rad) of each view.
+        misfit_ratio: the larger of the two in multiples of the median view's.
+        misfit_scale: the median misfit, not below `MISFIT_FLOOR`.
+    """
+
+    camera_from_mount: SE3
+    holder_from_world: SE3
+    misfit: Float[np.ndarray, "views 2"]
+    misfit_ratio: Float[np.ndarray, "views"]
+    misfit_scale: Float[np.ndarray, "views 2"]
+
+
+def _misfit_text(misfit: Float[np.ndarray, "2"]) -> str:
+    """Return a misfit in words, in degrees and millimetres."""
+    return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
+
+
+def _matching_pose_text(
+    view: int,
+    fit: _TransformFit,
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    ids: Sequence[str],
+) -> str:
+    """Return which other view's pose the picture fits, or that it fits none, in words."""
+    robot, camera = (host_matrices(p) for p in (mount_from_holder, camera_from_world))
+    camera_from_mount, holder_from_world = (
+        host_matrices(p) for p in (fit.camera_from_mount, fit.holder_from_world)
+    )
+    # The robot pose that this picture needs, from Eq. 10: T = H^-1 C X^-1.
+    required = np.linalg.inv(camera_from_mount) @ camera[view] @ np.linalg.inv(holder_from_world)
+    offset = required @ np.linalg.inv(robot)
+    # Angle of each rotation: trace = 1 + 2 cos(angle).
+    rotation = np.arccos(
+        np.clip(0.5 * (np.trace(offset[:, :3, :3], axis1=1, axis2=2) - 1.0), -1, 1)
+    )
+    translation = np.linalg.norm(offset[:, :3, 3], axis=1)
+    misfit = np.stack([translation, rotation], axis=1)
+    misfit_ratio = np.where(
+        np.arange(len(robot)) == view, np.inf, (misfit / fit.misfit_scale).max(axis=1)
+    )
+    other = int(np.argmin(misfit_ratio))
+    if misfit_ratio[other] < MAX_MISFIT_RATIO:
+        return f"it fits the pose of view {ids[other]} ({_misfit_text(misfit[other])}): mispaired"
+    return "it fits the pose of no other view either: moved, or a wrong pose?"
+
+
+@compiled
+def _fit_transforms(
+    T: SE3, C: SE3, used: Bool[Array, "views"]
+) -> tuple[SE3, SE3, Float[Array, "views 2"]]:
+    """Compute both transforms and each view's misfit at the mount: translation (m), rotation (rad).
+
+    The misfit of view i is the twist `log(H^-1 C_i X^-1 T_i^-1)`, zero if Eq. 10 holds exactly.
+    """
+    weights = used.astype(float)
+    camera_from_mount, holder_from_world = park_martin(T, C, weights)
+    # Recomputing one transform from the other makes their errors cancel in the chain.
+    camera_from_mount = mean_pose(
+        C @ (T @ SE3(holder_from_world.wxyz_xyz[None])).inverse(), weights
+    )
+    # closure = H^-1 C_i X^-1 T_i^-1, the identity if Eq. 10 holds.
+    closure = (
+        SE3(camera_from_mount.wxyz_xyz[None]).inverse()
+        @ C
+        @ SE3(holder_from_world.wxyz_xyz[None]).inverse()
+        @ T.inverse()
+    )
+    twist = closure.log()
+    return camera_from_mount, holder_from_world, jnp.linalg.norm(twist.reshape(-1, 2, 3), axis=2)

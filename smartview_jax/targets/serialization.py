@@ -1,0 +1,73 @@
+"""Convert targets to and from the mappings of plain values in `dataset.yaml`."""
+
+import dataclasses
+from typing import Any
+
+from .charuco import Charuco
+from .chessboard import Chessboard
+from .circle_grid import CircleGrid
+from .stacked import StackedTarget
+from .tag_grid import TagGrid
+from .target import AbstractTarget, require_lengths
+
+TARGET_CLASSES: dict[str, type[AbstractTarget]] = {
+    "circle_grid": CircleGrid,
+    "chessboard": Chessboard,
+    "charuco": Charuco,
+    "tag_grid": TagGrid,
+}
+"""Class of every flat target, by the name that files use."""
+
+
+def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
+    """Return the target that a mapping describes.
+
+    Args:
+        content: `kind`, the attributes of that kind (lengths in m), and `heights` (m) for a board
+            that was used at several heights.
+
+    Raises:
+        ValueError: naming the entry that is unknown, missing or wrong.
+    """
+    attributes = dict(content)
+    kind = attributes.pop("kind", None)
+    if kind not in TARGET_CLASSES:
+        raise ValueError(f"target.kind is one of {', '.join(TARGET_CLASSES)}; found {kind!r}")
+    heights = attributes.pop("heights", None)
+    fields = {field.name: field for field in dataclasses.fields(TARGET_CLASSES[kind])}
+    unknown = sorted(set(attributes) - set(fields))
+    if unknown:
+        raise ValueError(
+            f"target: a {kind} has no {', '.join(unknown)}; it has {', '.join(fields)}"
+        )
+    missing = [
+        name
+        for name, field in fields.items()
+        if field.default is dataclasses.MISSING and name not in attributes
+    ]
+    if missing:
+        raise ValueError(f"target: a {kind} needs {', '.join(missing)}")
+    try:
+        board = TARGET_CLASSES[kind](**attributes)
+        if heights is None:
+            return board
+        require_lengths(heights=heights)
+        return StackedTarget(board, tuple(heights))
+    except ValueError as error:
+        raise ValueError(f"target: {error}") from error
+
+
+def target_to_dict(target: AbstractTarget) -> dict[str, Any]:
+    """Return a target as a mapping of plain values, the inverse of `target_from_dict`.
+
+    Raises:
+        ValueError: a kind of target that files have no name for.
+    """
+    if isinstance(target, StackedTarget):
+        return {**target_to_dict(target.board), "heights": list(target.heights)}
+    for kind, cls in TARGET_CLASSES.items():
+        if type(target) is cls:
+            # None is the default of every attribute that may be None, so such an entry is omitted.
+            known = {k: v for k, v in dataclasses.asdict(target).items() if v is not None}
+            return {"kind": kind, **known}
+    raise ValueError(f"{type(target).__name__} has no name in a file")

@@ -1,0 +1,194 @@
+"""Uncertainty of a fit's parameters due to estimated, instead of known, variance components.
+
+References:
+    Kackar and Harville, Approximations for standard errors of estimators of fixed and random
+    effects in mixed linear models, 1984.
+    Kenward and Roger, Small sample inference for fixed effects from restricted maximum likelihood,
+    1997.
+    Satterthwaite, An approximate distribution of estimates of variance components, 1946.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.special import chdtrc, fdtrc
+
+from .fisher_scoring import LikelihoodMaximum
+from .likelihood import LinearisedViews, StandardDeviations, marginalise
+
+VAGUE_PRIOR_LOG_STD = 3.0
+"""Prior standard deviation of the logarithm of a standard deviation.
+
+It is the result where the views give no information.
+"""
+
+
+class SmallSampleCorrection(NamedTuple):
+    """The contribution of estimated standard deviations of errors to the parameters' uncertainty.
+
+    Attributes:
+        relative_std: standard deviations of the logarithms of the errors' standard deviations.
+        added_covariance: covariance of the parameters due to the estimated standard deviations.
+        degrees_of_freedom: degrees of freedom of each parameter's estimated variance; infinite
+            where no standard deviation affects it.
+        log_excess_covariance: covariance of the logarithms of the standard deviations' excess over
+            their lower bounds.
+        covariance_derivatives: derivative of the parameters' covariance by each of these
+            logarithms.
+    """
+
+    relative_std: Float[Array, "kinds"]
+    added_covariance: Float[Array, "shared shared"]
+    degrees_of_freedom: Float[Array, "shared"]
+    log_excess_covariance: Float[Array, "kinds kinds"]
+    covariance_derivatives: Float[Array, "kinds shared shared"]
+
+    def subset(self, indices: np.ndarray) -> "SmallSampleCorrection":
+        """Return the correction for a subset of the parameters.
+
+        Args:
+            indices: indices of these parameters.
+        """
+        pairs = np.ix_(indices, indices)
+        return self._replace(
+            added_covariance=self.added_covariance[pairs],
+            degrees_of_freedom=self.degrees_of_freedom[indices],
+            covariance_derivatives=self.covariance_derivatives[:, *pairs],
+        )
+
+
+def small_sample_correction(
+    views: LinearisedViews, maximum: LikelihoodMaximum
+) -> SmallSampleCorrection:
+    """Propagate the uncertainty of the errors' standard deviations to the parameters.
+
+    The propagation is of first order in the logarithms of the standard deviations. A standard
+    deviation at its lower bound has no effect: it can only grow, and half of the time it is there
+    because its true value is. The added covariance is twice that of Kackar and Harville, because
+    the covariance at estimated standard deviations is too small by the same amount on average
+    (Kenward and Roger).
+
+    Args:
+        views: the linearised views.
+        maximum: the estimated standard deviations and their information matrix.
+    """
+
+    def parameters_and_covariance(
+        logarithms: Float[Array, "kinds"],
+    ) -> tuple[tuple[Array, Array], Array]:
+        """Return the fitted parameters and their covariance at given log standard deviations."""
+        marginal = marginalise(views, StandardDeviations.from_vector(jnp.exp(logarithms)))
+        covariance = marginal.shared_covariance
+        return (marginal.step.shared, covariance), jnp.diagonal(covariance)
+
+    sigma_vector = maximum.sigmas.vector
+    (parameter_derivatives, covariance_derivatives), variance = jax.jacfwd(
+        parameters_and_covariance, has_aux=True
+    )(jnp.log(sigma_vector))
+    # sigma^2 = bound^2 + excess^2: d log(sigma) / d log(excess) = 1 - (bound / sigma)^2
+    log_sigma_by_log_excess = jnp.maximum(
+        1.0 - (views.lower_bounds(len(sigma_vector)) / sigma_vector) ** 2, 0.0
+    )
+    vague_precision = jnp.eye(len(sigma_vector)) / VAGUE_PRIOR_LOG_STD**2
+    log_excess_covariance = jnp.linalg.inv(
+        maximum.information * jnp.outer(log_sigma_by_log_excess, log_sigma_by_log_excess)
+        + vague_precision
+    )
+    # Chain rule: from derivatives by log(sigma) to derivatives by log(excess).
+    parameter_derivatives = log_sigma_by_log_excess[None] * parameter_derivatives
+    covariance_derivatives = log_sigma_by_log_excess[None, None] * covariance_derivatives
+
+    # Satterthwaite: Var(log v_i) = a_i^T W a_i for the variance v_i of parameter i, with
+    # W = `log_excess_covariance` and a_i = `log_variance_gradient[i]`, the derivatives of log(v_i)
+    # by log(excess).
+    log_variance_gradient = jnp.diagonal(covariance_derivatives).T / variance[:, None]
+    # The logarithm of a variance with n degrees of freedom has variance 2 / n.
+    log_variance_variance = jnp.sum(
+        (log_variance_gradient @ log_excess_covariance) * log_variance_gradient, axis=1
+    )
+    degrees_of_freedom = jnp.where(
+        log_variance_variance > 0.0,
+        2.0 / jnp.where(log_variance_variance > 0.0, log_variance_variance, 1.0),
+        jnp.inf,
+    )
+    relative_std = jnp.sqrt(jnp.diagonal(jnp.linalg.inv(maximum.information + vague_precision)))
+    # To first order Cov(x) = J W J^T with J = `parameter_derivatives`; twice that is added.
+    return SmallSampleCorrection(
+        relative_std,
+        2.0 * parameter_derivatives @ log_excess_covariance @ parameter_derivatives.T,
+        degrees_of_freedom,
+        log_excess_covariance,
+        jnp.moveaxis(covariance_derivatives, -1, 0),
+    )
+
+
+def p_value(
+    offset: Float[np.ndarray, "parameters"],
+    covariance: Float[np.ndarray, "parameters parameters"],
+    correction: SmallSampleCorrection | None = None,
+) -> float:
+    """Compute the probability of estimates at least as far from the truth as `offset`, jointly.
+
+    It is from the chi-square distribution or, where the standard deviations of errors were
+    estimated, from an F distribution scaled according to Kenward and Roger.
+
+    Args:
+        offset: difference of the estimates from the hypothetical true values.
+        covariance: covariance of these estimates, as reported.
+        correction: their uncertainty due to estimated standard deviations of errors; None where
+            these are known.
+    """
+    count, square = len(offset), float(offset @ np.linalg.solve(covariance, offset))
+    scale, degrees_of_freedom = (
+        (1.0, np.inf) if correction is None else _scaled_f_statistic(covariance, correction)
+    )
+    if np.isinf(degrees_of_freedom):
+        return float(chdtrc(count, square))
+    return float(fdtrc(count, degrees_of_freedom, scale * square / count))
+
+
+def _scaled_f_statistic(
+    covariance: Float[np.ndarray, "parameters parameters"], correction: SmallSampleCorrection
+) -> tuple[float, float]:
+    """Compute scale and denominator degrees of freedom of Kenward and Roger's F statistic.
+
+    An infinite number of degrees of freedom means that the standard deviations do not matter.
+    """
+    count = len(covariance)
+    # Kenward and Roger's A1 = sum_jk W_jk tr(F_j) tr(F_k) and A2 = sum_jk W_jk tr(F_j F_k), with
+    # F_j = C^-1 dC/dj the relative derivatives of the covariance C without its correction, and
+    # W = `log_excess_covariance`.
+    unadjusted = np.asarray(covariance - correction.added_covariance)
+    relative_derivatives = np.linalg.solve(
+        unadjusted[None], np.asarray(correction.covariance_derivatives)
+    )
+    traces = np.trace(relative_derivatives, axis1=1, axis2=2)
+    log_excess_covariance = np.asarray(correction.log_excess_covariance)
+    a1 = float(traces @ log_excess_covariance @ traces)
+    a2 = float(
+        np.einsum("jk,jab,kba->", log_excess_covariance, relative_derivatives, relative_derivatives)
+    )
+    if a2 < 1e-9 * count:
+        return 1.0, np.inf
+
+    # For l = `count` parameters and B = (A1 + 6 A2) / (2 l), with c1, c2, c3 as in the paper, F has
+    # expectation E = 1 / (1 - A2 / l),
+    # variance V = (2 / l) (1 + c1 B) / ((1 - c2 B)^2 (1 - c3 B)),
+    # degrees of freedom m = 4 + (l + 2) / (l rho - 1) with rho = V / (2 E^2),
+    # and scale m / (E (m - 2)).
+    g = ((count + 1) * a1 - (count + 4) * a2) / ((count + 2) * a2)
+    c = np.array([g, count - g, count + 2 - g]) / (3 * count + 2 * (1 - g))
+    b = (a1 + 6.0 * a2) / (2.0 * count)
+    mean = 1.0 - a2 / count
+    # Beyond the poles of V no F distribution has these moments. The fallback, 2 l / A2, is
+    # Satterthwaite's for a single parameter.
+    pole2, pole3 = 1.0 - c[1] * b, 1.0 - c[2] * b
+    if min(mean, pole2, pole3) > 0.0:
+        l_rho = (1.0 + c[0] * b) / (pole2**2 * pole3) * mean**2
+        if l_rho > 1.0:
+            degrees_of_freedom = 4.0 + (count + 2) / (l_rho - 1.0)
+            return degrees_of_freedom * mean / (degrees_of_freedom - 2.0), degrees_of_freedom
+    return 1.0, 2.0 * count / a2

@@ -1,0 +1,138 @@
+"""Select views from candidates: greedy selection, then exchange of single views.
+
+Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..compilation import compiled_optimised
+from .optimality_criteria import OptimalityCriterion
+
+REGULARISATION_FRACTION = 1e-9
+"""Fraction of the information of all candidates that is added before selection (no unit).
+
+It makes the criterion finite, and comparable, for a single view.
+"""
+
+MIN_RELATIVE_DECREASE = 1e-6
+"""Smallest relative decrease of the criterion for which an exchange is made."""
+
+MAX_EXCHANGE_SWEEPS = 10
+"""Largest number of exchange passes over all chosen views."""
+
+
+@compiled_optimised
+def greedy_selection(
+    information: Float[Array, "candidates free free"],
+    prior_information: Float[Array, "free free"],
+    criterion: OptimalityCriterion,
+    count: int,
+    allowed: Bool[Array, "candidates"],
+) -> Int[Array, "count"]:
+    """Return indices of candidates, each the best addition to those before it."""
+    start = prior_information + _regularisation(information, prior_information)
+
+    # Information adds up, so F + F_c of every candidate c is one sum, and per step
+    #     c* = argmin over available c of criterion(F + F_c),    F <- F + F_c*
+    # where F is the `accumulated` information.
+    def add(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Int[Array, ""]]:
+        accumulated, available = state
+        best = jnp.argmin(_criterion_values(criterion, accumulated[None] + information, available))
+        return (accumulated + information[best], available.at[best].set(False)), best
+
+    return jax.lax.scan(add, (start, allowed), length=count)[1]
+
+
+@compiled_optimised
+def exchange_selection(
+    information: Float[Array, "candidates free free"],
+    prior_information: Float[Array, "free free"],
+    criterion: OptimalityCriterion,
+    chosen: Int[Array, "count"],
+    allowed: Bool[Array, "candidates"],
+) -> Int[Array, "count"]:
+    """Return the selection with each view replaced by a better candidate, as long as that helps."""
+    start = prior_information + _regularisation(information, prior_information)
+
+    def exchange_view(k: Int[Array, ""], chosen: Int[Array, "count"]) -> Int[Array, "count"]:
+        # Information without the view that may be replaced:
+        #     F_others = F_0 + sum over chosen F_c - F_k
+        remaining_information = (
+            start + jnp.sum(information[chosen], axis=0) - information[chosen[k]]
+        )
+        available = allowed.at[chosen].set(False).at[chosen[k]].set(True)
+        values = _criterion_values(criterion, remaining_information[None] + information, available)
+        best = jnp.argmin(values)
+        is_better = values[best] < (1.0 - MIN_RELATIVE_DECREASE) * values[chosen[k]]
+        return chosen.at[k].set(jnp.where(is_better, best, chosen[k]))
+
+    def sweep(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        before, _, sweeps = state
+        after = jax.lax.fori_loop(0, len(chosen), exchange_view, before)
+        return after, jnp.any(after != before), sweeps + 1
+
+    def is_improving(state: tuple[Array, Array, Array]) -> Bool[Array, ""]:
+        return state[1] & (state[2] < MAX_EXCHANGE_SWEEPS)
+
+    return jax.lax.while_loop(is_improving, sweep, (chosen, jnp.array(True), jnp.array(0)))[0]
+
+
+@compiled_optimised
+def cumulative_criterion(
+    information: Float[Array, "views free free"],
+    prior_information: Float[Array, "free free"],
+    criterion: OptimalityCriterion,
+) -> Float[Array, "views"]:
+    """Return the criterion after one view, two views, and so on; infinite where undetermined."""
+    values = jax.lax.map(criterion, prior_information[None] + jnp.cumsum(information, axis=0))
+    return jnp.where(jnp.isfinite(values), values, jnp.inf)
+
+
+def views_needed(
+    values: Float[Array, "views"],
+    min_relative_decrease: float = 0.05,
+    required_value: float | None = None,
+) -> int:
+    """Return after how many views to stop, at a required value or at a small decrease per view.
+
+    Args:
+        values: values of a `cumulative_criterion`.
+        min_relative_decrease: relative decrease by one more view that is worth taking it.
+        required_value: value of the criterion at which to stop even if more views would decrease
+            it further.
+
+    Returns:
+        A number from 1; the number of all views if neither condition is met earlier.
+    """
+    # `value` is that after k views, and values[k], counted from zero, that after k + 1 views.
+    for k, value in enumerate(values, start=1):
+        if required_value is not None and value <= required_value:
+            return k
+        if (
+            k < len(values)
+            and jnp.isfinite(value)
+            and values[k] > (1.0 - min_relative_decrease) * value
+        ):
+            return k
+    return len(values)
+
+
+def _criterion_values(
+    criterion: OptimalityCriterion,
+    information: Float[Array, "candidates free free"],
+    available: Bool[Array, "candidates"],
+) -> Float[Array, "candidates"]:
+    """Return the criterion with each candidate added; infinite for those not available."""
+    values = jax.vmap(criterion)(information)
+    return jnp.where(available & jnp.isfinite(values), values, jnp.inf)
+
+
+def _regularisation(
+    information: Float[Array, "candidates free free"], prior_information: Float[Array, "free free"]
+) -> Float[Array, "free free"]:
+    """Return a small diagonal matrix in proportion to the information of all candidates."""
+    return REGULARISATION_FRACTION * jnp.diag(
+        jnp.diagonal(prior_information + jnp.sum(information, axis=0))
+    )

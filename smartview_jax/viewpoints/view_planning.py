@@ -1,0 +1,228 @@
+"""Choose the best next views: greedy selection, exchange, and refinement by gradient."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..compilation import compiled_optimised
+from .candidate_selection import cumulative_criterion, exchange_selection, greedy_selection
+from .information_model import InformationModel
+from .optimality_criteria import OptimalityCriterion
+from .view_range import ViewRange
+
+DEFAULT_CANDIDATE_COUNT = 1000
+"""Number of random candidates, if no candidates are given."""
+
+MAX_BFGS_STEPS = 150
+"""Largest number of BFGS iterations."""
+
+BORDER_PENALTY_SCALE = 10.0
+"""Distance, px, beyond the margin at which a point costs as much as a factor e of the criterion."""
+
+BACKTRACKING_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Fractions of its displacement that a refined view may keep until it is allowed again."""
+
+ViewPredicate = Callable[[SE3], Bool[Array, "views"]]
+"""A function that returns which views `camera_from_world` `(views)` may be taken."""
+
+
+class ChosenViews(eqx.Module):
+    """The chosen views, best first.
+
+    Attributes:
+        camera_from_world: poses `(count)`; `viewpoint_commands` converts them to robot commands.
+        cumulative_criterion: the criterion after the first view, the first two, and so on.
+        unit: unit of the criterion.
+    """
+
+    camera_from_world: SE3
+    cumulative_criterion: Float[Array, "count"]
+    unit: str = eqx.field(static=True)
+
+    @property
+    def value(self) -> Float[Array, ""]:
+        """The value of the criterion after all views."""
+        return self.cumulative_criterion[-1]
+
+
+def choose_views(
+    information_model: InformationModel,
+    criterion: OptimalityCriterion,
+    count: int,
+    views: SE3 | ViewRange,
+    border_margin: float = 0.0,
+    min_visible_fraction: float = 1.0,
+    allowed: ViewPredicate | None = None,
+    seed: int = 0,
+    refine: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> ChosenViews:
+    """Return the next views that make an optimality criterion as small as possible.
+
+    Args:
+        information_model: prior information, and the model of the information of views.
+        criterion: the criterion that the views minimise.
+        count: number of views to choose.
+        views: candidates `camera_from_world`, or the range in which candidates are sampled at
+            random and then refined by gradient, unless `refine` is False.
+        border_margin: smallest distance from the picture's border of a point that counts as
+            visible, px.
+        min_visible_fraction: smallest fraction of the target's points that a view has to show.
+        allowed: returns which views may be taken, such as those that an arm reaches.
+        seed: seed of the random candidates.
+        refine: see `views`.
+        progress: called with a text for each stage.
+
+    Raises:
+        ValueError: fewer than `count` candidates may be taken.
+    """
+    say = progress or (lambda _: None)
+
+    def is_admissible(poses: SE3) -> Bool[Array, "views"]:
+        enough_visible = (
+            visible_fraction(information_model, poses, border_margin) >= min_visible_fraction - 1e-9
+        )
+        return enough_visible if allowed is None else enough_visible & allowed(poses)
+
+    if isinstance(views, ViewRange):
+        coordinates = views.sample(np.random.default_rng(seed), DEFAULT_CANDIDATE_COUNT)
+        candidates = views.poses(coordinates)
+    else:
+        coordinates, candidates = None, views
+    admissible = is_admissible(candidates)
+    admissible_count = int(jnp.sum(admissible))
+    if admissible_count < count or count < 1:
+        raise ValueError(
+            f"{count} views asked for; of {len(admissible)} candidates {admissible_count} may be "
+            "taken"
+        )
+    say(f"choosing {count} of {admissible_count} candidates")
+    information = information_model.information(candidates)
+    # Greedy selection is fast but depends on the order; exchange repairs its early choices. Only
+    # then does the gradient displace views from their candidates.
+    index = greedy_selection(
+        information, information_model.prior_information, criterion, count, admissible
+    )
+    index = exchange_selection(
+        information, information_model.prior_information, criterion, index, admissible
+    )
+    poses, selected_information = SE3(candidates.wxyz_xyz[index]), information[index]
+    if refine and isinstance(views, ViewRange) and coordinates is not None:
+        say("moving them by the gradient")
+        refined_poses = refine_views(
+            information_model,
+            criterion,
+            views,
+            coordinates[index],
+            border_margin,
+            min_visible_fraction,
+            is_admissible,
+        )
+        refined_information = information_model.information(refined_poses)
+        # Backtracking to admissible views can undo the improvement, so the refined views are kept
+        # only if they have the smaller criterion.
+        if bool(
+            _total_criterion(criterion, refined_information, information_model)
+            < _total_criterion(criterion, selected_information, information_model)
+        ):
+            poses, selected_information = refined_poses, refined_information
+    # The chosen views are sorted by how much each reduces the criterion, so that any first few of
+    # them are a good choice too.
+    order = greedy_selection(
+        selected_information,
+        information_model.prior_information,
+        criterion,
+        count,
+        jnp.ones(count, dtype=bool),
+    )
+    return ChosenViews(
+        SE3(poses.wxyz_xyz[order]),
+        cumulative_criterion(
+            selected_information[order], information_model.prior_information, criterion
+        ),
+        criterion.unit,
+    )
+
+
+def visible_fraction(
+    information_model: InformationModel, camera_from_world: SE3, border_margin: float
+) -> Float[Array, "views"]:
+    """Return the fraction of the target's points that are visible, a margin inside the border."""
+    inside = information_model.border_distance(camera_from_world) >= border_margin
+    return jnp.mean(inside.astype(float), axis=-1)
+
+
+def refine_views(
+    information_model: InformationModel,
+    criterion: OptimalityCriterion,
+    views: ViewRange,
+    coordinates: Float[Array, "count 6"],
+    border_margin: float,
+    min_visible_fraction: float,
+    is_admissible: ViewPredicate,
+) -> SE3:
+    """Return views refined by BFGS towards the smallest criterion, all of them admissible.
+
+    The limits of the range always hold. Points that leave the picture are penalised. A refined view
+    that is not admissible is brought back towards its initial pose until it is.
+    """
+    initial = views.to_unbounded(coordinates)
+    minimiser = _minimise_bfgs(
+        initial, information_model, criterion, views, border_margin, min_visible_fraction
+    )
+    accepted_fraction = jnp.zeros(len(coordinates))
+    # From small to large fractions: for each view the last one that is admissible remains.
+    for fraction in BACKTRACKING_FRACTIONS[::-1]:
+        poses = views.poses(views.from_unbounded(initial + fraction * (minimiser - initial)))
+        accepted_fraction = jnp.where(is_admissible(poses), fraction, accepted_fraction)
+    return views.poses(
+        views.from_unbounded(initial + accepted_fraction[:, None] * (minimiser - initial))
+    )
+
+
+@compiled_optimised
+def _minimise_bfgs(
+    initial: Float[Array, "count 6"],
+    information_model: InformationModel,
+    criterion: OptimalityCriterion,
+    views: ViewRange,
+    border_margin: float,
+    min_visible_fraction: float,
+) -> Float[Array, "count 6"]:
+    """Return the unbounded coordinates of views at which BFGS ends."""
+    required_points = int(np.ceil(min_visible_fraction * len(information_model.points) - 1e-9))
+
+    def cost(unbounded: Float[Array, "count 6"], _: Any) -> Float[Array, ""]:
+        poses = views.poses(views.from_unbounded(unbounded))
+        inner_distance = information_model.border_distance(poses) - border_margin
+        # Only the required number of points counts, those farthest inside: the others may leave.
+        # A point that cannot be projected is at minus infinity, which has no finite square.
+        inner_distance = jax.lax.top_k(
+            jnp.where(jnp.isfinite(inner_distance), inner_distance, -1e3), required_points
+        )[0]
+        violation = jnp.maximum(0.0, 1.0 - inner_distance) / BORDER_PENALTY_SCALE
+        # cost = log criterion + sum of ((1 - inner_distance)+ / BORDER_PENALTY_SCALE)^2
+        # The logarithm makes the minimiser independent of the criterion's unit. The penalty begins
+        # one pixel inside the margin.
+        return jnp.log(
+            _total_criterion(criterion, information_model.information(poses), information_model)
+        ) + jnp.sum(violation**2)
+
+    solver = optx.BFGS(rtol=1e-5, atol=1e-5)
+    return optx.minimise(cost, solver, initial, max_steps=MAX_BFGS_STEPS, throw=False).value
+
+
+def _total_criterion(
+    criterion: OptimalityCriterion,
+    information: Float[Array, "views free free"],
+    information_model: InformationModel,
+) -> Float[Array, ""]:
+    """Return the criterion for the prior information plus that of all views."""
+    return criterion(information_model.prior_information + jnp.sum(information, axis=0))

@@ -1,0 +1,108 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3, SO3
+from scipy.spatial.transform import Rotation
+
+from smartview_jax.geometry import (
+    as_se3,
+    check_rigid,
+    mean_pose,
+    nearest_rotation,
+    rotation_angle,
+    se3_left_jacobian,
+    transform_points,
+)
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.1, 1.0, 2.5])
+def test_exp_jacobian_is_the_derivative_of_exp(size):
+    tangent = jnp.asarray(size * RNG.normal(size=6) / np.sqrt(6))
+    back = SE3.exp(tangent).inverse()
+    by_hand = jax.jacfwd(lambda d: (SE3.exp(tangent + d) @ back).log())(jnp.zeros(6))
+    np.testing.assert_allclose(se3_left_jacobian(tangent), by_hand, atol=1e-9)
+
+
+def test_exp_jacobian_at_rest_is_the_identity():
+    np.testing.assert_allclose(se3_left_jacobian(jnp.zeros(6)), np.eye(6), atol=1e-15)
+
+
+def test_nearest_rotation_is_a_rotation_and_the_nearest():
+    matrix = np.asarray(SO3.exp(jnp.array([0.3, -0.2, 1.0])).as_matrix()) + 0.1 * RNG.normal(
+        size=(3, 3)
+    )
+    found = np.asarray(nearest_rotation(jnp.asarray(matrix)))
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(found) > 0.0
+    distance = np.linalg.norm(found - matrix)
+    for turn in 1e-3 * RNG.normal(size=(20, 3)):
+        other = Rotation.from_rotvec(turn).as_matrix() @ found
+        assert np.linalg.norm(other - matrix) > distance
+
+
+def test_nearest_rotation_differentiates_at_a_rotation():
+    """Where the singular values coincide, and those of the vectors would be NaN."""
+    start = SO3.exp(jnp.array([0.1, 0.2, 0.3])).as_matrix()
+    direction = jnp.asarray(RNG.normal(size=(3, 3)))
+    _, slope = jax.jvp(nearest_rotation, (start,), (direction,))
+    step = 1e-6
+    numeric = nearest_rotation(start + step * direction) - nearest_rotation(
+        start - step * direction
+    )
+    np.testing.assert_allclose(slope, numeric / (2.0 * step), atol=1e-8)
+    reverse = jax.grad(lambda m: jnp.sum(nearest_rotation(m) * direction))(start)
+    np.testing.assert_allclose(jnp.sum(reverse * direction), jnp.sum(slope * direction), rtol=1e-9)
+
+
+def test_the_mean_pose_is_scipys():
+    rotations = Rotation.random(5, random_state=3)
+    shifts = RNG.normal(size=(5, 3))
+    matrices = np.tile(np.eye(4), (5, 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = rotations.as_matrix(), shifts
+    weights = np.array([1.0, 2.0, 0.5, 0.0, 1.0])
+    found = mean_pose(as_se3(matrices), jnp.asarray(weights))
+    expected = rotations[[0, 1, 2, 4]].mean(weights[[0, 1, 2, 4]]).as_matrix()
+    np.testing.assert_allclose(found.rotation().as_matrix(), expected, atol=1e-12)
+    np.testing.assert_allclose(found.translation(), np.average(shifts, axis=0, weights=weights))
+    plain = mean_pose(as_se3(matrices))
+    np.testing.assert_allclose(plain.translation(), shifts.mean(axis=0))
+
+
+def test_few_digits_do_not_scale_points():
+    matrix = np.round(
+        np.asarray(SE3.exp(jnp.array([0.1, 0.2, 0.3, 0.5, -0.4, 1.2])).as_matrix()), 4
+    )
+    point = jnp.array([[0.3, -0.2, 0.9]])
+    moved = as_se3(matrix) @ point[0] - as_se3(matrix).translation()
+    np.testing.assert_allclose(jnp.linalg.norm(moved), jnp.linalg.norm(point), rtol=1e-14)
+    assert check_rigid(matrix[None], ("a",)) == {}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda m: m.at[0, 0].set(jnp.nan), "NaN"),
+        (lambda m: m.at[:3, :3].multiply(1.01), "rotation"),
+        (lambda m: m.at[:3, 0].multiply(-1.0), "rotation"),
+        (lambda m: m.at[3, 3].set(2.0), "row"),
+    ],
+)
+def test_what_is_not_rigid_is_named(spoil, words):
+    good = SE3.exp(jnp.array([0.1, 0.2, 0.3, 0.5, -0.4, 1.2])).as_matrix()
+    problems = check_rigid(np.stack([good, spoil(good)]), ("good", "bad"))
+    assert list(problems) == ["bad"]
+    assert words in problems["bad"]
+
+
+def test_points_and_angles():
+    pose = SE3.exp(jnp.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.5]))
+    points = jnp.asarray(RNG.normal(size=(4, 3)))
+    np.testing.assert_allclose(
+        transform_points(pose, points)[2], (pose.as_matrix() @ jnp.append(points[2], 1.0))[:3]
+    )
+    assert float(rotation_angle(pose.rotation())) == pytest.approx(0.5)
+    with pytest.raises(ValueError, match=r"\(\.\.\., 4, 4\); found shape \(3, 3\)"):
+        as_se3(np.eye(3))

@@ -1,0 +1,116 @@
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import fit_joint, fit_staged
+from smartview_jax.joint.gross_errors import remove_gross_errors
+from smartview_jax.simulation import paper_points, random_scene
+
+VIEWS = 20
+POINTS = paper_points((0.0, 0.02))[::3]
+ROBOT = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
+
+
+def mispaired(data, view, other):
+    poses = data.base_from_tool.wxyz_xyz
+    return eqx.tree_at(lambda d: d.base_from_tool.wxyz_xyz, data, poses.at[view].set(poses[other]))
+
+
+@pytest.fixture(scope="module")
+def spoilt():
+    """Clean scenes, and the same with 10 % gross outliers and one view in 20 mispaired."""
+    clean = [random_scene(seed, VIEWS, POINTS, **ROBOT) for seed in range(3)]
+    dirty = [random_scene(s, VIEWS, POINTS, outlier_fraction=0.1, **ROBOT) for s in range(3)]
+    return [(c, d, mispaired(d.data, 7, 3)) for c, d in zip(clean, dirty, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def screenings(spoilt):
+    return [(s[1], *remove_gross_errors(s[2], s[0].calibration)) for s in spoilt]
+
+
+def test_every_gross_outlier_goes_and_next_to_nothing_else(screenings):
+    false = 0
+    for scene, data, _ in screenings:
+        rest = np.arange(VIEWS) != 7
+        gone = np.asarray(scene.data.visible & ~data.visible)[rest]
+        outliers = np.asarray(scene.outliers)[rest]
+        assert gone[outliers].all()
+        false += int(gone[~outliers].sum())
+    assert false <= 1
+
+
+def test_the_mispaired_view_goes_with_its_reason(screenings):
+    for _, data, _ in screenings:
+        ((view, reason),) = data.masked_views
+        assert view == "7"
+        assert "it fits the pose of no other view either: moved, or a wrong pose?" in reason
+        assert not np.asarray(data.visible)[7].any()
+
+
+def test_points_are_listed_with_how_far_they_are(screenings):
+    scene, data, points = screenings[0]
+    gone = np.asarray(scene.data.visible & ~data.visible)
+    assert {(view, point) for view, point, _ in points} == {
+        (str(view), point) for view, point in np.argwhere(gone) if view != 7
+    }
+    for view, point, reason in points:
+        shift = float(reason.split(" px")[0])
+        assert shift >= 4.0, (view, point, reason)
+
+
+def test_hand_eye_stays_within_a_fifth_of_the_clean_run(spoilt):
+    """Errors over all scenes, translation and rotation each: RMS, spoilt over clean."""
+    errors = []
+    for clean, _, data in spoilt:
+        truth = clean.calibration.camera_from_tool
+        for case in (data, clean.data):
+            start = fit_staged(case).calibration
+            fit = fit_joint(case, start, noise="estimated", field=None)
+            gap = (fit.calibration.camera_from_tool.inverse() @ truth).log()
+            errors.append([jnp.linalg.norm(gap[:3]), jnp.linalg.norm(gap[3:])])
+    rms = np.sqrt(np.mean(np.square(errors).reshape(-1, 2, 2), axis=0))
+    assert (rms[0] <= 1.2 * rms[1]).all()
+
+
+def test_a_trusting_fit_leaves_them_out_where_it_is_asked(spoilt):
+    clean, _, data = spoilt[0]
+    kept = fit_joint(clean.data, clean.calibration, fixed=("camera",), noise="trusted")
+    robust = fit_joint(
+        data, clean.calibration, fixed=("camera",), gross_errors="leave_out", noise="trusted"
+    )
+    assert [view for view, point, _ in robust.rejected if point is None] == ["7"]
+    apart = (
+        kept.calibration.camera_from_tool.inverse() @ robust.calibration.camera_from_tool
+    ).log()
+    assert np.linalg.norm(apart[:3]) < 1e-3
+    # Of what was left out one still sees how far off it is.
+    assert float(jnp.abs(robust.residuals[7]).max()) > 50.0
+
+
+def test_a_view_that_sees_nothing_from_where_the_robot_says_is_left_out(spoilt):
+    clean = spoilt[0][0]
+    behind = SE3(clean.data.base_from_tool.wxyz_xyz[2]) @ SE3.exp(
+        jnp.array([0.0, 0.0, 0.0, jnp.pi, 0.0, 0.0])
+    )
+    data = eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz,
+        clean.data,
+        clean.data.base_from_tool.wxyz_xyz.at[2].set(behind.wxyz_xyz),
+    )
+    with pytest.raises(ValueError, match="every point of view 2 lies behind"):
+        fit_joint(data, clean.calibration, noise="trusted")
+    found = fit_joint(data, clean.calibration, gross_errors="leave_out", noise="trusted")
+    ((view, _, reason),) = [entry for entry in found.rejected if entry[1] is None]
+    assert view == "2"
+    assert "disagree" in reason
+
+
+def test_an_unknown_treatment_of_gross_errors_is_named(spoilt):
+    clean = spoilt[0][0]
+    with pytest.raises(
+        ValueError, match="gross_errors is one of auto, keep, leave_out; found 'mask'"
+    ):
+        fit_joint(clean.data, clean.calibration, gross_errors="mask", noise="trusted")

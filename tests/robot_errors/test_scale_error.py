@@ -1,0 +1,113 @@
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Calibration
+from smartview_jax.robot_errors import (
+    AbstractField,
+    GenericSixAxisArm,
+    LinearInPose,
+    LinearInPoseWithScales,
+    LinearInPosition,
+    RobotError,
+    ScaleError,
+)
+from smartview_jax.robots import as_command
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+
+SHARE = 0.03
+POINTS = paper_points((0.0,))[::5]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return random_scene(0, 6, POINTS, pixel_noise=0.0)
+
+
+def error(scene, group, counts=None):
+    """A robot whose error is one of the stretches, of a camera that the scene's has."""
+    poses = scene.data.base_from_tool
+    camera = scene.calibration.camera_from_tool.inverse().translation()
+    counts = jnp.ones(6) if counts is None else jnp.asarray(counts)
+    field = LinearInPoseWithScales(LinearInPose.from_poses(poses), camera, counts)
+    place = field.names.index(f"{group}.0")
+    return RobotError(field, jnp.zeros(56).at[place].set(SHARE * float(field.linear_in_pose.reach)))
+
+
+def test_a_stretch_shortens_every_way_by_its_share(scene):
+    poses = scene.data.base_from_tool
+    found = error(scene, LinearInPoseWithScales.ROBOT_SCALE)
+    centre = np.asarray(poses.translation()).mean(axis=0)
+    expected = centre + (1.0 - SHARE) * (np.asarray(poses.translation()) - centre)
+    true = found.actual_pose(poses)
+    np.testing.assert_allclose(true.translation(), expected, atol=1e-12)
+    np.testing.assert_allclose(true.rotation().wxyz, poses.rotation().wxyz, atol=1e-12)
+
+
+def test_a_target_of_another_size_looks_like_the_cameras_stretch(scene):
+    """Exactly, with the target moved to where it then seems to be."""
+    poses, truth = scene.data.base_from_tool, scene.calibration
+    found = error(scene, LinearInPoseWithScales.TARGET_SCALE)
+    scaled = dataclasses.replace(truth, target_scale=jnp.asarray(1.0 / (1.0 - SHARE)))
+    world, centre = truth.base_from_world, found.field.linear_in_pose.centre
+    moved = (1.0 - SHARE) * world.translation() + SHARE * centre
+    there = SE3.from_rotation_and_translation(world.rotation(), moved)
+    stretched = dataclasses.replace(truth, holder_from_world=there, robot_error=found)
+    np.testing.assert_allclose(
+        stretched.project(poses, POINTS)[0], scaled.project(poses, POINTS)[0], atol=1e-8
+    )
+
+
+def test_what_does_not_count_does_nothing(scene):
+    poses = scene.data.base_from_tool
+    off = error(scene, LinearInPoseWithScales.TARGET_SCALE, [1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    np.testing.assert_array_equal(off.field.twist(poses, off.coefficients), 0.0)
+    basis = np.asarray(off.field.basis(poses))
+    np.testing.assert_array_equal(basis[..., :54], off.field.linear_in_pose.basis(poses))
+    assert not basis[..., 55].any()
+    assert basis[..., 54].any()
+
+
+@pytest.fixture(scope="module", params=[LinearInPosition, LinearInPose, GenericSixAxisArm])
+def stretched(request, scene):
+    """Another field's error besides."""
+    poses = scene.data.base_from_tool
+    field = ScaleError.from_poses(request.param.from_poses(poses), poses)
+    coefficients = 1e-3 * np.random.default_rng(1).normal(size=field.size)
+    return RobotError(field, jnp.asarray(coefficients).at[-1].set(SHARE * float(field.reach)))
+
+
+def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, scene):
+    """The tool comes closer to the centre by the share of what is reported."""
+    poses, inner = scene.data.base_from_tool, stretched.field.field
+    before = RobotError(inner, stretched.coefficients[:-1]).actual_pose(poses)
+    moved = stretched.actual_pose(poses).translation() - before.translation()
+    # Carried along by the tool, which the field has turned.
+    turned = (before.rotation() @ poses.rotation().inverse()).as_matrix()
+    way = np.asarray(poses.translation()) - np.asarray(stretched.field.centre)
+    expected = -SHARE * np.einsum("vij,vj->vi", turned, way)
+    np.testing.assert_allclose(moved, expected, atol=1e-12)
+    none = RobotError(stretched.field, stretched.coefficients.at[-1].set(0.0)).actual_pose(poses)
+    np.testing.assert_allclose((before.inverse() @ none).log(), 0.0, atol=1e-14)
+
+
+def test_its_twists_are_the_derivatives_and_its_commands_the_inverse(stretched, scene):
+    reported = as_command(scene.data.base_from_tool)
+    found = stretched.field.jacobian(reported, stretched.coefficients)
+    expected = AbstractField.jacobian(stretched.field, reported, stretched.coefficients)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    assert len(stretched.field.names) == stretched.field.size == found.shape[-1]
+    back = stretched.command(stretched.actual_pose(reported)).base_from_tool
+    np.testing.assert_allclose((reported.base_from_tool.inverse() @ back).log(), 0.0, atol=1e-10)
+
+
+def test_files_keep_what_is_stretched(stretched, tmp_path):
+    calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
+    calibration.save(tmp_path / "calibration.yaml")
+    found = Calibration.load(tmp_path / "calibration.yaml")
+    assert eqx.tree_equal(found, calibration)
+    assert isinstance(found.robot_error.field.field, type(stretched.field.field))

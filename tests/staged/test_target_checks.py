@@ -1,0 +1,65 @@
+"""Views that show no target, or a line of it, are told from poses that do not belong to them."""
+
+import numpy as np
+import pytest
+
+from smartview_jax import Dataset
+from smartview_jax.simulation import random_scene
+from smartview_jax.staged import fit_staged
+from smartview_jax.staged.target_checks import collinear_views, mismatched_views
+from smartview_jax.targets import Chessboard
+
+SCENE = random_scene(4, 15, Chessboard(6, 9, 0.006).points, pixel_noise=0.3)
+ROW = np.arange(54) < 9
+
+
+def changed(pixels):
+    data = SCENE.data
+    return Dataset.from_arrays(data.points, pixels, data.base_from_tool, data.image_size)
+
+
+def whole(fit):
+    return {view: text for view, point, text in fit.rejected if point is None}
+
+
+def test_random_points_and_points_on_a_line_are_named_for_what_they_are():
+    pixels = np.array(SCENE.data.pixels)
+    width, height = SCENE.data.image_size
+    pixels[5] = np.random.default_rng(0).uniform([0, 0], [width - 1, height - 1], (54, 2))
+    pixels[9, ~ROW] = np.nan
+    messages = []
+    fit = fit_staged(changed(pixels), progress=messages.append)
+    assert set(whole(fit)) == {"5", "9"}
+    assert "its points are not those of the target" in whole(fit)["5"]
+    assert whole(fit)["9"] == "the 9 points seen lie on one line"
+    assert {5, 9}.isdisjoint(fit.views)
+    assert "each of 14 views" in messages[0]
+    # Nor do they spoil the camera: what is left fits as well as its noise.
+    assert float(fit.step2.rms) < 0.6
+    truth = SCENE.calibration.camera.alpha_u
+    assert float(fit.calibration.camera.alpha_u) == pytest.approx(float(truth), rel=0.02)
+
+
+def test_points_on_a_line_in_all_views_are_named():
+    pixels = np.array(SCENE.data.pixels)
+    pixels[:, ~ROW] = np.nan
+    with pytest.raises(
+        ValueError, match=r"0 of 15 views have them \(view 0: the 9 points seen lie"
+    ):
+        fit_staged(changed(pixels))
+
+
+def test_a_line_is_told_from_a_narrow_band():
+    points = np.stack([np.linspace(0.0, 1.0, 8), np.zeros(8), np.zeros(8)], axis=1)
+    band = points + np.where(np.arange(8)[:, None] % 2, [0.0, 0.01, 0.0], 0.0)
+    seen = np.ones((3, 8), dtype=bool)
+    seen[2] = False
+    assert collinear_views(np.stack([points, band, points]), seen).tolist() == [True, False, False]
+
+
+def test_views_are_judged_by_the_median_view():
+    rms = np.array([0.2, 0.3, 30.0, 5.0, np.nan, 400.0])
+    used = np.array([True, True, True, True, True, False])
+    found = mismatched_views(rms[[0, 1, 2, 3, 5]], used[[0, 1, 2, 3, 5]], (1000, 800))
+    assert set(found) == {2}
+    assert "30 px RMS from the best view of it" in found[2]

@@ -1,0 +1,58 @@
+"""Staged, then joint: what either left out, and what is said before anything is compiled."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import calibrate, fit_joint
+from smartview_jax.calibration_pipeline import refit_uncorrected
+from smartview_jax.simulation import paper_points, random_scene
+
+POINTS = paper_points((0.0, 0.02))[::4]
+
+
+def test_calibrate_goes_all_the_way():
+    scene = random_scene(6, views=8, outlier_fraction=0.05)
+    messages = []
+    fit = calibrate(scene.data, progress=messages.append)
+    assert fit.result.converged
+    assert fit.staged.result.converged
+    assert any(text.startswith("joint fit") for text in messages)
+    assert not np.asarray(fit.inliers & scene.outliers).any()
+    error = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
+    assert float(jnp.linalg.norm(error[:3])) < 2e-3
+
+
+def test_what_either_fit_left_out_is_listed_once():
+    """A point that Step 2 sets aside, and a view that was moved, by too little for Step 2."""
+    scene = random_scene(3, 20, POINTS, outlier_fraction=0.02, translation_noise=2e-4)
+    poses = scene.data.base_from_tool.wxyz_xyz
+    moved = SE3(poses[6]) @ SE3.exp(jnp.array([6e-3, 0.0, 0.0, 0.0, 0.0, 0.01]))
+    data = eqx.tree_at(
+        lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[6].set(moved.wxyz_xyz)
+    )
+    fit = calibrate(data, field=None)
+    assert fit.staged.rejected
+    names = [entry[:2] for entry in fit.rejected]
+    assert len(set(names)) == len(names)
+    assert {entry[:2] for entry in fit.staged.rejected} < set(names)
+    assert ("6", None) in names
+    # The chain that corrects nothing is not fitted to that view either.
+    seen = data.visible & fit.staged.inliers & fit.joint.problem.observations.visible
+    used = eqx.tree_at(lambda d: d.visible, data.mask_views([6]), seen)
+    without = fit_joint(used, fit.staged.calibration, noise="trusted").calibration
+    bare = refit_uncorrected(data, fit)
+    gap = bare.camera_from_tool.inverse() @ without.camera_from_tool
+    assert float(jnp.linalg.norm(gap.log())) < 1e-5
+
+
+def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):
+    """Not after the rehearsal has compiled everything."""
+    monkeypatch.setattr(
+        "smartview_jax.calibration_pipeline.precompile", lambda *_: pytest.fail("rehearsed")
+    )
+    scene = random_scene(0, views=2)
+    with pytest.raises(ValueError, match="a calibration needs at least 3 views"):
+        calibrate(scene.data)

@@ -1,0 +1,148 @@
+"""Every docstring begins with a sentence that says what the thing is or does.
+
+The rule is the same everywhere. A function's first sentence begins with a verb ("Return", "Fit",
+"Solve"); that of a property or of a class may name what it is ("The hand-eye transform.", "A lens
+with radial distortion."). No first sentence begins with a word that leaves open what is meant.
+"""
+
+import ast
+import inspect
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import smartview_jax
+
+PACKAGE = Path(smartview_jax.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+RIDDLES = set("Of What How Those These That There Which Whose Where When From One Ones It".split())
+ARTICLES = {"A", "An", "The"}
+
+SMALLEST_DOCUMENTED_FRACTION = 0.95
+"""Of public functions, classes and methods, those that have a docstring or inherit one."""
+
+SMALLEST_COMMENT_FRACTION = 0.04
+"""Of the lines of the package."""
+
+
+class Described(NamedTuple):
+    """A thing that has a docstring, and the first sentence of it."""
+
+    where: str
+    node: ast.AST
+    sentence: str
+
+    @property
+    def names_a_thing(self) -> bool:
+        """Whether this is a class, or a property, which is read like a variable."""
+        if isinstance(self.node, ast.ClassDef):
+            return True
+        decorators = getattr(self.node, "decorator_list", ())
+        return any("property" in ast.unparse(one) for one in decorators)
+
+
+def definitions(tree: ast.AST) -> Iterator[ast.AST]:
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    return (node for node in ast.walk(tree) if isinstance(node, kinds))
+
+
+def described(tree: ast.AST, file: str) -> Iterator[Described]:
+    for node in definitions(tree):
+        text = ast.get_docstring(node)
+        if text:
+            sentence = re.split(r"(?<=[.!?])\s|\n\n", text)[0].replace("\n", " ")
+            yield Described(f"{file}: {getattr(node, 'name', 'module')}", node, sentence)
+
+
+def faults(one: Described) -> list[str]:
+    """What is wrong with a first sentence."""
+    first = one.sentence.split()[0].strip(",:;")
+    found = []
+    if not one.sentence.endswith("."):
+        found.append("does not end with a full stop")
+    if first in RIDDLES:
+        found.append(f"begins with {first!r}")
+    if first.islower() or not first[0].isalpha():
+        found.append("does not begin with a capital letter")
+    if isinstance(one.node, ast.FunctionDef) and not one.names_a_thing and first in ARTICLES:
+        found.append("names a thing where a function should say what it does")
+    if len(one.sentence.split()) < 3 and not one.names_a_thing:
+        found.append("has fewer than three words")
+    return found
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_first_sentences_say_what_a_thing_is_or_does(file):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    found = [
+        f"{one.where}: {one.sentence!r} {', '.join(wrong)}"
+        for one in described(tree, str(file.relative_to(PACKAGE)))
+        if (wrong := faults(one))
+    ]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("code", "fault"),
+    [
+        ('def f():\n    """Of a view."""', "begins with 'Of'"),
+        ('def f():\n    """The pose of a view."""', "names a thing"),
+        ('class C:\n    """What a view says."""', "begins with 'What'"),
+        ('def f():\n    """Return the pose"""', "full stop"),
+        ('def f():\n    """Poses."""', "fewer than three words"),
+        ('def f():\n    """return the pose."""', "capital"),
+    ],
+)
+def test_the_lint_finds_what_it_is_for(code, fault):
+    (one,) = described(ast.parse(code), "f.py")
+    assert any(fault in wrong for wrong in faults(one))
+
+
+def test_public_names_have_docstrings():
+    """A method that overrides a documented one need not repeat its docstring."""
+    documented, missing = 0, []
+    for file in FILES:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for parent in definitions(tree):
+            if isinstance(parent, ast.FunctionDef) or getattr(parent, "name", "x")[0] == "_":
+                continue
+            for node in parent.body:
+                if not isinstance(node, ast.FunctionDef | ast.ClassDef) or node.name[0] == "_":
+                    continue
+                if ast.get_docstring(node) or _inherits_docstring(file, parent, node):
+                    documented += 1
+                else:
+                    missing.append(f"{file.relative_to(PACKAGE)}: {node.name}")
+    fraction = documented / (documented + len(missing))
+    assert fraction >= SMALLEST_DOCUMENTED_FRACTION, missing
+
+
+def _inherits_docstring(file: Path, parent: ast.AST, node: ast.AST) -> bool:
+    if not isinstance(parent, ast.ClassDef):
+        return False
+    module = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
+    owner = getattr(inspect.importlib.import_module(module), parent.name)
+    return inspect.getdoc(inspect.getattr_static(owner, node.name)) is not None
+
+
+def test_comments_stand_beside_the_code():
+    lines = comments = 0
+    for file in FILES:
+        text = file.read_text(encoding="utf-8")
+        lines += len(text.splitlines())
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        comments += sum(token.type == tokenize.COMMENT for token in tokens)
+    assert comments / lines >= SMALLEST_COMMENT_FRACTION, f"{comments} of {lines} lines"
+
+
+@pytest.mark.parametrize("number", range(1, 21))
+def test_the_papers_equations_are_found_by_their_number(number):
+    """By searching for "Eq. N", not hidden in a range."""
+    pattern = re.compile(rf"\bEq\.\s{number}\b")
+    assert any(pattern.search(file.read_text(encoding="utf-8")) for file in FILES)

@@ -1,0 +1,125 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from linear_world import (
+    GROUP,
+    GROUP_FIXED,
+    OTHERS,
+    TRUTH,
+    VIEWS,
+    drawn,
+    linear_world,
+    linearised,
+    with_held,
+)
+
+from smartview_jax.variance.fisher_scoring import fisher_information, maximise
+from smartview_jax.variance.likelihood import (
+    ROBOT_SIGMA_FLOOR,
+    StandardDeviations,
+    deviance,
+    marginalise,
+)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return linear_world()
+
+
+@pytest.mark.parametrize("sizes", [TRUTH, *OTHERS])
+def test_information_is_that_of_the_textbook(world, sizes):
+    """Half the trace of P dV P dV, on dense matrices (Searle, Casella and McCulloch, 6.6)."""
+    inverse, design = world
+    spread = np.concatenate(
+        [
+            np.asarray(sizes.field)[GROUP[GROUP >= 0]],
+            np.tile(np.repeat([sizes.translation, sizes.rotation], 3), VIEWS),
+        ]
+    )
+    kind = np.concatenate([GROUP[GROUP >= 0] + 3, np.tile(np.repeat([1, 2], 3), VIEWS)])
+    fixed, random = design[:, GROUP_FIXED], design[:, ~GROUP_FIXED] * spread
+    parts = [float(sizes.pixel) ** 2 * np.linalg.inv(inverse)]
+    parts += [random[:, kind == k] @ random[:, kind == k].T for k in range(1, 5)]
+    of_all = np.linalg.inv(sum(parts))
+    fitted = of_all @ fixed
+    P = of_all - fitted @ np.linalg.solve(fixed.T @ fitted, fitted.T)
+    # By logarithms of deviations each part's derivative is twice the part.
+    expected = [[0.5 * np.trace(P @ (2 * a) @ P @ (2 * b)) for b in parts] for a in parts]
+    views = linearised(world, drawn(world, 1))
+    found = fisher_information(views, marginalise(views, sizes), 2)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_information_is_what_second_derivatives_are_on_average(world):
+    """With some of the views' own numbers held, the information is still their mean."""
+    free = jnp.asarray(np.random.default_rng(9).random((VIEWS, 6)) < 0.7)
+
+    @jax.jit
+    def both(views):
+        def half(logarithms):
+            return 0.5 * deviance(views, StandardDeviations.from_vector(jnp.exp(logarithms)))
+
+        curved = jax.hessian(half)(jnp.log(TRUTH.vector))
+        return curved, fisher_information(views, marginalise(views, TRUTH), 2)
+
+    curved, told = [], None
+    for seed in range(60):
+        observed = drawn(world, seed, held=~np.asarray(free).ravel())
+        curvature, told = both(with_held(linearised(world, observed), free))
+        curved.append(curvature)
+    mean, error = np.mean(curved, axis=0), np.std(curved, axis=0) / np.sqrt(60)
+    assert (np.abs(mean - told) < 4.0 * error + 1e-6).all()
+
+
+@pytest.fixture(scope="module")
+def search():
+    return jax.jit(maximise)
+
+
+def test_the_sizes_found_are_true_on_average(world, search):
+    start = StandardDeviations(*map(jnp.asarray, (0.1, 0.1, 0.1)), jnp.array([0.1, 0.1]))
+    active = jnp.ones(4, dtype=bool)
+    found = [
+        search(linearised(world, drawn(world, seed)), start, active).sigmas.vector
+        for seed in range(10, 40)
+    ]
+    variances = np.mean(np.square(found), axis=0)
+    # The restricted likelihood's variances are unbiased; the field's rest on 2 and 3 draws each.
+    np.testing.assert_allclose(variances[:3], np.square(TRUTH.vector[:3]), rtol=0.12)
+    np.testing.assert_allclose(variances[3:], np.square(TRUTH.vector[3:]), rtol=0.8)
+
+
+def test_the_search_ends_at_an_optimum(world, search):
+    views = linearised(world, drawn(world, 6))
+    starts = [jax.tree.map(lambda size, f=factor: f * size, TRUTH) for factor in (1.0, 2.5, 6.0)]
+    active = jnp.ones(4, dtype=bool)
+    values = [float(search(views, start, active).deviance) for start in starts]
+    np.testing.assert_allclose(values, min(values), atol=1e-2)
+    best = search(views, TRUTH, active).sigmas.vector
+    for k in range(len(best)):
+        for factor in (0.97, 1.03):
+            other = best.at[k].multiply(factor)
+            assert float(deviance(views, StandardDeviations.from_vector(other))) > values[0]
+
+
+def test_begun_where_it_ended_it_has_nothing_to_gain(world, search):
+    """Also where sizes are as small as they can be: the last group's here, and the pixels'."""
+    views = linearised(world, drawn(world, 6))
+    views = eqx.tree_at(lambda v: v.white_sigma, views, 2.0 * TRUTH.pixel)
+    active = jnp.array([True, True, True, False])
+    found = search(views, TRUTH, active)
+    assert float(found.deviance_decrease) > 1.0
+    np.testing.assert_allclose(found.sigmas.pixel, views.white_sigma, rtol=1e-3)
+    again = search(views, found.sigmas, active)
+    assert abs(float(again.deviance_decrease)) < 1e-2
+    assert int(again.steps) <= 2
+
+
+def test_a_group_that_is_switched_off_stays_at_zero(world, search):
+    views = linearised(world, drawn(world, 7))
+    found, value = search(views, TRUTH, jnp.array([True, True, True, False]))[:2]
+    assert float(found.field[1]) == pytest.approx(ROBOT_SIGMA_FLOOR)
+    assert float(value) > float(search(views, TRUTH, jnp.ones(4, dtype=bool)).deviance)

@@ -1,0 +1,161 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from linear_world import drawn, linear_world, linearised
+from starts import nudged
+
+from smartview_jax import fit_joint, fit_staged
+from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.robot_errors import GenericSixAxisArm, LinearInPose
+from smartview_jax.simulation import paper_points, random_scene, six_axis_scene
+from smartview_jax.variance.fisher_scoring import (
+    LikelihoodMaximum,
+    StandardDeviationPrior,
+    maximise,
+)
+from smartview_jax.variance.likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations, deviance
+from smartview_jax.variance.model_selection import (
+    MIN_GENERIC_ARM_VIEWS,
+    FittedCandidate,
+    ModelName,
+    average_standard_deviations,
+    drop_negligible,
+    log_evidence,
+    posterior_probabilities,
+)
+from smartview_jax.variance.variance_components import estimate_noise
+
+POINTS = paper_points((0.0, 0.02))[::3]
+
+
+@pytest.fixture(scope="module")
+def arms():
+    return [six_axis_scene(seed) for seed in (0, 1, 3)]
+
+
+def test_an_arm_that_nobody_described_makes_the_mount_better(arms):
+    """Poses alone: its proportions are not the simulated arm's, only its build is."""
+    mount, pixels = [], []
+    for scene in arms:
+        staged = fit_staged(scene.data, "opencv4").calibration
+        linear = LinearInPose.from_poses(scene.data.base_from_tool)
+        by_pose = fit_joint(scene.data, staged, noise="estimated", field=linear)
+        by_arm = fit_joint(scene.data, staged, noise="estimated")
+        assert by_arm.noise_estimate.name == "implied_arm"
+        truth = scene.calibration.camera_from_tool.translation()
+        found = (staged, by_pose.calibration, by_arm.calibration)
+        mount.append([np.linalg.norm(c.camera_from_tool.translation() - truth) for c in found])
+        pixels.append([reprojection_errors(c, scene.held_out).rms for c in found])
+    staged, by_pose, by_arm = np.sqrt(np.mean(np.square(mount), axis=0))
+    assert by_arm < 0.6 * staged
+    assert by_arm < by_pose
+    staged, by_pose, by_arm = np.sqrt(np.mean(np.square(pixels), axis=0))
+    assert by_arm < 0.5 * by_pose < 0.5 * staged
+
+
+def test_few_views_are_given_no_arm(arms):
+    shown = MIN_GENERIC_ARM_VIEWS - 1
+    data = arms[0].data.mask_views(range(shown, arms[0].data.view_count))
+    found = estimate_noise(data, arms[0].calibration.uncorrected)
+    assert "implied_arm" not in [other.name for other in found.candidates]
+    found = estimate_noise(
+        data,
+        arms[0].calibration.uncorrected,
+        field=GenericSixAxisArm.from_poses(data.base_from_tool),
+    )
+    assert found.name == "implied_arm"
+
+
+def test_who_holds_the_robots_error_is_given_no_other(arms):
+    scene, fixed = arms[0], ("robot_error",)
+    with pytest.raises(ValueError, match="no parameter is called 'robot_error'"):
+        estimate_noise(scene.data, scene.calibration.uncorrected, fixed=fixed)
+    scene = scene.with_joint_readings
+    found = fit_joint(scene.data, scene.calibration, noise="estimated", fixed=fixed)
+    assert eqx.tree_equal(found.calibration.robot_error, scene.calibration.robot_error)
+    assert found.noise_estimate.name == "white"
+    assert reprojection_errors(found.calibration, scene.held_out).rms < 0.1
+
+
+def test_white_noise_is_not_taken_for_an_arm():
+    scene = random_scene(3, 15, POINTS, translation_noise=1e-4, rotation_noise=2e-4)
+    fits = [
+        fit_joint(scene.data, nudged(scene.calibration), noise="estimated", field=field)
+        for field in ("auto", None)
+    ]
+    found = {one.name: one.probability for one in fits[0].noise_estimate.candidates}
+    assert fits[0].noise_estimate.name == "white"
+    assert found["implied_arm"] < 0.05
+    unseen = random_scene(50, 30, POINTS, pixel_noise=0.0).data
+    averaged, white = (reprojection_errors(fit.calibration, unseen).rms for fit in fits)
+    assert averaged < 1.05 * white
+
+
+def test_evidence_is_the_mass_of_the_posterior():
+    """Laplace's method against the integral over a grid: three sizes in a linear world."""
+    views = linearised(linear_world(), drawn(linear_world(), 0))
+    prior = StandardDeviationPrior(
+        jnp.array([0.3, 0.3, 0.3, 0.3]), jnp.full(4, 1.0), jnp.asarray(0.7)
+    )
+    start = StandardDeviations.from_vector(jnp.array([0.5, 0.3, 0.3, 0.3, 0.3]))
+
+    def mass(active, grids):
+        """Of pixels, translations and rotations, and of the first group where it is active."""
+        axes = jnp.meshgrid(*grids, indexing="ij")
+        logs = jnp.stack([axis.ravel() for axis in axes], axis=1)
+        numbers = (
+            jnp.full((len(logs), 5), ROBOT_SIGMA_FLOOR).at[:, : logs.shape[1]].set(jnp.exp(logs))
+        )
+        value = -0.5 * jax.vmap(lambda n: deviance(views, StandardDeviations.from_vector(n)))(
+            numbers
+        )
+        off = (logs[:, 1:] - jnp.log(0.3)) ** 2
+        value = value - 0.5 * off.sum(axis=1) - 0.7 * (logs[:, 0] - jnp.log(views.white_sigma))
+        widths = 0.5 * jnp.log(2.0 * jnp.pi) * (logs.shape[1] - 1)
+        cell = np.prod([grid[1] - grid[0] for grid in grids])
+        return float(jax.scipy.special.logsumexp(value) + jnp.log(cell) - widths)
+
+    differences = []
+    for active, count in (([1, 1, 0, 0], 3), ([1, 1, 1, 0], 4)):
+        active = np.array(active, dtype=bool)
+        found = maximise(views, start, jnp.asarray(active), prior)
+        width = np.sqrt(np.diagonal(np.linalg.inv(np.asarray(found.information)[:count, :count])))
+        at = np.log(np.asarray(found.sigmas.vector))[:count]
+        grids = [jnp.linspace(a - 5.0 * w, a + 5.0 * w, 13) for a, w in zip(at, width, strict=True)]
+        differences.append(mass(active, grids) - log_evidence(found, active, prior))
+    np.testing.assert_allclose(differences, 0.0, atol=0.25)
+
+
+WHITE, POSE = ModelName("white", False), ModelName("pose", False)
+
+
+def test_a_model_is_named_by_its_field_and_by_a_free_scale():
+    assert [str(WHITE), str(POSE._replace(free_scale=True))] == ["white", "pose, target_scale"]
+
+
+def test_sizes_are_averaged_by_their_variances():
+    def tried(numbers):
+        found = LikelihoodMaximum(
+            StandardDeviations.from_vector(jnp.array(numbers)), *[jnp.zeros(())] * 4
+        )
+        return FittedCandidate(np.ones(3, dtype=bool), found, 0.0)
+
+    found = average_standard_deviations(
+        {WHITE: tried([1.0, 3.0, 2.0, 0.0]), POSE: tried([2.0, 1.0, 2.0, 4.0])},
+        {WHITE: 0.75, POSE: 0.25},
+    )
+    expected = np.sqrt([0.75 + 1.0, 0.75 * 9.0 + 0.25, 4.0, 4.0])
+    np.testing.assert_allclose(found.vector, expected)
+
+
+def test_weights_are_probabilities_and_small_ones_are_dropped():
+    def tried(log_weight):
+        return FittedCandidate(np.ones(3, dtype=bool), None, log_weight)
+
+    rare = ModelName("position", True)
+    found = posterior_probabilities({WHITE: tried(1000.0), POSE: tried(999.0), rare: tried(990.0)})
+    share = np.exp([0.0, -1.0, -10.0])
+    np.testing.assert_allclose(list(found.values()), share / share.sum())
+    assert drop_negligible(found) == pytest.approx({WHITE: 0.7310586, POSE: 0.2689414})

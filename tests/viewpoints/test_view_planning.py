@@ -1,0 +1,278 @@
+import dataclasses
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax import Dataset, Noise, Prior, cramer_rao, look_at, std_of
+from smartview_jax.robot_errors import JointOffsets, RobotError
+from smartview_jax.robots import six_axes
+from smartview_jax.simulation import paper_calibration, paper_points, random_viewpoints, simulate
+from smartview_jax.simulation.arm_scenes import HOME_JOINTS
+from smartview_jax.viewpoints import (
+    InformationModel,
+    ViewRange,
+    a_optimal,
+    choose_views,
+    cumulative_criterion,
+    d_optimal,
+    i_optimal,
+    views_needed,
+)
+from smartview_jax.viewpoints.candidate_selection import exchange_selection, greedy_selection
+from smartview_jax.viewpoints.view_planning import visible_fraction
+
+TRUTH = paper_calibration()
+POINTS = paper_points((0.0, 0.02))[::6]
+CENTRE = POINTS.mean(axis=0)
+NOISE = Noise(0.15, 1e-4, float(np.deg2rad(0.01)))
+RANGE = ViewRange(CENTRE, (0.17, 0.25), 0.7)
+
+
+def views(seed, count, tilt=0.7):
+    return random_viewpoints(np.random.default_rng(seed), count, CENTRE, (0.17, 0.25), tilt)
+
+
+def taken(poses):
+    """The data set that views would give."""
+    return simulate(TRUTH, TRUTH.command_for(poses), POINTS, pixel_noise=0.0).data
+
+
+@pytest.fixture(scope="module")
+def survey():
+    return InformationModel.from_calibration(TRUTH, POINTS, NOISE)
+
+
+@pytest.fixture(scope="module")
+def tests():
+    """Views that the error is judged on; their points are all in the picture."""
+    return views(99, 12, 0.3)
+
+
+@pytest.fixture(scope="module")
+def goal(survey, tests):
+    return i_optimal(survey, tests)
+
+
+@pytest.fixture(scope="module")
+def candidates(survey):
+    poses = views(0, 12)
+    return poses, survey.information(poses)
+
+
+def pixels_of(calibration, tests):
+    return calibration.project(TRUTH.command_for(tests), POINTS)[0]
+
+
+def test_the_goals_are_those_of_the_bound_of_the_chosen_views(survey, goal, tests, candidates):
+    poses, information = candidates
+    some = SE3(poses.wxyz_xyz[:6])
+    bound = cramer_rao(TRUTH, taken(some), NOISE)
+    told = jnp.sum(information[:6], axis=0)
+    assert survey.parameter_names == bound.parameter_names
+    spread = std_of(bound, lambda calibration: pixels_of(calibration, tests))
+    expected = np.sqrt(np.mean(np.sum(np.asarray(spread) ** 2, axis=-1)))
+    assert float(goal(told)) == pytest.approx(float(expected), rel=1e-6)
+    shifts = [bound.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"]
+    turns = [bound.std[f"camera_from_tool.rotation.{axis}"] for axis in "xyz"]
+    expected = np.sqrt(np.sum(np.square(shifts)) + 2.0 / 3.0 * 0.2**2 * np.sum(np.square(turns)))
+    assert float(a_optimal(survey, 0.2)(told)) == pytest.approx(float(expected), rel=1e-6)
+    _, logarithm = np.linalg.slogdet(bound.covariance)
+    size = 0.5 * logarithm / len(bound.covariance)
+    assert float(jnp.log(d_optimal()(told))) == pytest.approx(size, abs=1e-6)
+
+
+def test_priors_past_views_and_an_exact_robot_count_as_in_the_bound(candidates):
+    poses, _ = candidates
+    first, rest = SE3(poses.wxyz_xyz[:3]), SE3(poses.wxyz_xyz[3:6])
+    priors = {"camera.lens.k1": Prior(0.01)}
+    bound = cramer_rao(TRUTH, taken(SE3(poses.wxyz_xyz[:6])), 0.15, priors=priors)
+    survey = InformationModel.from_calibration(
+        TRUTH, POINTS, 0.15, priors=priors, previous_data=taken(first)
+    )
+    told = survey.prior_information + jnp.sum(survey.information(rest), axis=0)
+    std = np.sqrt(np.diagonal(np.linalg.inv(told)))
+    np.testing.assert_allclose(std, [bound.std[name] for name in survey.parameter_names], rtol=1e-5)
+
+
+def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
+    survey, goal, candidates
+):
+    _, information = candidates
+    free = jnp.ones(12, dtype=bool)
+    found = greedy_selection(information, survey.prior_information, goal, 5, free)
+    assert len(set(np.asarray(found).tolist())) == 5
+    total = jax.jit(lambda index: goal(jnp.sum(information[index], axis=0)))
+    for k in (3, 4):
+        others = [i for i in range(12) if i not in np.asarray(found[:k])]
+        tried = [float(total(jnp.array([*np.asarray(found[:k]), i]))) for i in others]
+        assert others[int(np.nanargmin(tried))] == int(found[k])
+    sets = np.array(list(itertools.combinations(range(12), 5)))
+    every = np.asarray(jax.lax.map(total, jnp.asarray(sets)))
+    better = exchange_selection(information, survey.prior_information, goal, found, free)
+    assert float(total(better)) <= float(total(found))
+    assert float(total(better)) <= np.nanquantile(every, 0.01)
+    # What may not be taken is not.
+    barred = greedy_selection(
+        information, survey.prior_information, goal, 5, free.at[found].set(False)
+    )
+    assert not set(np.asarray(barred).tolist()) & set(np.asarray(found).tolist())
+
+
+def test_the_gradient_of_the_goal_is_that_of_differences(survey, goal):
+    numbers = RANGE.sample(np.random.default_rng(1), 5)
+
+    def value(step):
+        moved = RANGE.to_unbounded(numbers) + step * direction
+        poses = RANGE.poses(RANGE.from_unbounded(moved))
+        return goal(jnp.sum(survey.information(poses), axis=0))
+
+    direction = jnp.asarray(np.random.default_rng(2).normal(size=numbers.shape))
+    both = jax.jit(jax.vmap(jax.value_and_grad(value)))
+    values, slopes = both(jnp.array([-1e-5, 0.0, 1e-5]))
+    assert float(slopes[1]) == pytest.approx(float(values[2] - values[0]) / 2e-5, rel=1e-5)
+
+
+def test_chosen_views_keep_their_limits_and_are_better_than_those_they_came_from(survey, goal):
+    rough = choose_views(survey, goal, 4, RANGE, border_margin=5.0, refine=False)
+    fine = choose_views(survey, goal, 4, RANGE, border_margin=5.0)
+    assert float(fine.value) < float(rough.value)
+    assert fine.unit == "px"
+    told = jnp.sum(survey.information(fine.camera_from_world), axis=0)
+    assert float(fine.value) == pytest.approx(float(goal(told)), rel=1e-9)
+    np.testing.assert_allclose(visible_fraction(survey, fine.camera_from_world, 5.0), 1.0)
+    ways = np.asarray(fine.camera_from_world.inverse().translation()) - CENTRE
+    away = np.linalg.norm(ways, axis=1)
+    assert (away > 0.17 - 1e-9).all()
+    assert (away < 0.25 + 1e-9).all()
+    assert (np.arccos(ways[:, 2] / away) < 0.7 + 1e-9).all()
+
+
+def test_the_gradient_does_not_take_a_view_to_where_it_may_not_be(survey, goal):
+    """It would go to the limit of the range, beyond what is allowed."""
+
+    def upright(some):
+        ways = some.inverse().translation() - jnp.broadcast_to(CENTRE, some.translation().shape)
+        return ways[:, 2] / jnp.linalg.norm(ways, axis=1) > np.cos(0.4)
+
+    rough = choose_views(survey, goal, 4, RANGE, border_margin=5.0, allowed=upright, refine=False)
+    fine = choose_views(survey, goal, 4, RANGE, border_margin=5.0, allowed=upright)
+    assert bool(upright(fine.camera_from_world).all())
+    assert float(fine.value) <= float(rough.value)
+
+
+def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(survey, goal, candidates):
+    poses, _ = candidates
+
+    def left(some):
+        return some.inverse().translation()[:, 0] < CENTRE[0]
+
+    found = choose_views(
+        survey, goal, 3, poses, allowed=left, min_visible_fraction=0.3
+    ).camera_from_world
+    assert bool(left(found).all())
+    with pytest.raises(ValueError, match=r"13 views asked for; of 12 candidates \d+ may be taken"):
+        choose_views(survey, goal, 13, poses, min_visible_fraction=0.3)
+
+
+def test_the_curve_falls_and_says_when_to_stop(survey, goal, candidates):
+    _, information = candidates
+    values = cumulative_criterion(information, survey.prior_information, goal)
+    assert np.isinf(values[0])
+    falling = np.asarray(values)[np.isfinite(values)]
+    assert (np.diff(falling) < 0.0).all()
+    assert float(values[-1]) == pytest.approx(float(goal(jnp.sum(information, axis=0))))
+    given = jnp.array([jnp.inf, 2.0, 1.0, 0.8, 0.79, 0.5])
+    assert views_needed(given) == 4
+    assert views_needed(given, required_value=1.5) == 3
+    assert views_needed(given, min_relative_decrease=0.0) == 6
+
+
+def test_numbers_without_limits_come_back_within_them():
+    narrow = ViewRange(CENTRE, (0.1, 0.2), 0.5, roll=0.3, max_aim_offset=0.01, above=False)
+    numbers = narrow.sample(np.random.default_rng(0), 200)
+    again = narrow.from_unbounded(narrow.to_unbounded(numbers))
+    # Next to a limit, numbers are moved inside a little.
+    np.testing.assert_allclose(again, numbers, atol=3e-3)
+    anything = 1e3 * np.random.default_rng(1).normal(size=(200, 6))
+    within = np.asarray(narrow.from_unbounded(jnp.asarray(anything)))
+    assert (np.linalg.norm(within[:, :2], axis=1) <= np.sin(0.5)).all()
+    assert (np.linalg.norm(within[:, 2:4], axis=1) <= 0.01 + 1e-12).all()
+    assert (np.abs(within[:, 4]) <= 0.3 + 1e-12).all()
+    assert ((within[:, 5] >= 0.1) & (within[:, 5] <= 0.2)).all()
+    assert (np.asarray(narrow.poses(numbers).inverse().translation())[:, 2] < CENTRE[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "given"),
+    [
+        ("distance", ((0.2, 0.1), 0.5, 1.0)),
+        ("tilt", ((0.1, 0.2), 1.6, 1.0)),
+        ("roll", ((0.1, 0.2), 0.5, 0.0)),
+    ],
+)
+def test_a_range_that_is_none_is_refused(words, given):
+    with pytest.raises(ValueError, match=words):
+        ViewRange(CENTRE, *given)
+
+
+def test_what_is_held_cannot_be_the_goal():
+    survey = InformationModel.from_calibration(TRUTH, POINTS, NOISE, fixed=("camera_from_tool",))
+    with pytest.raises(ValueError, match="camera_from_tool is held"):
+        a_optimal(survey, 0.2)
+
+
+@pytest.fixture(scope="module")
+def arm_survey():
+    """Of an arm whose joints' zeros are off, and that sets out from over the table."""
+    field = JointOffsets(six_axes())
+    error = RobotError(field, jnp.asarray([0.0, 1e-3, -1e-3, 5e-4, 1e-3, 0.0]))
+    truth = dataclasses.replace(TRUTH, robot_error=error)
+    noise = dataclasses.replace(NOISE, field=(1e-3,))
+    return InformationModel.from_calibration(
+        truth, POINTS, noise, field=field, near=HOME_JOINTS
+    ), noise
+
+
+def test_an_arms_views_tell_what_the_bound_says_of_their_joints(arm_survey):
+    survey, noise = arm_survey
+    truth, field = survey.calibration, survey.calibration.robot_error.field
+    poses = views(5, 6)
+    joints = truth.joints_for(poses, np.tile(HOME_JOINTS, (6, 1)))
+    assert np.isfinite(joints).all()
+    pixels, _ = truth.project(field.arm.command(joints), POINTS)
+    data = Dataset.from_arrays(
+        POINTS, pixels, None, truth.camera.image_size, joints=joints, arm=field.arm
+    )
+    bound = cramer_rao(truth, data, noise, field=field)
+    assert survey.parameter_names == bound.parameter_names
+    told = survey.prior_information + jnp.sum(survey.information(poses), axis=0)
+    np.testing.assert_allclose(
+        np.sqrt(np.diagonal(np.linalg.inv(told))), list(bound.std.values()), rtol=1e-5
+    )
+
+
+def test_a_view_that_the_arm_does_not_reach_shows_nothing_and_is_not_chosen(arm_survey):
+    survey, _ = arm_survey
+    near = views(6, 5)
+    away = look_at(CENTRE, (0.0, 0.0, -1.0), 5.0)
+    all_of_them = SE3(jnp.concatenate([away.wxyz_xyz[None], near.wxyz_xyz]))
+    information = survey.information(all_of_them)
+    assert not np.asarray(information[0]).any()
+    assert np.asarray(information[1:]).any(axis=(1, 2)).all()
+    found = choose_views(survey, d_optimal(), 5, all_of_them, min_visible_fraction=0.5)
+    heights = found.camera_from_world.inverse().translation()[:, 2]
+    assert float(jnp.max(heights)) < 1.0
+    with pytest.raises(ValueError, match=r"6 views asked for; of 6 candidates 5 may be taken"):
+        choose_views(survey, d_optimal(), 6, all_of_them, min_visible_fraction=0.5)
+
+
+def test_an_arms_own_errors_need_joints_to_begin_from():
+    field = JointOffsets(six_axes())
+    with pytest.raises(ValueError, match="near=joints"):
+        InformationModel.from_calibration(
+            TRUTH, POINTS, dataclasses.replace(NOISE, field=(1e-3,)), field=field
+        )
