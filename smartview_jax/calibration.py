@@ -21,6 +21,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
 from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
+from .deprecation import DeprecatedAttribute
 from .files import dump_yaml, read_yaml, write_atomically
 from .geometry import (
     PoseLike,
@@ -94,6 +95,8 @@ class Calibration(eqx.Module):
     mount: str = eqx.field(static=True)
     robot_error: RobotError | None
     region: ViewedRegion | None
+
+    reported_for = DeprecatedAttribute("reported_for", "robot_command_for")
 
     def __init__(
         self,
@@ -422,4 +425,4 @@ class Calibration(eqx.Module):
 
 
 _TRANSFORM_PATTERNS = ("camera_from_{0}", "{1}_from_world")
-"""Names of the two transforms in a file, to be formatted with mount and holder frame."""
+"""The names of the two transforms in a file, to be formatted with mount and holder frame."""

@@ -48,9 +48,9 @@ class CalibrationFit(eqx.Module):
     staged: StagedFit
     joint: JointFit
 
-    freedom = DeprecatedAttribute("degrees_of_freedom")
-    estimate = DeprecatedAttribute("noise_estimate")
-    margin = DeprecatedAttribute("confidence_half_width")
+    freedom = DeprecatedAttribute("freedom", "degrees_of_freedom")
+    estimate = DeprecatedAttribute("estimate", "noise_estimate")
+    margin = DeprecatedAttribute("margin", "confidence_half_width")
 
     @property
     def rejected(self) -> tuple[Rejection, ...]:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from .calibration import Calibration, mount_frames
 from .compilation import compiled
+from .deprecation import DeprecatedAttribute
 from .geometry import PoseLike, as_se3, check_rigid
 from .robots import Command, SerialArm
 
@@ -112,6 +113,8 @@ class Dataset(eqx.Module):
     joints: Float[Array, "views joints"] | None = None
     arm: SerialArm | None = None
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+
+    without = DeprecatedAttribute("without", "mask_views")
 
     @classmethod
     def from_arrays(

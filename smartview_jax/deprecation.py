@@ -167,16 +167,15 @@ def deprecated_names(package: str) -> Callable[[str], Any]:
 class DeprecatedAttribute:
     """The old name of an attribute or method of a class, for reading only.
 
+    Both names are given, because a `NamedTuple` does not tell a descriptor its own.
+
     Attributes:
+        old_name: name under which this stands in the class.
         new_name: name of the attribute that replaces it.
     """
 
-    def __init__(self, new_name: str) -> None:
-        self.new_name = new_name
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        """Remember the old name, for the warning."""
-        self.old_name = name
+    def __init__(self, old_name: str, new_name: str) -> None:
+        self.old_name, self.new_name = old_name, new_name
 
     def __get__(self, instance: Any, owner: type) -> Any:
         """Return the attribute that replaces this one, with a deprecation warning."""

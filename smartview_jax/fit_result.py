@@ -3,6 +3,8 @@
 from enum import StrEnum
 from typing import NamedTuple
 
+from .deprecation import DeprecatedAttribute
+
 
 class FitCode(StrEnum):
     """The outcome of a fit as one word."""
@@ -24,6 +26,8 @@ class FitResult(NamedTuple):
 
     code: FitCode
     message: str
+
+    require = DeprecatedAttribute("require", "require_convergence")
 
     @property
     def converged(self) -> bool:

@@ -6,6 +6,7 @@ with radial distortion."). No first sentence begins with a word that leaves open
 """
 
 import ast
+import importlib
 import inspect
 import io
 import re
@@ -15,11 +16,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from test_layers import FILES as ROOM_FILES
+from test_layers import PACKAGE
 
-import smartview_jax
-
-PACKAGE = Path(smartview_jax.__file__).parent
-FILES = sorted(PACKAGE.rglob("*.py"))
+FILES = [PACKAGE / "__init__.py", *ROOM_FILES]
 
 RIDDLES = set("Of What How Those These That There Which Whose Where When From One Ones It".split())
 ARTICLES = {"A", "An", "The"}
@@ -127,7 +127,7 @@ def _inherits_docstring(file: Path, parent: ast.AST, node: ast.AST) -> bool:
     if not isinstance(parent, ast.ClassDef):
         return False
     module = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
-    owner = getattr(inspect.importlib.import_module(module), parent.name)
+    owner = getattr(importlib.import_module(module), parent.name)
     return inspect.getdoc(inspect.getattr_static(owner, node.name)) is not None
 
 

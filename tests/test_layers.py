@@ -20,7 +20,7 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # writing of text, `fit_result` how any fit ended, `deprecation` what old names are now, `schemas`
 # what may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
-    compilation files fit_result deprecation schemas geometry cameras targets robots robot_errors
+    compilation files deprecation fit_result schemas geometry cameras targets robots robot_errors
     calibration dataset detection io simulation staged engine variance joint arm_identification
     calibration_pipeline evaluation viewpoints features modeling localization grasping report editor
     interrupts cli

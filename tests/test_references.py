@@ -8,11 +8,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from test_layers import FILES as ROOM_FILES
+from test_layers import PACKAGE
 
-import smartview_jax
-
-PACKAGE = Path(smartview_jax.__file__).parent
-FILES = sorted(PACKAGE.rglob("*.py"))
+FILES = [PACKAGE / "__init__.py", *ROOM_FILES]
 
 ELSEWHERE = set(
     """

@@ -7,7 +7,7 @@ from .lens import AbstractLens
 from .registry import lens_by_name, lens_name
 
 _PINHOLE_PARAMETERS = ("alpha_u", "alpha_v", "u0", "v0")
-"""Names of a camera's pinhole parameters, px."""
+"""The names of a camera's pinhole parameters, px."""
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:

@@ -20,6 +20,10 @@ from .parameters import Parameters as Parameters
 from .parameters import Step as Step
 from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
+from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
+from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma
+from .pixel_sigma import updated_sigma as updated_sigma
+from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
 from .priors import Prior as Prior
 from .problem import JointProblem as JointProblem
 from .problem import NormalEquations as NormalEquations

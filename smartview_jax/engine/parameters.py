@@ -98,6 +98,39 @@ class Step(NamedTuple):
     per_view: Float[Array, "views 6"]
 
 
+class ParameterLayout(NamedTuple):
+    """The places of the shared parameters in the flat vector, one slice for each group.
+
+    Attributes:
+        camera: pinhole parameters and lens.
+        mount: step of `camera_from_mount`, translation then rotation.
+        holder: step of `holder_from_world`, translation then rotation.
+        target_scale: the target's scale.
+        field: coefficients of the robot error field.
+        size: number of shared parameters.
+    """
+
+    camera: slice
+    mount: slice
+    holder: slice
+    target_scale: slice
+    field: slice
+    size: int
+
+    @classmethod
+    def of_sizes(cls, camera: int, field: int) -> "ParameterLayout":
+        """Return the layout for given numbers of parameters of the camera and of the field."""
+        mount, holder, scale = camera + 6, camera + 12, camera + 13
+        return cls(
+            slice(0, camera),
+            slice(camera, mount),
+            slice(mount, holder),
+            slice(holder, scale),
+            slice(scale, scale + field),
+            scale + field,
+        )
+
+
 class Parameters(eqx.Module):
     """The parameters of a calibration as a flat vector, changed by steps from a start.
 
@@ -108,18 +141,11 @@ class Parameters(eqx.Module):
     start: Calibration
 
     @property
-    def camera_size(self) -> int:
-        """The number of parameters of the camera, lens included."""
-        return sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
-
-    @property
-    def shared_size(self) -> int:
-        """The number of parameters common to all views.
-
-        They are, in order: camera, two transforms (12), target scale (1), robot error field.
-        """
+    def layout(self) -> ParameterLayout:
+        """The places of the parameters common to all views."""
+        camera_size = sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
         error = self.start.robot_error
-        return self.camera_size + 13 + (0 if error is None else error.field.size)
+        return ParameterLayout.of_sizes(camera_size, 0 if error is None else error.field.size)
 
     def values(self) -> Float[Array, "shared"]:
         """Return the values of the start; rotations, which are steps from it, are zero."""
@@ -139,34 +165,34 @@ class Parameters(eqx.Module):
 
     def retract(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
         """Return the calibration and the pose corrections after a step from the start."""
-        n, shared = self.camera_size, step.shared
-        # Layout: camera (n), camera_from_mount (6), holder_from_world (6), target_scale, robot
-        # error field.
-        camera_values, rebuild = ravel_pytree(self.start.camera)
-        error = self.start.robot_error
+        start, layout, shared = self.start, self.layout, step.shared
+        camera_values, rebuild = ravel_pytree(start.camera)
+        error = start.robot_error
         if error is not None:
-            error = RobotError(error.field, error.coefficients + shared[n + 13 :])
+            error = RobotError(error.field, error.coefficients + shared[layout.field])
         calibration = Calibration(
-            rebuild(camera_values + shared[:n]),
-            _retract_transform(self.start.camera_from_mount, shared[n : n + 6]),
-            _retract_transform(self.start.holder_from_world, shared[n + 6 : n + 12]),
-            self.start.mount,
-            self.start.target_scale + shared[n + 12],
+            rebuild(camera_values + shared[layout.camera]),
+            _retract_transform(start.camera_from_mount, shared[layout.mount]),
+            _retract_transform(start.holder_from_world, shared[layout.holder]),
+            start.mount,
+            start.target_scale + shared[layout.target_scale][0],
             error,
         )
         return calibration, step.per_view
 
     def step_to(self, other: Calibration) -> Float[Array, "shared"]:
         """Return the step from the start to another calibration with the same parameters."""
-        start, n = self.start, self.camera_size
+        start, layout = self.start, self.layout
         # Differences of values are right for all parameters except rotations, whose values are
         # zero; these steps are the rotation vectors between the two.
         step = Parameters(other).values() - self.values()
-        step = step.at[n + 3 : n + 6].set(
-            _rotation_vector_between(start.camera_from_mount, other.camera_from_mount)
-        )
-        rotation_vector = _rotation_vector_between(start.holder_from_world, other.holder_from_world)
-        return step.at[n + 9 : n + 12].set(rotation_vector)
+        for place, before, after in (
+            (layout.mount, start.camera_from_mount, other.camera_from_mount),
+            (layout.holder, start.holder_from_world, other.holder_from_world),
+        ):
+            rotation = slice(place.start + 3, place.stop)
+            step = step.at[rotation].set(_rotation_vector_between(before, after))
+        return step
 
 
 def _rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:

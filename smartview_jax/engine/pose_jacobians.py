@@ -45,11 +45,11 @@ def linearise_poses(parameters: Parameters, step: Step, reported: Command) -> Po
         reported: commands or poses that the robot reported, batch shape `(views)`.
     """
     calibration, corrections = parameters.retract(step)
-    n = parameters.camera_size
+    layout = parameters.layout
     # A @ exp(d) @ B = exp(Ad_A d) @ A @ B: every derivative below is a twist at the transform that
     # the parameter changes, mapped to the camera frame by the adjoint of the transforms left of it.
-    mount_jacobian = _step_jacobian(calibration.camera_from_mount, step.shared[n : n + 6])
-    holder_jacobian = _step_jacobian(calibration.holder_from_world, step.shared[n + 6 : n + 12])
+    mount_jacobian = _step_jacobian(calibration.camera_from_mount, step.shared[layout.mount])
+    holder_jacobian = _step_jacobian(calibration.holder_from_world, step.shared[layout.holder])
     eye_in_hand = calibration.mount == "eye_in_hand"
 
     error = calibration.robot_error

@@ -22,7 +22,7 @@ from .schur import BlockArrow
 from .view_normal_equations import INVALID_PROJECTION_RESIDUAL, ViewNormalEquations, linearise_views
 
 VIEW_AXIS = "views"
-"""Name of the mesh axis along which views are distributed over devices."""
+"""The name of the mesh axis along which views are distributed over devices."""
 
 
 class NormalEquations(eqx.Module):
@@ -80,7 +80,7 @@ class JointProblem(eqx.Module):
 
     def unscaled_step(self, z: Step) -> Step:
         """Convert a scaled step of the free parameters to all parameters in their own units."""
-        shared = jnp.zeros(self.parameters.shared_size)
+        shared = jnp.zeros(self.parameters.layout.size)
         shared = shared.at[self.free_indices].set(z.shared * self.scale.shared)
         per_view = jnp.where(self.per_view_free, z.per_view * self.scale.per_view, 0.0)
         return Step(shared, per_view)
@@ -195,27 +195,48 @@ class JointProblem(eqx.Module):
         # gradient = sum_v S_v^T g_v,     per_view_gradient_v = O_v^T g_v,
         # where G_v and g_v are a view's matrix and gradient by (camera, twist), S_v = shared is the
         # derivative of these by the shared parameters, and O_v = per_view that of the twist (rows
-        # from n on) by the view's own.
-        n, count = self.parameters.camera_size, len(views.cost)
+        # after the camera's) by the view's own.
         shared = self._shared_jacobian(pose_jacobians)
         matrix_shared = views.matrix @ shared
         matrix = jnp.einsum("vki,vkj->ij", shared, matrix_shared)
         gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
-
-        # Without a noise model no view has a correction: the slice and its arrays are then empty.
-        per_view = self._per_view_jacobian(pose_jacobians)
-        corrected_views = slice(count if len(per_view) else 0)
-        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
-        border = per_view_transposed @ matrix_shared[corrected_views, n:]
-        per_view_block = per_view_transposed @ views.matrix[corrected_views, n:, n:] @ per_view
-        per_view_gradient = jnp.einsum("vki,vk->vi", per_view, views.gradient[corrected_views, n:])
+        per_view, border, per_view_block = self._per_view_blocks(
+            pose_jacobians, views, matrix_shared
+        )
+        twist_gradient = views.gradient[: len(per_view), self.parameters.layout.camera.stop :]
+        per_view_gradient = jnp.einsum("vki,vk->vi", per_view, twist_gradient)
         return Step(gradient, per_view_gradient), BlockArrow(matrix, border, per_view_block)
+
+    def _per_view_blocks(
+        self,
+        pose_jacobians: PoseJacobians,
+        views: ViewNormalEquations,
+        matrix_shared: Float[Array, "views columns free"],
+    ) -> tuple[
+        Float[Array, "corrected 6 6"],
+        Float[Array, "corrected 6 free"],
+        Float[Array, "corrected 6 6"],
+    ]:
+        """Return the views' Jacobians, borders and blocks: `O_v`, `O_v^T G_v S_v`, `O_v^T G_v O_v`.
+
+        Without a noise model no view has a correction, and all three are empty.
+        """
+        n = self.parameters.layout.camera.stop
+        per_view = self._per_view_jacobian(pose_jacobians)
+        corrected_views = slice(len(views.cost) if len(per_view) else 0)
+        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
+        return (
+            per_view,
+            per_view_transposed @ matrix_shared[corrected_views, n:],
+            per_view_transposed @ views.matrix[corrected_views, n:, n:] @ per_view,
+        )
 
     def _shared_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "views columns free"]:
         """Return the derivative of camera and twist of each view by the shared parameters."""
         # S_v = [[1, 0], [0, T_v]]: the camera's parameters are themselves, all others act through
         # the twist of the view's pose, T_v = `PoseJacobians.shared_jacobian`.
-        n, size = self.parameters.camera_size, self.parameters.shared_size
+        layout = self.parameters.layout
+        n, size = layout.camera.stop, layout.size
         count = len(pose_jacobians.shared_jacobian)
         camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
         twist = jnp.pad(pose_jacobians.shared_jacobian, ((0, 0), (0, 0), (n, 0)))
@@ -267,17 +288,15 @@ class JointProblem(eqx.Module):
         )
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
-        information = jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
+        matrix_shared = views.matrix @ shared
+        information = jnp.swapaxes(shared, 1, 2) @ matrix_shared
         if not len(self.per_view_free):
             return information
         # I_v = S_v^T G_v S_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the
         # prior of the view's own parameters.
-        per_view, n = self._per_view_jacobian(pose_jacobians), self.parameters.camera_size
-        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
-        border = per_view_transposed @ (views.matrix[:, n:] @ shared)
-        per_view_block = per_view_transposed @ views.matrix[:, n:, n:] @ per_view
-        per_view_block = per_view_block + jnp.eye(6)[None] * self._per_view_precision[:, None]
-        return information - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(per_view_block, border)
+        _, border, block = self._per_view_blocks(pose_jacobians, views, matrix_shared)
+        block = block + jnp.eye(6)[None] * self._per_view_precision[:, None]
+        return information - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(block, border)
 
     def _with_priors(self, step: Step, equations: NormalEquations) -> NormalEquations:
         """Add the priors' cost, gradient and diagonal to the observations' normal equations."""

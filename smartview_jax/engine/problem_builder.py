@@ -5,6 +5,7 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Float
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera, initial_lens
 from ..dataset import Dataset
-from ..robot_errors import AbstractField, FieldChoice, RobotError
+from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, Parameters, Step, parameter_mask, parameter_names
@@ -64,7 +65,7 @@ def build_problem(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    field: FieldChoice = "auto",
+    field: FieldChoice | Literal[False] = "auto",
 ) -> BuiltProblem:
     """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.
 
@@ -81,6 +82,7 @@ def build_problem(
             raise ValueError(f"{argument}: expected paths, as in ({paths!r},); found {paths!r}")
     if start.mount != data.mount:
         raise ValueError(f"the start is {start.mount}, the data {data.mount}")
+    field = checked_field_choice(field)
     start = with_field(with_lens(start, lens), field)
     priors = dict(priors or {})
     views = data.usable_views()
@@ -91,7 +93,7 @@ def build_problem(
 
     noise_model = noise if isinstance(noise, Noise) else None
     parameters = Parameters(start)
-    shared_size = parameters.shared_size
+    shared_size = parameters.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
     default_fixed = ["target_scale"]
     if field == "auto" and start.robot_error is not None:
@@ -157,16 +159,7 @@ def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibratio
 
 
 def with_field(start: Calibration, field: FieldChoice) -> Calibration:
-    """Return the start with a given robot error field; `"auto"` keeps its own.
-
-    Raises:
-        ValueError: any other text than `"auto"`.
-    """
-    if isinstance(field, str) and field != "auto":
-        raise ValueError(
-            f'field is "auto", None or a field such as robot_errors.JointOffsets(arm); '
-            f"found {field!r}"
-        )
+    """Return the start with a given robot error field; `"auto"` keeps its own."""
     if field == "auto":
         return start
     if field is None:

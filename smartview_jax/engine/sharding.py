@@ -27,6 +27,7 @@ def solve_on(
     devices: Sequence[Any],
     problem: JointProblem,
     solver: optx.AbstractLeastSquaresSolver | None = None,
+    start: Step | None = None,
 ) -> tuple[Solution, NormalEquations]:
     """Minimise a problem with its views distributed over devices; otherwise like `solve`.
 
@@ -35,7 +36,12 @@ def solve_on(
     every process gets the whole result.
     """
     corrected_views = len(problem.per_view_free)
-    solution, equations = solve(shard(problem, devices), solver)
+    sharded = shard(problem, devices)
+    if start is not None:
+        # The views that were added as padding have no free parameters: their step is zero.
+        padding = len(sharded.per_view_free) - corrected_views
+        start = Step(start.shared, jnp.pad(start.per_view, ((0, padding), (0, 0))))
+    solution, equations = solve(sharded, solver, start=start)
 
     def to_default_device(x: Array) -> Array:
         """Copy an array to the default device."""

@@ -44,7 +44,7 @@ FORMAT_VERSION = 1
 """Version of the format of `dataset.yaml`."""
 
 DESCRIPTION_FILE = "dataset.yaml"
-"""Name of the file that describes the folder."""
+"""The name of the file that describes the folder."""
 
 
 def load_dataset_folder(

@@ -10,11 +10,11 @@ from ..schemas.messages import shortened_repr
 from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
 
 DETECTIONS_FILE = "detections.csv"
-"""Name of the file of detections in a data-set folder."""
+"""The name of the file of detections in a data-set folder."""
 
 _COLUMNS = ("view", "point", "u_px", "v_px")
 _FINGERPRINT_COLUMN = "pictures"
-"""Name of the column with the fingerprint of the pictures and the target."""
+"""The name of the column with the fingerprint of the pictures and the target."""
 
 
 def write_detections(

@@ -20,7 +20,7 @@ from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
 from .csv_tables import duplicates, parse_numbers, read_table, refuse_truncated, write_table
 
 JOINTS_FILE = "joints.csv"
-"""Name of the file that `write_joints` writes."""
+"""The name of the file that `write_joints` writes."""
 
 MAX_JOINT_READING = 100.0
 """Largest magnitude of a joint reading, rad or m; no real joint reaches it."""

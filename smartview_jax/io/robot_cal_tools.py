@@ -13,7 +13,7 @@ from .csv_tables import duplicates
 from .pictures import dataset_from_pictures
 
 DATA_FILE = "cal_data.yaml"
-"""Name of the file that lists the picture and the pose file of every view."""
+"""The name of the file that lists the picture and the pose file of every view."""
 
 _POSE_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 

@@ -4,7 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 SAMPLE_NAME = "rct_circle10x10"
-"""Name of the folder of the sample data set."""
+"""The name of the folder of the sample data set."""
 
 
 def sample_folder() -> Path:

@@ -25,7 +25,7 @@ FORMAT_VERSION = 1
 """Version of the JSON format."""
 
 VAL_CODEC = "val_oat"
-"""Name of the pose format of VAL II: x, y, z in mm, and the angles O, A, T in degrees."""
+"""The name of the pose format of VAL II: x, y, z in mm, and the angles O, A, T in degrees."""
 
 _JOINT_UNITS = {"joint_that_turns": "rad", "joint_that_slides": "m"}
 _VAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,14}")

@@ -4,10 +4,10 @@ from ..deprecation import deprecated_names as _deprecated_names
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_least_squares as batch_least_squares
 from .camera_fit import fit_camera as fit_camera
-from .fit import JointFit as JointFit
 from .fit import fit_joint as fit_joint
-from .fit import view_influence as view_influence
 from .influence import Influence as Influence
+from .joint_fit import JointFit as JointFit
+from .joint_fit import view_influence as view_influence
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH

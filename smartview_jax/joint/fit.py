@@ -4,19 +4,16 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
-from scipy.special import ndtri, stdtrit
+from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled
-from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset, chain_residuals
-from ..deprecation import DeprecatedAttribute, warn_deprecated
+from ..dataset import Dataset, chain_residuals
 from ..engine import (
     AbstractLoss,
     BlockArrow,
@@ -24,8 +21,6 @@ from ..engine import (
     JointProblem,
     Noise,
     NormalEquations,
-    Observability,
-    Parameters,
     Prior,
     ScaledJacobian,
     Solution,
@@ -34,156 +29,35 @@ from ..engine import (
     covariance,
     eliminate,
     observability,
-    parameter_mask,
-    parameter_names,
     per_view_std,
     robust_variance,
     solve,
     solve_on,
+    solve_with_estimated_sigma,
+    updated_sigma,
     variance_factor,
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
-from ..robot_errors import FieldChoice, RobotPrior
+from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..staged import with_region
-from ..variance import SIGMA_FLOOR, NoiseEstimate, estimate_noise, p_value
+from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views
-from .influence import Influence, deletion_changes, pose_outlier_test
-from .plausibility import MAX_PRIOR_SIGMAS, plausibility_warnings
+from .joint_fit import JointFit
+from .plausibility import plausibility_warnings
+from .view_rejection import inconsistent_view, inflation_reason, suspect_view
 
 MAX_INLIER_CHI_SQUARE = 2.0 * np.log(1e4)
 """The squared whitened residual that one good point in ten thousand exceeds (chi-square, 2 dof)."""
 
-FALSE_ALARM_PROBABILITY = 1e-6
-"""The probability, over all views, of a pose error as large as that of a view that is left out.
-
-It is far below the usual significance level because real robots' errors have longer tails than the
-normal distribution.
-"""
-
-MAX_POSE_SIGMA_RATIO = 3.0
-"""The ratio of pose standard deviations with and without a view above which its pose is wrong."""
-
 GROSS_ERRORS_OPTIONS = ("auto", "keep", "leave_out")
 """The accepted values of `gross_errors`."""
 
-MAX_SIGMA_ITERATIONS = 10
-"""The largest number of refits with the pixel sigma re-estimated from the residuals."""
+MAX_SIGMA_FITS = 10
+"""The largest number of fits with the pixel sigma re-estimated from the residuals."""
 
 SIGMA_TOLERANCE = 1e-3
 """The relative change of the pixel sigma below which refitting stops."""
-
-
-class JointFit(eqx.Module):
-    """The result of a joint fit.
-
-    Attributes:
-        calibration: camera, hand-eye transform, target pose (and target scale, if free).
-        covariance: covariance of the free parameters that all views have in common, in the order of
-            `parameter_names`, own units.
-        std: standard deviation by name, of pose corrections too; infinite for parameters that the
-            data do not determine.
-        degrees_of_freedom: degrees of freedom of each common parameter's standard deviation, by
-            name; infinite where the variance components were not estimated.
-        noise: the noise model, given or estimated; None with `noise="trusted"`. Where the
-            likelihood finds the robot exact, the standard deviations of its errors are close to
-            zero.
-        noise_estimate: the estimate of the noise model and its candidates; None where it was not
-            estimated.
-        pixel_sigma: standard deviation of u and of v, px: as given, or from the residuals and their
-            degrees of freedom.
-        residuals: measured minus predicted through the chain *without* pose corrections, px.
-        inliers: observations within the chi-square gate around the fit; those outside it were still
-            used.
-        rejected: observations left out: view id, point index (None for a whole view), reason.
-        pose_corrections: one twist per view, translation (m) then rotation (rad), at the tool.
-        observability: the directions that the data do not determine.
-        parameter_names: names of the free parameters that all views have in common.
-        view_ids: names of the data's views.
-        start: the calibration from which the fit started; with estimated noise, where the estimate
-            ended.
-        problem: the least squares problem that was solved.
-        solution: the final step, with iterations and costs.
-        result: whether the fit converged.
-    """
-
-    calibration: Calibration
-    covariance: Float[np.ndarray, "free free"]
-    pixel_sigma: float = eqx.field(static=True)
-    residuals: Float[Array, "views points 2"]
-    inliers: Bool[Array, "views points"]
-    pose_corrections: Float[Array, "views 6"]
-    start: Calibration
-    problem: JointProblem
-    solution: Solution
-    std: dict[str, float]
-    degrees_of_freedom: dict[str, float]
-    noise: Noise | None = eqx.field(static=True)
-    noise_estimate: NoiseEstimate | None
-    rejected: tuple[Rejection, ...] = eqx.field(static=True)
-    observability: Observability = eqx.field(static=True)
-    parameter_names: tuple[str, ...] = eqx.field(static=True)
-    view_ids: tuple[str, ...] = eqx.field(static=True)
-    result: FitResult = eqx.field(static=True)
-
-    freedom = DeprecatedAttribute("degrees_of_freedom")
-    estimate = DeprecatedAttribute("noise_estimate")
-    margin = DeprecatedAttribute("confidence_half_width")
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The reasons to doubt the answer, a sentence each; empty where there are none."""
-        return plausibility_warnings(self)
-
-    def confidence_half_width(self, name: str, level: float = 0.95) -> float:
-        """Return the half width of a parameter's confidence interval, in its own unit.
-
-        Args:
-            name: as in `parameter_names`.
-            level: probability that the interval contains the true value, by Student's t with the
-                parameter's `degrees_of_freedom`.
-        """
-        degrees_of_freedom, p = self.degrees_of_freedom[name], 0.5 + 0.5 * level
-        return self.std[name] * float(
-            stdtrit(degrees_of_freedom, p) if np.isfinite(degrees_of_freedom) else ndtri(p)
-        )
-
-    def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
-        """Return the p-value of the hypothesis that some of the parameters are those of `truth`.
-
-        It is the probability of a fit at least as far from `truth` as this one if `truth` were
-        true. A small value, say below 0.05, means that the pictures contradict `truth`, for
-        instance a mount taken from a drawing, or one measured before a collision.
-
-        Args:
-            truth: a calibration with the same lens, mount and field; only the parameters that the
-                paths name are compared.
-            paths: paths of fitted parameters, tested jointly; by default the hand-eye transform.
-
-        Raises:
-            ValueError: calibrations of different parameters, an unknown path or one that was not
-                fitted, or parameters that the data do not determine.
-        """
-        paths = self.calibration.transform_names[:1] if paths is None else paths
-        indices = np.flatnonzero(parameter_mask(self.parameter_names, paths))
-        names = [self.parameter_names[k] for k in indices]
-        undetermined = [name for name in names if not np.isfinite(self.std[name])]
-        if undetermined:
-            raise ValueError(f"the data leave {', '.join(undetermined)} open: see `observability`")
-        fit_names, truth_names = (parameter_names(c) for c in (self.calibration, truth))
-        if fit_names != truth_names:
-            raise ValueError(
-                f"truth: its parameters are {', '.join(truth_names)}; those of the fit "
-                f"{', '.join(fit_names)}"
-            )
-        # d^T P^-1 d for the difference d under its covariance P: chi-square where the variance
-        # components are known, otherwise F with the Kenward-Roger correction.
-        difference = np.asarray(Parameters(truth).step_to(self.calibration))
-        return p_value(
-            difference[[fit_names.index(name) for name in names]],
-            self.covariance[np.ix_(indices, indices)],
-            None if self.noise_estimate is None else self.noise_estimate.correction_of(names),
-        )
 
 
 def fit_joint(
@@ -212,9 +86,9 @@ def fit_joint(
         noise: `"estimated"` estimates the variance components, and chooses a robot error field, by
             restricted likelihood; a `Noise` states the standard deviations and gives every view a
             pose correction with a prior; `"trusted"` takes the reported poses as exact.
-        field: the robot error field: one of `robot_errors`, or your own; None
-            for none. `"auto"`: chosen and averaged by likelihood where the noise is estimated,
-            otherwise the start's own is kept fixed.
+        field: the robot error field: one of `robot_errors`, or your own; None for none. `"auto"`
+            chooses and averages by likelihood where the noise is estimated, and otherwise keeps
+            the start's own fixed.
         loss: robust loss on the points: a name or an `AbstractLoss`. Its scale, and the weight of
             priors, are in standard deviations of a pixel: the noise model's, or with a trusted
             robot those estimated from the residuals.
@@ -239,9 +113,7 @@ def fit_joint(
         raise ValueError(
             f"gross_errors is one of {', '.join(GROSS_ERRORS_OPTIONS)}; found {gross_errors!r}"
         )
-    if field is False:
-        warn_deprecated("field=False", "field=None", stacklevel=3)
-        field = None
+    field = checked_field_choice(field)
     say, start = progress or (lambda _: None), with_lens(start, lens)
 
     def fit_once(
@@ -281,17 +153,23 @@ def fit_joint(
         #     (H + lambda I) step = -g,  H = [[A, B^T], [B, C]]
         # Per step tried: one linearisation. Per damping lambda: one Cholesky factor of
         #     A + lambda I - sum_v B_v^T (C_v + lambda I)^-1 B_v
-        def solve_problem(problem: JointProblem) -> tuple[Solution, NormalEquations]:
+        def solve_problem(problem: JointProblem, step: Step) -> tuple[Solution, NormalEquations]:
             if devices is None:
-                return solve(problem, solver)
-            return solve_on(devices, problem, solver)
+                return solve(problem, solver, start=step)
+            return solve_on(devices, problem, solver, start=step)
 
-        built, solution, equations = _solve_with_sigma(built, solve_problem)
+        if built.sigma_known or not built.depends_on_sigma:
+            solution, equations = solve_problem(built.problem, built.problem.zero_step())
+        else:
+            problem, solution, equations, _ = solve_with_estimated_sigma(
+                built.problem, solve_problem, _residual_sigma, SIGMA_TOLERANCE, MAX_SIGMA_FITS
+            )
+            built = dataclasses.replace(built, problem=problem)
         joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
         return joint_fit, equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
-        return _with_viewpoint_region(fit_once(data, ())[0], data)
+        return _finish_fit(fit_once(data, ())[0], data)
     # Gross errors first, then one view at a time: the view rejected by its posterior pose
     # correction, or, where all poses look poor, the view without which the pose standard deviations
     # collapse. The noise is estimated anew after each, since one wrong pose inflates it for all
@@ -301,15 +179,15 @@ def fit_joint(
     while True:
         # The data of the view are hidden, not weighted down: a pose from another picture holds no
         # information.
-        if (inconsistent := _inconsistent_view(used_data, accepted, matrix)) is not None:
+        if (inconsistent := inconsistent_view(used_data, accepted, matrix)) is not None:
             used_data = without_views(used_data, dict([inconsistent]))
             accepted, matrix = fit_once(used_data, rejected_points)
-        elif (suspect := _suspect_view(used_data, accepted, matrix)) is not None:
+        elif (suspect := suspect_view(used_data, accepted, matrix)) is not None:
             # One wrong pose inflates the pose standard deviations of all views, so no view exceeds
             # the test. Compare the fits with and without the suspect instead.
             data_without_suspect = without_views(used_data, {suspect: ""})
             refitted, matrix = fit_once(data_without_suspect, rejected_points)
-            if (reason := _inflation_reason(accepted, refitted)) is None:
+            if (reason := inflation_reason(accepted, refitted)) is None:
                 break
             used_data = without_views(used_data, {suspect: reason})
             accepted, matrix = fit_once(used_data, rejected_points)
@@ -317,108 +195,13 @@ def fit_joint(
             break
     # Residuals are reported for rejected observations too.
     all_residuals = chain_residuals(accepted.calibration, data.observations)
-    return _with_viewpoint_region(
-        eqx.tree_at(lambda f: f.residuals, accepted, all_residuals), used_data
-    )
+    return _finish_fit(dataclasses.replace(accepted, residuals=all_residuals), used_data)
 
 
-def _with_viewpoint_region(fit: JointFit, data: Dataset) -> JointFit:
-    """Return the fit with the region of viewpoints that the data cover in its calibration."""
-    return dataclasses.replace(fit, calibration=with_region(fit.calibration, data))
-
-
-def _solve_with_sigma(
-    built: BuiltProblem, solve_problem: Callable[[JointProblem], tuple[Solution, NormalEquations]]
-) -> tuple[BuiltProblem, Solution, NormalEquations]:
-    """Solve, with a pixel sigma that agrees with the residuals where the answer depends on it.
-
-    It does with a robust loss or priors and an unknown sigma: both weigh residuals in units of
-    sigma.
-    """
-    solution, equations = solve_problem(built.problem)
-    if built.sigma_known or not built.depends_on_sigma:
-        return built, solution, equations
-    for _ in range(MAX_SIGMA_ITERATIONS):
-        # sigma <- sigma sqrt(f), with f the variance factor: residual sum of squares over degrees
-        # of freedom.
-        previous_sigma = float(built.problem.pixel_sigma)
-        factor = float(_variance_factor(built.problem, solution.z))
-        sigma = max(previous_sigma * np.sqrt(factor), SIGMA_FLOOR)
-        built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, jnp.asarray(sigma))
-        solution, equations = solve_problem(built.problem)
-        if abs(sigma - previous_sigma) <= SIGMA_TOLERANCE * previous_sigma:
-            break
-    return built, solution, equations
-
-
-def view_influence(fit: JointFit) -> Influence:
-    """Return how far each view moves the fit: its change without that view, to first order."""
-    changes = np.asarray(deletion_changes(fit.problem, fit.solution.z))
-    std = np.array([fit.std[name] for name in fit.parameter_names])
-    mount_path = fit.calibration.transform_names[0]
-    return Influence(changes, std, fit.parameter_names, fit.view_ids, mount_path)
-
-
-def _inconsistent_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
-    """Return the view whose pose is least compatible with the others', and why.
-
-    None where even that one is not significant, where poses have no prior, or with too few views to
-    decide which of them is wrong.
-    """
-    if fit.noise is None or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS:
-        return None
-    scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, fit.noise_estimate is None)
-    distance, p_values = np.asarray(scores.distance), np.asarray(scores.p_value)
-    worst = int(np.argmin(p_values))
-    # Bonferroni: the smallest of n p-values is tested at the level FALSE_ALARM_PROBABILITY / n.
-    if not p_values[worst] * len(data.usable_views()) < FALSE_ALARM_PROBABILITY:
-        return None
-    return worst, (
-        f"its pose lies {distance[worst]:.0f} standard deviations from where the other views put "
-        f"it: mispaired or moved?"
-    )
-
-
-def _suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None:
-    """Return the view whose pose is least compatible with the others', if poses err too much.
-
-    None where the pose standard deviations are within what robots usually have.
-    """
-    noise_estimate, noise = fit.noise_estimate, fit.noise
-    if (
-        noise_estimate is None
-        or noise is None
-        or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS
-    ):
-        return None
-    # The log-normal prior's upper limit: median times exp(MAX_PRIOR_SIGMAS * spread).
-    max_plausible = noise_estimate.robot_prior.medians(None) * np.exp(
-        MAX_PRIOR_SIGMAS * noise_estimate.robot_prior.log_stds(None)
-    )
-    if noise.translation <= max_plausible[0] and noise.rotation <= max_plausible[1]:
-        return None
-    scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, sigmas_known=False)
-    return int(np.argmin(np.asarray(scores.p_value)))
-
-
-def _inflation_reason(fit: JointFit, refitted: JointFit) -> str | None:
-    """Return why a view is left out, from the other views' pose errors with it and without it.
-
-    None where the view is to be kept.
-    """
-    assert fit.noise is not None
-    assert refitted.noise is not None
-    for name, unit, unit_scale in (
-        ("translation", "mm", 1e3),
-        ("rotation", "degrees", float(np.rad2deg(1.0))),
-    ):
-        before, after = (unit_scale * getattr(f.noise, name) for f in (fit, refitted))
-        if before > MAX_POSE_SIGMA_RATIO * after:
-            return (
-                f"its pose contradicts the others': with it reported poses err by {before:.3g} "
-                f"{unit}, without it by {after:.3g}: mispaired or moved?"
-            )
-    return None
+def _finish_fit(fit: JointFit, data: Dataset) -> JointFit:
+    """Return the fit with the region of viewpoints that the data cover, and with its warnings."""
+    fit = dataclasses.replace(fit, calibration=with_region(fit.calibration, data))
+    return dataclasses.replace(fit, warnings=plausibility_warnings(fit))
 
 
 def _assemble_fit(
@@ -435,6 +218,7 @@ def _assemble_fit(
     (
         calibration,
         corrections,
+        field_corrections,
         squared_residuals,
         estimated_factor,
         residual_variance,
@@ -480,6 +264,7 @@ def _assemble_fit(
         residuals=chain_residuals(calibration, problem.observations),
         inliers=jnp.asarray(inliers),
         pose_corrections=corrections if len(corrections) else jnp.zeros((data.view_count, 6)),
+        field_corrections=field_corrections,
         start=problem.parameters.start,
         problem=problem,
         solution=solution,
@@ -502,10 +287,17 @@ def _solution_quantities(problem: JointProblem, z: Step, matrix: BlockArrow) -> 
     """Compute what the result needs from the normal equations and residuals at the solution."""
     calibration, corrections = problem.calibration(z)
     elimination = eliminate(matrix)
+    error, observations = calibration.robot_error, problem.observations
+    field_corrections = (
+        jnp.zeros((len(observations.visible), 6))
+        if error is None
+        else (observations.base_from_tool.inverse() @ error.actual_pose(observations.command)).log()
+    )
     squares = problem.squared_residuals(z)
     return (
         calibration,
         corrections,
+        field_corrections,
         squares,
         variance_factor(problem, squares),
         robust_variance(squares, problem.observations.visible),
@@ -515,9 +307,9 @@ def _solution_quantities(problem: JointProblem, z: Step, matrix: BlockArrow) -> 
 
 
 @compiled
-def _variance_factor(problem: JointProblem, z: Step) -> Float[Array, ""]:
-    """Return the ratio of the residuals' variance to the assumed one."""
-    return variance_factor(problem, problem.squared_residuals(z))
+def _residual_sigma(problem: JointProblem, z: Step) -> Float[Array, ""]:
+    """Return the pixel sigma that the residuals have at a step, px."""
+    return updated_sigma(problem, variance_factor(problem, problem.squared_residuals(z)))
 
 
 def _all_rejections(

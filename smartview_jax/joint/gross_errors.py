@@ -30,11 +30,13 @@ from ..engine import (
     build_problem,
     robust_variance,
     solve,
+    solve_with_estimated_sigma,
+    updated_sigma,
     with_free_camera_poses,
+    with_pixel_sigma,
 )
 from ..fit_result import Rejection
 from ..staged import estimate_view_poses, find_consistent_views, median_reprojection_errors
-from ..variance import SIGMA_FLOOR
 
 MAX_SQUARED_RESIDUAL = 144.0
 """The squared whitened residual from a view's own best pose beyond which a point is left out.
@@ -44,11 +46,11 @@ set would be rejected; with half of this value, corners of an image whose lens i
 complex than its model.
 """
 
-MAX_SIGMA_ITERATIONS = 8
+MAX_SIGMA_FITS = 8
 """The largest number of fits, each with the pixel sigma estimated from the one before."""
 
-SIGMA_CONVERGENCE_RATIO = 0.9
-"""The ratio of successive pixel sigmas above which further fits are not worth while."""
+SIGMA_TOLERANCE = 0.1
+"""The relative change of the pixel sigma below which further fits are not worth while."""
 
 MAX_MEDIAN_RATIO, MAX_MEDIAN_RESIDUAL = 10.0, 20.0
 """The median residual of a view under the start's chain above which its pose is found anew.
@@ -200,19 +202,20 @@ def _robust_poses(
         fixed=(*identity_start.transform_names, *filter(_is_camera_path, fixed)),
         priors=camera_priors,
     ).problem
-    z = problem.zero_step()
-    squares, variance = _squares_and_variance(problem, z)
-    for _ in range(MAX_SIGMA_ITERATIONS):
-        sigma = max(float(np.sqrt(variance)), SIGMA_FLOOR)
-        reweighted = eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
-        # Cauchy's loss has the scale sigma, and sigma is estimated from the residuals under it:
-        # alternate until sigma falls by less than a tenth.
-        z = solve(reweighted, LOOSE_SOLVER, start=z)[0].z
-        squares, variance = _squares_and_variance(problem, z)
-        if variance > (SIGMA_CONVERGENCE_RATIO * sigma) ** 2:
-            break
-    fitted_poses = SE3.exp(z.per_view) @ poses
-    return max(float(np.sqrt(variance)), SIGMA_FLOOR), np.sqrt(squares), fitted_poses
+    # Cauchy's loss has the scale sigma, and sigma is estimated from the residuals under it.
+    first_sigma = _robust_residual_sigma(problem, problem.zero_step())
+    problem, solution, _, sigma = solve_with_estimated_sigma(
+        with_pixel_sigma(problem, first_sigma),
+        lambda problem, step: solve(problem, LOOSE_SOLVER, start=step),
+        _robust_residual_sigma,
+        SIGMA_TOLERANCE,
+        MAX_SIGMA_FITS,
+    )
+    return (
+        sigma,
+        np.asarray(_residual_norms(problem, solution.z)),
+        SE3.exp(solution.z.per_view) @ poses,
+    )
 
 
 def _is_camera_path(path: str) -> bool:
@@ -221,15 +224,16 @@ def _is_camera_path(path: str) -> bool:
 
 
 @compiled
-def _squares_and_variance(
-    problem: JointProblem, z: Step
-) -> tuple[Float[Array, "views points"], Float[Array, ""]]:
-    """Return every point's squared whitened residual, and their robust variance.
+def _robust_residual_sigma(problem: JointProblem, z: Step) -> Float[Array, ""]:
+    """Return the pixel sigma from the median of the residuals at a step, px."""
+    factor = robust_variance(problem.squared_residuals(z), problem.observations.visible)
+    return updated_sigma(problem, factor)
 
-    Both are in px^2 if the problem's pixel sigma is 1 px.
-    """
-    squares = problem.squared_residuals(z)
-    return squares, robust_variance(squares, problem.observations.visible)
+
+@compiled
+def _residual_norms(problem: JointProblem, z: Step) -> Float[Array, "views points"]:
+    """Return the norm of every point's residual at a step, px."""
+    return problem.pixel_sigma * jnp.sqrt(problem.squared_residuals(z))
 
 
 @compiled

@@ -25,6 +25,7 @@ from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
 
 from ..compilation import compiled
+from ..deprecation import DeprecatedAttribute
 from ..engine import BlockArrow, JointProblem, Step, eliminate, parameter_mask
 
 MIN_EXPLAINED_VARIANCE_FRACTION = 1e-6
@@ -47,6 +48,8 @@ class Influence(NamedTuple):
     parameter_names: tuple[str, ...]
     view_ids: tuple[str, ...]
     mount_path: str
+
+    on = DeprecatedAttribute("on", "max_standardised_change")
 
     def max_standardised_change(self, path: str | None = None) -> Float[np.ndarray, "views"]:
         """Return each view's largest effect on a path's parameters, in their standard deviations.

@@ -5,7 +5,7 @@ The fits run one after the other in one compiled loop, which on a CPU is several
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -36,13 +36,14 @@ from ..engine import (
     minimise,
     pad_with_last,
     unprojectable_views_message,
+    updated_sigma,
     valid_at_start,
     variance_factor,
     with_field,
     with_lens,
+    with_pixel_sigma,
 )
-from ..robot_errors import FieldChoice
-from ..variance import SIGMA_FLOOR
+from ..robot_errors import FieldChoice, checked_field_choice
 
 PerFitInputs = tuple[Calibration, Observations, Any]
 """The parts of a problem that differ between fits: start, observations, free pose corrections."""
@@ -100,7 +101,7 @@ def fit_many(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    field: FieldChoice = "auto",
+    field: FieldChoice | Literal[False] = "auto",
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
     """Fit many data sets, each as `fit_joint` does.
@@ -120,6 +121,7 @@ def fit_many(
     _require_same_structure(data, starts)
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
+    field = checked_field_choice(field)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
     # The free pose corrections depend only on which views are usable, so problems with the same
     # usable views are built once.
@@ -227,18 +229,12 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible & valid)
     unprojectable = jnp.any(visible, axis=1) & ~jnp.any(visible & valid, axis=1)
 
-    def with_sigma(sigma: Array) -> JointProblem:
-        return eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
-
     def refine_sigma(state: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
-        reweighted = with_sigma(state[0])
+        reweighted = with_pixel_sigma(problem, state[0])
+        # Each fit starts at the last one's solution.
         z = minimise(reweighted, StructuredLM(), MAXIMUM_STEPS, state[1])[0]
-        # sigma <- sigma sqrt(f), f the residual variance over the assumed one, starting the next
-        # fit at the last solution.
-        new_sigma = state[0] * jnp.sqrt(
-            variance_factor(reweighted, reweighted.squared_residuals(z))
-        )
-        return (jnp.maximum(new_sigma, SIGMA_FLOOR), z), None
+        factor = variance_factor(reweighted, reweighted.squared_residuals(z))
+        return (updated_sigma(reweighted, factor), z), None
 
     sigma, initial_step = problem.pixel_sigma, problem.zero_step()
     # A scan of length zero would still be compiled, with the whole solver in it.
@@ -246,7 +242,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
         (sigma, initial_step), _ = jax.lax.scan(
             refine_sigma, (sigma, initial_step), length=sigma_iterations
         )
-    problem = with_sigma(sigma)
+    problem = with_pixel_sigma(problem, sigma)
     z, steps, _, equations, predicted_decrease = minimise(
         problem, StructuredLM(), MAXIMUM_STEPS, initial_step
     )

@@ -6,18 +6,11 @@ typical errors of arms, with the fit without a smooth robot error, and with the 
 hand-eye calibration needs.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from jaxtyping import Array, Float
 
-from ..compilation import compiled
-from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations
-from ..robot_errors import RobotError
+from ..dataset import MINIMUM_RELIABLE_VIEWS
 from ..variance import FREE_SCALE_PROBABILITY, TARGET_SCALE
-
-if TYPE_CHECKING:
-    from .fit import JointFit
+from .joint_fit import JointFit
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
 """The largest plausible smooth correction of a reported pose, m and rad."""
@@ -41,7 +34,7 @@ MIN_SCALE_PROBABILITY = 0.05
 """The probability of another target size from which a warning mentions it."""
 
 
-def plausibility_warnings(fit: "JointFit") -> tuple[str, ...]:
+def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     """Return the reasons to doubt a joint fit's answer, a sentence each; empty if there are none.
 
     Args:
@@ -65,7 +58,7 @@ def plausibility_warnings(fit: "JointFit") -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _residual_warnings(fit: "JointFit") -> list[str]:
+def _residual_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the residuals: a chain that does not fit, or views that disagree."""
     inliers = np.asarray(fit.inliers)
     squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)
@@ -90,7 +83,7 @@ def _residual_warnings(fit: "JointFit") -> list[str]:
     return warnings
 
 
-def _target_warnings(fit: "JointFit") -> list[str]:
+def _target_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the stated size of the target."""
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
@@ -102,7 +95,7 @@ def _target_warnings(fit: "JointFit") -> list[str]:
     return [f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {scale_text}: measure it"]
 
 
-def _robot_warnings(fit: "JointFit") -> list[str]:
+def _robot_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the robot's errors: implausibly large components or corrections."""
     if fit.noise_estimate is None or fit.noise is None:
         return []
@@ -119,9 +112,8 @@ def _robot_warnings(fit: "JointFit") -> list[str]:
         f"usually {medians[k]:.1g}"
         for k in np.flatnonzero(implausible)
     ]
-    error = fit.calibration.robot_error
-    if error is not None:
-        twists = np.asarray(_correction_twists(error, fit.problem.observations))
+    if fit.calibration.robot_error is not None:
+        twists = np.asarray(fit.field_corrections)
         used_views = np.asarray(fit.inliers).any(axis=1)
         # The mean correction is removed: it cannot be separated from the mount, and is no error of
         # the arm.
@@ -137,13 +129,7 @@ def _robot_warnings(fit: "JointFit") -> list[str]:
     return warnings
 
 
-@compiled
-def _correction_twists(error: RobotError, observations: Observations) -> Float[Array, "views 6"]:
-    """Return the twists at the tool from the reported to the corrected poses."""
-    return (observations.base_from_tool.inverse() @ error.actual_pose(observations.command)).log()
-
-
-def _mount_warnings(fit: "JointFit") -> list[str]:
+def _mount_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the hand-eye transform: wide intervals, or a shift by correction."""
     mount = fit.calibration.transform_names[0]
     warnings, coarse_names = [], set()

@@ -75,7 +75,7 @@ MEASURE_NAMES = (
     "  with a free pose a view",
     "held-out by region, RMS",
 )
-"""Names of the rows of the table of results."""
+"""The names of the rows of the table of results."""
 
 
 def summary_column(summary: ErrorSummary) -> list[str]:

@@ -9,6 +9,7 @@ from .combined import CombinedField as CombinedField
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField
 from .field import FieldChoice as FieldChoice
+from .field import checked_field_choice as checked_field_choice
 from .generic_six_axis_arm import GenericSixAxisArm as GenericSixAxisArm
 from .linear_fields import LinearInPose as LinearInPose
 from .linear_fields import LinearInPosition as LinearInPosition

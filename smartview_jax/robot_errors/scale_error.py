@@ -18,7 +18,7 @@ from .field import AbstractField, AbstractLinearField
 from .linear_fields import LinearInPose, position_scale
 
 ROBOT_SCALE_GROUP = "translation_by_stretch"
-"""Name of the group with the single coefficient of the scale of the robot's displacements.
+"""The name of the group with the single coefficient of the scale of the robot's displacements.
 
 Files contain it, which is why it keeps the older word.
 """

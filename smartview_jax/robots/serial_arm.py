@@ -20,7 +20,7 @@ from ..geometry import PoseLike, as_se3
 from .command import Command, JointsLike
 
 DH_CONVENTIONS = ("standard", "modified")
-"""Names of the Denavit-Hartenberg conventions."""
+"""The names of the Denavit-Hartenberg conventions."""
 
 
 class SerialArm(eqx.Module):

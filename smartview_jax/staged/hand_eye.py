@@ -29,7 +29,7 @@ from ..geometry import mean_pose
 from .closed_form import CLOSED_FORMS
 
 PAPER_START = "paper: rotation identity"
-"""Name of the paper's start: identity rotation and a roughly known translation."""
+"""The name of the paper's start: identity rotation and a roughly known translation."""
 
 
 class SearchRecord(NamedTuple):

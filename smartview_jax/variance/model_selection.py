@@ -71,11 +71,11 @@ MIN_MODEL_PROBABILITY = 0.01
 """Probability below which a model is left out of the average."""
 
 TARGET_SCALE = "target_scale"
-"""Name of the target's scale, both as a parameter and as a group."""
+"""The name of the target's scale, both as a parameter and as a group."""
 
 
 WHITE_NOISE = "white"
-"""Name of the model without a robot error field."""
+"""The name of the model without a robot error field."""
 
 
 class ModelName(NamedTuple):

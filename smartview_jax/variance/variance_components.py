@@ -1,13 +1,12 @@
 """Estimate the noise model of a joint fit from the data: the standard deviation of every error."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..compilation import compiled
@@ -16,17 +15,15 @@ from ..engine import (
     POSE_CORRECTIONS,
     ROBOT_ERROR,
     BuiltProblem,
-    JointProblem,
     Noise,
-    NormalEquations,
     Prior,
     Step,
     build_problem,
     solve,
 )
-from ..robot_errors import AbstractField, FieldChoice, RobotPrior
+from ..robot_errors import AbstractField, FieldChoice, RobotPrior, checked_field_choice
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
-from .kenward_roger import SmallSampleCorrection, small_sample_correction
+from .kenward_roger import small_sample_correction
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
     LinearisedViews,
@@ -50,6 +47,13 @@ from .model_selection import (
     smallest_sufficient_field,
     standard_deviation_prior,
 )
+from .noise_estimate import (
+    FREE_SCALE_PROBABILITY,
+    CandidateResult,
+    NoiseEstimate,
+    TargetScaleEvidence,
+)
+from .view_statistics import ViewStatistics, with_free_poses, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
 """Largest number of linearisations, each at the fit with the last standard deviations."""
@@ -57,101 +61,12 @@ MAX_LINEARISATIONS = 6
 SIGMA_TOLERANCE = 0.02
 """Relative change of every standard deviation below which the iteration has converged."""
 
-SIGMA_FLOOR = 1e-4
-"""Smallest pixel sigma, px; data with a smaller one count as free of noise."""
-
-FREE_SCALE_PROBABILITY = 0.5
-"""Probability that the target does not have its stated size, above which its scale is made free."""
-
-
-class CandidateResult(NamedTuple):
-    """A model of the robot error that was tried.
-
-    Attributes:
-        name: "white" where the model has no field, otherwise the field's name; followed by
-            ", target_scale" where the target's scale was free as well.
-        probability: posterior probability of the model; zero where another field was asked for.
-        log_likelihood_ratio: twice the logarithm of the ratio of its penalised likelihood to that
-            of white noise of the poses alone.
-        noise: the standard deviations that maximise its posterior.
-    """
-
-    name: str
-    probability: float
-    log_likelihood_ratio: float
-    noise: Noise
-
-
-class TargetScaleEvidence(NamedTuple):
-    """The evidence of the views on the size of the target.
-
-    Attributes:
-        probability: probability that the size is not as stated.
-        scale: size of the target over its stated size, if it is not as stated.
-        std: standard deviation of `scale`.
-    """
-
-    probability: float
-    scale: float
-    std: float
-
-
-class NoiseEstimate(NamedTuple):
-    """A noise model, averaged over models of the robot error by their probabilities.
-
-    Attributes:
-        name: name of the most probable model.
-        noise: standard deviations of all errors in the averaged model.
-        field: robot error field; None where the views do not call for one.
-        calibration: the calibration at the end of the estimation.
-        candidates: all models of the robot error that were tried.
-        target_scale: evidence on the target's size; None where its scale was not in question.
-        mount_displacement: translation (m) and rotation (rad) of the camera's mount with the robot
-            error field, relative to that with white noise alone; None where there is no field, or
-            the mount is held.
-        converged: whether the standard deviations converged.
-        relative_std: relative standard errors of the estimated standard deviations of pixel,
-            translation, rotation and field; large for one near zero, which the data do not
-            determine.
-        parameter_names: names of the fit's shared parameters.
-        small_sample_correction: contribution of the uncertain standard deviations to the
-            covariance of the shared parameters.
-        robot_prior: prior of the robot's errors.
-    """
-
-    name: str
-    noise: Noise
-    field: AbstractField | None
-    calibration: Calibration
-    candidates: tuple[CandidateResult, ...]
-    target_scale: TargetScaleEvidence | None
-    mount_displacement: tuple[float, ...] | None
-    converged: bool
-    relative_std: tuple[float, ...]
-    parameter_names: tuple[str, ...]
-    small_sample_correction: SmallSampleCorrection
-    robot_prior: RobotPrior
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """The paths of the parameters that are made free because the views call for it."""
-        scale_is_free = (
-            self.target_scale is not None and self.target_scale.probability > FREE_SCALE_PROBABILITY
-        )
-        return (TARGET_SCALE,) if scale_is_free else ()
-
-    def correction_of(self, names: Sequence[str]) -> SmallSampleCorrection:
-        """Return the small-sample correction for a subset of the parameters."""
-        return self.small_sample_correction.subset(
-            np.array([self.parameter_names.index(n) for n in names], dtype=int)
-        )
-
 
 def estimate_noise(
     data: Dataset,
     start: Calibration,
     *,
-    field: FieldChoice = "auto",
+    field: FieldChoice | Literal[False] = "auto",
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
@@ -178,7 +93,7 @@ def estimate_noise(
         ValueError: as in `fit_joint`, and for a prior on what is estimated here.
     """
     report_progress = progress or (lambda _: None)
-    prior = robot_prior or RobotPrior()
+    prior, field = robot_prior or RobotPrior(), checked_field_choice(field)
     if field is None:
         start = start.uncorrected
     for path in priors or ():
@@ -190,97 +105,70 @@ def estimate_noise(
     def build_with(basis: AbstractField | None, free_scale: bool) -> BuiltProblem:
         """Build the problem with all standard deviations one; their values are set later."""
         unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
-        extra_free = (TARGET_SCALE,) if free_scale else ()
         return build_problem(
             data,
             start,
             noise=unit,
             field=basis,
             fixed=fixed,
-            free=(*free, *extra_free),
+            free=(*free, *((TARGET_SCALE,) if free_scale else ())),
             priors=priors,
         )
 
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
-    usable_views = data.usable_views()
     field_is_fixed = ROBOT_ERROR in fixed
     if field_is_fixed:
         basis, field = start.field, None
     elif field == "auto":
-        basis = encompassing_field(data, len(usable_views))
+        basis = encompassing_field(data, len(data.usable_views()))
     else:
         basis = field
-    test_scale = prior.wrong_target_probability > 0.0 and not _includes_target_scale(
-        (*fixed, *free, *(priors or ()))
+    test_scale = prior.wrong_target_probability > 0.0 and TARGET_SCALE not in (
+        *fixed,
+        *free,
+        *(priors or ()),
     )
-    built = build_with(basis, test_scale)
-    solution, equations = solve(_with_free_poses(built.problem))
-    views = _ViewStatistics(built, usable_views, 2.0 * float(equations.cost), test_scale)
-    sigma_prior = standard_deviation_prior(prior, basis, test_scale)
     models = candidate_models(field, None if field_is_fixed else basis)
-    initial = initial_standard_deviations(sigma_prior, views.white_sigma)
-    linearised = views.linearise(solution.z)
-    fitted = fit_candidates(
-        linearised, models, views.group_names, initial, sigma_prior, prior.wrong_target_probability
-    )
-    if not fitted:
-        raise ValueError(
-            "no model explains the views: their own best poses cannot be linearised; "
-            "start nearer to the truth (fit_staged), or check the poses"
-        )
-    if isinstance(field, AbstractField):
-        # A field that was asked for is used whatever the probability of white noise.
-        requested = list(models)[-1]
-        model_probabilities = posterior_probabilities(
-            {name: candidate for name, candidate in fitted.items() if name.field == requested}
-        )
-    else:
-        model_probabilities = posterior_probabilities(fitted)
-    candidate_results = _candidate_results(fitted, model_probabilities, views.white_sigma)
-    scale = (
-        _target_scale_evidence(built, linearised, solution.z, fitted, model_probabilities)
-        if test_scale
-        else None
+    first = _compare_models(
+        build_with(basis, test_scale), data, field, basis, models, prior, test_scale
     )
 
     # Second pass: only the models with more than negligible probability, on the smallest field that
     # contains them, alternating between the fit and the standard deviations.
-    free_scale = scale is not None and scale.probability > FREE_SCALE_PROBABILITY
-    model_probabilities = drop_negligible(
-        {name: p for name, p in model_probabilities.items() if name.free_scale == free_scale}
+    free_scale = (
+        first.target_scale is not None and first.target_scale.probability > FREE_SCALE_PROBABILITY
     )
-    candidate_probabilities = {name.field: p for name, p in model_probabilities.items()}
-    listed = ", ".join(f"{name} {p:.2f}" for name, p in candidate_probabilities.items())
+    probabilities = drop_negligible(
+        {model: p for model, p in first.probabilities.items() if model.free_scale == free_scale}
+    )
+    field_probabilities = {model.field: p for model, p in probabilities.items()}
+    listed = ", ".join(f"{name} {p:.2f}" for name, p in field_probabilities.items())
     report_progress(f"errors of the robot: {listed}")
     fitted_field = (
         basis
         if field_is_fixed
-        else smallest_sufficient_field(basis, models, set(candidate_probabilities))
+        else smallest_sufficient_field(basis, models, set(field_probabilities))
     )
-    predicted = _predicted_optimum(
-        linearised, solution.z, average_standard_deviations(fitted, model_probabilities)
-    )
-    previous_built, previous_views = built, views
     built = build_with(fitted_field, free_scale)
-    views = _ViewStatistics(built, usable_views, previous_views.within_sum_of_squares)
+    views = ViewStatistics(built, data.usable_views(), first.views.within_sum_of_squares)
+    sigmas = average_standard_deviations(first.fitted, probabilities)
+    predicted = _predicted_optimum(first.linearised, first.z, sigmas)
     z, linearised, maximum, converged = _iterate_to_convergence(
         views,
-        _transfer_step(predicted, previous_built.shared_names, built.shared_names),
-        {name: models[name] for name in candidate_probabilities},
-        previous_views.select_groups(
-            average_standard_deviations(fitted, model_probabilities), views.group_names
-        ),
+        _transfer_step(predicted, first.built.shared_names, built.shared_names),
+        {name: models[name] for name in field_probabilities},
+        first.views.select_groups(sigmas, views.group_names),
         standard_deviation_prior(prior, fitted_field, False),
     )
     calibration, _ = built.problem.calibration(z)
     correction = jax.tree.map(np.asarray, _small_sample_correction(linearised, maximum))
     return NoiseEstimate(
-        max(candidate_probabilities, key=lambda name: candidate_probabilities[name]),
+        max(field_probabilities, key=lambda name: field_probabilities[name]),
         _noise_from_sigmas(maximum.sigmas, views.white_sigma),
         fitted_field,
         calibration if fitted_field is not None else calibration.uncorrected,
-        candidate_results,
-        scale,
+        first.candidates,
+        first.target_scale,
         None if fitted_field is None else _mount_displacement(built, linearised, maximum.sigmas),
         converged,
         tuple(map(float, correction.relative_std)),
@@ -290,71 +178,91 @@ def estimate_noise(
     )
 
 
-class _ViewStatistics:
-    """The statistics of the views from the fit with free poses, for any linearisation.
+class _ModelComparison(NamedTuple):
+    """The models of the robot error, compared on one linearisation.
 
     Attributes:
-        problem: the joint problem.
-        group_index: group of unknown standard deviation of each free shared parameter, -1 for none.
-        within_sum_of_squares: sum of squared residuals of the fit with free poses and a free
-            camera, px^2.
-        group_names: names of the groups.
-        statistic_count: number of statistics: free parameters of the camera and of the views'
-            poses.
-        white_sigma: standard deviation of the noise within views, px.
-        known_weight: one over the standard deviation of the priors with known standard deviations.
+        built: problem with the basis that contains all models.
+        views: statistics of the views.
+        z: step at which the views are linearised, the fit with free poses.
+        linearised: the views linearised there.
+        fitted: the models, each with the standard deviations that maximise its posterior.
+        probabilities: posterior probabilities of the models.
+        candidates: the same for the result.
+        target_scale: evidence on the target's size; None where it is not in question.
     """
 
-    def __init__(
-        self,
-        built: BuiltProblem,
-        usable_views: Int[np.ndarray, "placed"],
-        within_sum_of_squares: float,
-        scale_is_group=False,
-    ):
-        problem, group_index = built.problem, _group_index(built, scale_is_group)
-        camera_count = sum(k < problem.parameters.camera_size for k in problem.free)
-        self.problem, self.group_index = problem, jnp.asarray(group_index)
-        self.within_sum_of_squares = within_sum_of_squares
-        error = problem.parameters.start.robot_error
-        field_groups = () if error is None else tuple(name for name, _ in error.field.groups)
-        self.group_names = (*field_groups, TARGET_SCALE) if scale_is_group else field_groups
-        self.statistic_count = camera_count + int(
-            np.asarray(problem.per_view_free)[usable_views].sum()
-        )
-        visible_count = int(np.asarray(problem.observations.visible).sum())
-        # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
-        # poses).
-        white = np.sqrt(within_sum_of_squares / max(2 * visible_count - self.statistic_count, 1))
-        self.white_sigma = max(float(white), SIGMA_FLOOR)
-        free_weight = np.asarray(problem.prior_weight.shared)[list(problem.free)]
-        self.known_weight = jnp.asarray(np.where(group_index < 0, free_weight, 0.0))
+    built: BuiltProblem
+    views: ViewStatistics
+    z: Step
+    linearised: LinearisedViews
+    fitted: Mapping[ModelName, FittedCandidate]
+    probabilities: Mapping[ModelName, float]
+    candidates: tuple[CandidateResult, ...]
+    target_scale: TargetScaleEvidence | None
 
-    def linearise(self, z: Step) -> LinearisedViews:
-        """Linearise the problem at a step."""
-        equations, offset = _equations_and_offset(self.problem, z)
-        return LinearisedViews(
-            matrix=equations.matrix,
-            gradient=equations.gradient,
-            residual_sum_of_squares=2.0 * equations.cost - self.within_sum_of_squares,
-            offset_from_prior=offset,
-            known_weight=self.known_weight,
-            group_index=self.group_index,
-            per_view_free=self.problem.per_view_free,
-            statistic_count=jnp.asarray(float(self.statistic_count)),
-            white_sigma=jnp.asarray(self.white_sigma),
-        )
 
-    def select_groups(
-        self, sigmas: StandardDeviations, names: tuple[str, ...]
-    ) -> StandardDeviations:
-        """Return the standard deviations with the groups selected and ordered by name."""
-        indices = [3 + self.group_names.index(name) for name in names]
-        return StandardDeviations.from_vector(sigmas.vector[jnp.array([0, 1, 2, *indices])])
+def _compare_models(
+    built: BuiltProblem,
+    data: Dataset,
+    field: FieldChoice,
+    basis: AbstractField | None,
+    models: Mapping[str, Candidate],
+    prior: RobotPrior,
+    test_scale: bool,
+) -> _ModelComparison:
+    """Compare the models of the robot error at the fit with free poses.
+
+    Args:
+        built: problem with the basis, and with a free target scale if that is in question.
+        data: data set.
+        field: field that the user asked for, or `"auto"`.
+        basis: field that contains all models.
+        models: models to compare, by the name of their field.
+        prior: prior of the robot's errors.
+        test_scale: whether the target's size is in question.
+
+    Raises:
+        ValueError: no model can be linearised.
+    """
+    solution, equations = solve(with_free_poses(built.problem))
+    views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
+    sigma_prior = standard_deviation_prior(prior, basis, test_scale)
+    linearised = views.linearise(solution.z)
+    fitted = fit_candidates(
+        linearised,
+        models,
+        views.group_names,
+        initial_standard_deviations(sigma_prior, views.white_sigma),
+        sigma_prior,
+        prior.wrong_target_probability,
+    )
+    if not fitted:
+        raise ValueError(
+            "no model explains the views: their own best poses cannot be linearised; "
+            "start nearer to the truth (fit_staged), or check the poses"
+        )
+    # A field that was asked for is used whatever the probability of white noise.
+    requested = list(models)[-1] if isinstance(field, AbstractField) else None
+    probabilities = posterior_probabilities(
+        {model: fit for model, fit in fitted.items() if requested in (None, model.field)}
+    )
+    return _ModelComparison(
+        built,
+        views,
+        solution.z,
+        linearised,
+        fitted,
+        probabilities,
+        _candidate_results(fitted, probabilities, views.white_sigma),
+        _target_scale_evidence(built, linearised, solution.z, fitted, probabilities)
+        if test_scale
+        else None,
+    )
 
 
 def _iterate_to_convergence(
-    views: _ViewStatistics,
+    views: ViewStatistics,
     initial: Step,
     models: Mapping[str, Candidate],
     sigmas: StandardDeviations,
@@ -377,7 +285,7 @@ def _iterate_to_convergence(
     z, accepted = initial, views.linearise(initial)
     while True:
         refitted = solve(
-            _with_prior_sigmas(views.problem, sigmas, views.group_index), start=initial
+            with_prior_sigmas(views.problem, sigmas, views.group_index), start=initial
         )[0].z
         linearised, iterations = views.linearise(refitted), iterations + 1
         fitted = fit_candidates(linearised, models, views.group_names, sigmas, prior, 0.0)
@@ -418,7 +326,7 @@ def _candidate_results(
     white_noise_deviance = float(fitted[ModelName(WHITE_NOISE, False)].maximum.deviance)
     return tuple(
         CandidateResult(
-            str(name),
+            name,
             model_probabilities.get(name, 0.0),
             white_noise_deviance - float(candidate.maximum.deviance),
             _noise_from_sigmas(candidate.maximum.sigmas, white_sigma, candidate.active),
@@ -461,71 +369,6 @@ def _mount_displacement(
         _posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)
     )
     return tuple(map(float, np.asarray(with_field - without_field)[indices]))
-
-
-def _includes_target_scale(paths: Sequence[str]) -> bool:
-    """Return whether the target's scale is among the paths."""
-    return TARGET_SCALE in paths
-
-
-def _with_free_poses(problem: JointProblem) -> JointProblem:
-    """Return the problem with a free pose for every view, by changing only the priors.
-
-    Only arrays differ, so that the same compiled program is used.
-    """
-    # The shared parameters except the camera's get priors so narrow that they are held, and the
-    # corrections of the views get none.
-    weight, free = problem.prior_weight, np.array(problem.free, dtype=int)
-    fixed_indices = free[free >= problem.parameters.camera_size]
-    return eqx.tree_at(
-        lambda p: p.prior_weight,
-        problem,
-        Step(
-            weight.shared.at[fixed_indices].set(1.0 / ROBOT_SIGMA_FLOOR),
-            jnp.zeros_like(weight.per_view),
-        ),
-    )
-
-
-@compiled
-def _equations_and_offset(problem: JointProblem, z: Step) -> tuple[NormalEquations, Step]:
-    """Return the normal equations of the observations, and the differences from the prior means."""
-    offset = problem.offset_from_prior(problem.unscaled_step(z))
-    return problem.normal_equations_without_priors(z), Step(
-        offset.shared[problem.free_indices], offset.per_view
-    )
-
-
-def _group_index(built: BuiltProblem, scale_is_group: bool) -> Int[np.ndarray, "free"]:
-    """Return the group of unknown standard deviation of each free shared parameter; -1 for none.
-
-    Args:
-        built: problem with the names of its parameters.
-        scale_is_group: whether the target's scale is a group of its own, the last one.
-    """
-    error = built.problem.parameters.start.robot_error
-    groups = () if error is None else error.field.groups
-    prefixes = [f"{ROBOT_ERROR}.{group}." for group, _ in groups]
-    prefixes += [TARGET_SCALE] if scale_is_group else []
-    return np.array(
-        [
-            next((k for k, prefix in enumerate(prefixes) if name.startswith(prefix)), -1)
-            for name in built.shared_names
-        ],
-        dtype=int,
-    )
-
-
-@compiled
-def _with_prior_sigmas(
-    problem: JointProblem, sigmas: StandardDeviations, group_index: Array
-) -> JointProblem:
-    """Return the problem with priors of the given standard deviations."""
-    free_indices, shared = problem.free_indices, problem.prior_weight.shared
-    weights = sigmas.prior_weights(group_index, shared[free_indices])
-    per_view = jnp.broadcast_to(weights.per_view, problem.per_view_free.shape)
-    weight = Step(shared.at[free_indices].set(weights.shared), per_view)
-    return eqx.tree_at(lambda p: (p.pixel_sigma, p.prior_weight), problem, (sigmas.pixel, weight))
 
 
 @compiled

@@ -34,7 +34,7 @@ For a known arm, its own message about reach and singularity is used instead.
 """
 
 SAFETY_CHECKS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
-"""Names of the checks that a robot must pass before it moves, unless a person overrides them."""
+"""The names of the checks that a robot must pass to move, unless a person overrides them."""
 
 
 def _as_float_array(value: object) -> Float[Array, "..."]:

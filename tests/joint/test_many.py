@@ -136,3 +136,5 @@ def test_a_field_can_be_left_out(scenes):
     start = dataclasses.replace(paper_calibration(), robot_error=error)
     assert fit_many(scenes[:1], start)[0].robot_error is not None
     assert fit_many(scenes[:1], start, field=None)[0].robot_error is None
+    with pytest.warns(DeprecationWarning, match="field=False is now field=None"):
+        assert fit_many(scenes[:1], start, field=False)[0].robot_error is None

@@ -36,7 +36,7 @@ from smartview_jax.report.tables import (
 from smartview_jax.robot_errors import DHErrors, LinearInPosition, RobotError, RobotPrior
 from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_points, random_scene
-from smartview_jax.variance import CandidateResult, NoiseEstimate
+from smartview_jax.variance import CandidateResult, ModelName, NoiseEstimate
 from smartview_jax.variance.kenward_roger import SmallSampleCorrection
 
 FITTED = ReprojectionErrors(np.array([[3.0, 4.0], [0.0, np.inf]]), np.full((2, 2), 1e-3))
@@ -106,8 +106,8 @@ def test_the_errors_found_are_in_the_units_people_use():
     scene = random_scene(0, 4, pixel_noise=0.0)
     noise = Noise(0.4, 1e-4, np.deg2rad(0.02), field=(1e-3, 1e-3), white_pixel=0.1)
     tried = (
-        CandidateResult("white", 0.1, 0.0, noise),
-        CandidateResult("position", 0.9, 31.4, noise),
+        CandidateResult(ModelName("white", False), 0.1, 0.0, noise),
+        CandidateResult(ModelName("position", False), 0.9, 31.4, noise),
     )
     field = LinearInPosition.from_poses(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))

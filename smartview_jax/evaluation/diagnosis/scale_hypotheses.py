@@ -20,6 +20,7 @@ from ...engine import parameter_names
 from ...joint import JointFit, fit_joint
 from ...robot_errors import LinearInPose, LinearInPoseWithScales, RobotPrior
 from ...variance import TARGET_SCALE as TARGET_SCALE
+from ...variance import WHITE_NOISE, ModelName
 from ..held_out import held_out
 from ..measures import predict
 
@@ -77,14 +78,12 @@ def scale_hypotheses(
     ):
         return ()
     fit = _with_stated_target(fit)
-    log_likelihood_ratios = {
-        candidate.name: candidate.log_likelihood_ratio for candidate in noise_estimate.candidates
-    }
+    fields = {candidate.model.field for candidate in noise_estimate.candidates}
     # With no field among the candidates there is no smooth error for a hypothesis to explain.
-    if all(name.startswith("white") for name in log_likelihood_ratios):
+    if fields == {WHITE_NOISE}:
         return ()
     # The hypotheses are compared with the field that the views support: by position, or by pose.
-    field_group_count = 4 if "pose" in log_likelihood_ratios else 2
+    field_group_count = 4 if "pose" in fields else 2
     say("error budget: field")
     # All ratios are against white noise on the same data and from the same start, so that they are
     # comparable.
@@ -185,10 +184,10 @@ def _log_likelihood_ratio(fit: JointFit) -> float:
     """
     assert fit.noise_estimate is not None
     ratios = {
-        candidate.name: candidate.log_likelihood_ratio
+        candidate.model: candidate.log_likelihood_ratio
         for candidate in fit.noise_estimate.candidates
     }
-    return ratios[fit.noise_estimate.name] - ratios["white"]
+    return ratios[ModelName(fit.noise_estimate.name, False)]
 
 
 def _scale_and_std(fit: JointFit, group: str) -> tuple[float, float]:

@@ -1,0 +1,143 @@
+"""The result of a joint fit: estimates, their covariance, and what they rest on."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.special import ndtri, stdtrit
+
+from ..calibration import Calibration
+from ..deprecation import DeprecatedAttribute
+from ..engine import (
+    JointProblem,
+    Noise,
+    Observability,
+    Parameters,
+    Solution,
+    parameter_mask,
+    parameter_names,
+)
+from ..fit_result import FitResult, Rejection
+from ..variance import NoiseEstimate, p_value
+from .influence import Influence, deletion_changes
+
+
+class JointFit(eqx.Module):
+    """The result of a joint fit.
+
+    Attributes:
+        calibration: camera, hand-eye transform, target pose (and target scale, if free).
+        covariance: covariance of the free parameters that all views have in common, in the order of
+            `parameter_names`, own units.
+        std: standard deviation by name, of pose corrections too; infinite for parameters that the
+            data do not determine.
+        degrees_of_freedom: degrees of freedom of each common parameter's standard deviation, by
+            name; infinite where the variance components were not estimated.
+        noise: the noise model, given or estimated; None with `noise="trusted"`. Where the
+            likelihood finds the robot exact, the standard deviations of its errors are close to
+            zero.
+        noise_estimate: the estimate of the noise model and its candidates; None where it was not
+            estimated.
+        pixel_sigma: standard deviation of u and of v, px: as given, or from the residuals and their
+            degrees of freedom.
+        residuals: measured minus predicted through the chain *without* pose corrections, px.
+        inliers: observations within the chi-square gate around the fit; those outside it were still
+            used.
+        rejected: observations left out: view id, point index (None for a whole view), reason.
+        pose_corrections: one twist per view, translation (m) then rotation (rad), at the tool.
+        field_corrections: one twist per view at the tool, from the reported pose to the one that
+            the robot error field gives; zero without a field.
+        observability: the directions that the data do not determine.
+        parameter_names: names of the free parameters that all views have in common.
+        view_ids: names of the data's views.
+        start: the calibration from which the fit started; with estimated noise, where the estimate
+            ended.
+        problem: the least squares problem that was solved.
+        solution: the final step, with iterations and costs.
+        result: whether the fit converged.
+        warnings: the reasons to doubt the answer, a sentence each; empty where there are none.
+    """
+
+    calibration: Calibration
+    covariance: Float[np.ndarray, "free free"]
+    pixel_sigma: float = eqx.field(static=True)
+    residuals: Float[Array, "views points 2"]
+    inliers: Bool[Array, "views points"]
+    pose_corrections: Float[Array, "views 6"]
+    field_corrections: Float[Array, "views 6"]
+    start: Calibration
+    problem: JointProblem
+    solution: Solution
+    std: dict[str, float]
+    degrees_of_freedom: dict[str, float]
+    noise: Noise | None = eqx.field(static=True)
+    noise_estimate: NoiseEstimate | None
+    rejected: tuple[Rejection, ...] = eqx.field(static=True)
+    observability: Observability = eqx.field(static=True)
+    parameter_names: tuple[str, ...] = eqx.field(static=True)
+    view_ids: tuple[str, ...] = eqx.field(static=True)
+    result: FitResult = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    freedom = DeprecatedAttribute("freedom", "degrees_of_freedom")
+    estimate = DeprecatedAttribute("estimate", "noise_estimate")
+    margin = DeprecatedAttribute("margin", "confidence_half_width")
+
+    def confidence_half_width(self, name: str, level: float = 0.95) -> float:
+        """Return the half width of a parameter's confidence interval, in its own unit.
+
+        Args:
+            name: as in `parameter_names`.
+            level: probability that the interval contains the true value, by Student's t with the
+                parameter's `degrees_of_freedom`.
+        """
+        degrees_of_freedom, p = self.degrees_of_freedom[name], 0.5 + 0.5 * level
+        return self.std[name] * float(
+            stdtrit(degrees_of_freedom, p) if np.isfinite(degrees_of_freedom) else ndtri(p)
+        )
+
+    def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
+        """Return the p-value of the hypothesis that some of the parameters are those of `truth`.
+
+        It is the probability of a fit at least as far from `truth` as this one if `truth` were
+        true. A small value, say below 0.05, means that the pictures contradict `truth`, for
+        instance a mount taken from a drawing, or one measured before a collision.
+
+        Args:
+            truth: a calibration with the same lens, mount and field; only the parameters that the
+                paths name are compared.
+            paths: paths of fitted parameters, tested jointly; by default the hand-eye transform.
+
+        Raises:
+            ValueError: calibrations of different parameters, an unknown path or one that was not
+                fitted, or parameters that the data do not determine.
+        """
+        paths = self.calibration.transform_names[:1] if paths is None else paths
+        indices = np.flatnonzero(parameter_mask(self.parameter_names, paths))
+        names = [self.parameter_names[k] for k in indices]
+        undetermined = [name for name in names if not np.isfinite(self.std[name])]
+        if undetermined:
+            raise ValueError(f"the data leave {', '.join(undetermined)} open: see `observability`")
+        fit_names, truth_names = (parameter_names(c) for c in (self.calibration, truth))
+        if fit_names != truth_names:
+            raise ValueError(
+                f"truth: its parameters are {', '.join(truth_names)}; those of the fit "
+                f"{', '.join(fit_names)}"
+            )
+        # d^T P^-1 d for the difference d under its covariance P: chi-square where the variance
+        # components are known, otherwise F with the Kenward-Roger correction.
+        difference = np.asarray(Parameters(truth).step_to(self.calibration))
+        return p_value(
+            difference[[fit_names.index(name) for name in names]],
+            self.covariance[np.ix_(indices, indices)],
+            None if self.noise_estimate is None else self.noise_estimate.correction_of(names),
+        )
+
+
+def view_influence(fit: JointFit) -> Influence:
+    """Return how far each view moves the fit: its change without that view, to first order."""
+    changes = np.asarray(deletion_changes(fit.problem, fit.solution.z))
+    std = np.array([fit.std[name] for name in fit.parameter_names])
+    mount_path = fit.calibration.transform_names[0]
+    return Influence(changes, std, fit.parameter_names, fit.view_ids, mount_path)

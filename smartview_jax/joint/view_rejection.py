@@ -1,0 +1,86 @@
+"""Decide which view's reported pose contradicts the other views', after a joint fit.
+
+A view is rejected by its posterior pose correction. One wrong pose, however, inflates the estimated
+pose standard deviations of all views, until no view exceeds the test: then the fits with and
+without the most suspect view are compared.
+"""
+
+import numpy as np
+
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
+from ..engine import BlockArrow
+from .influence import pose_outlier_test
+from .joint_fit import JointFit
+from .plausibility import MAX_PRIOR_SIGMAS
+
+FALSE_ALARM_PROBABILITY = 1e-6
+"""The probability, over all views, of a pose error as large as that of a view that is left out.
+
+It is far below the usual significance level because real robots' errors have longer tails than the
+normal distribution.
+"""
+
+MAX_POSE_SIGMA_RATIO = 3.0
+"""The ratio of pose standard deviations with and without a view above which its pose is wrong."""
+
+
+def inconsistent_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
+    """Return the view whose pose is least compatible with the others', and why.
+
+    None where even that one is not significant, where poses have no prior, or with too few views to
+    decide which of them is wrong.
+    """
+    if fit.noise is None or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS:
+        return None
+    scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, fit.noise_estimate is None)
+    distance, p_values = np.asarray(scores.distance), np.asarray(scores.p_value)
+    worst = int(np.argmin(p_values))
+    # Bonferroni: the smallest of n p-values is tested at the level FALSE_ALARM_PROBABILITY / n.
+    if not p_values[worst] * len(data.usable_views()) < FALSE_ALARM_PROBABILITY:
+        return None
+    return worst, (
+        f"its pose lies {distance[worst]:.0f} standard deviations from where the other views put "
+        f"it: mispaired or moved?"
+    )
+
+
+def suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None:
+    """Return the view whose pose is least compatible with the others', if poses err too much.
+
+    None where the pose standard deviations are within what robots usually have.
+    """
+    noise_estimate, noise = fit.noise_estimate, fit.noise
+    if (
+        noise_estimate is None
+        or noise is None
+        or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS
+    ):
+        return None
+    # The log-normal prior's upper limit: median times exp(MAX_PRIOR_SIGMAS * spread).
+    max_plausible = noise_estimate.robot_prior.medians(None) * np.exp(
+        MAX_PRIOR_SIGMAS * noise_estimate.robot_prior.log_stds(None)
+    )
+    if noise.translation <= max_plausible[0] and noise.rotation <= max_plausible[1]:
+        return None
+    scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, sigmas_known=False)
+    return int(np.argmin(np.asarray(scores.p_value)))
+
+
+def inflation_reason(fit: JointFit, refitted: JointFit) -> str | None:
+    """Return why a view is left out, from the other views' pose errors with it and without it.
+
+    None where the view is to be kept.
+    """
+    assert fit.noise is not None
+    assert refitted.noise is not None
+    for name, unit, unit_scale in (
+        ("translation", "mm", 1e3),
+        ("rotation", "degrees", float(np.rad2deg(1.0))),
+    ):
+        before, after = (unit_scale * getattr(f.noise, name) for f in (fit, refitted))
+        if before > MAX_POSE_SIGMA_RATIO * after:
+            return (
+                f"its pose contradicts the others': with it reported poses err by {before:.3g} "
+                f"{unit}, without it by {after:.3g}: mispaired or moved?"
+            )
+    return None

@@ -1,0 +1,102 @@
+"""The result of estimating the noise model, with the models of the robot error that were tried."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..engine import Noise
+from ..robot_errors import AbstractField, RobotPrior
+from .kenward_roger import SmallSampleCorrection
+from .model_selection import TARGET_SCALE, ModelName
+
+FREE_SCALE_PROBABILITY = 0.5
+"""Probability that the target does not have its stated size, above which its scale is made free."""
+
+
+class CandidateResult(NamedTuple):
+    """A model of the robot error that was tried.
+
+    Attributes:
+        model: its robot error field by name, and whether the target's scale was free as well.
+        probability: posterior probability of the model; zero where another field was asked for.
+        log_likelihood_ratio: twice the logarithm of the ratio of its penalised likelihood to that
+            of white noise of the poses alone.
+        noise: the standard deviations that maximise its posterior.
+    """
+
+    model: ModelName
+    probability: float
+    log_likelihood_ratio: float
+    noise: Noise
+
+    @property
+    def name(self) -> str:
+        """The name of the model, for people to read."""
+        return str(self.model)
+
+
+class TargetScaleEvidence(NamedTuple):
+    """The evidence of the views on the size of the target.
+
+    Attributes:
+        probability: probability that the size is not as stated.
+        scale: size of the target over its stated size, if it is not as stated.
+        std: standard deviation of `scale`.
+    """
+
+    probability: float
+    scale: float
+    std: float
+
+
+class NoiseEstimate(NamedTuple):
+    """A noise model, averaged over models of the robot error by their probabilities.
+
+    Attributes:
+        name: name of the most probable model.
+        noise: standard deviations of all errors in the averaged model.
+        field: robot error field; None where the views do not call for one.
+        calibration: the calibration at the end of the estimation.
+        candidates: all models of the robot error that were tried.
+        target_scale: evidence on the target's size; None where its scale was not in question.
+        mount_displacement: translation (m) and rotation (rad) of the camera's mount with the robot
+            error field, relative to that with white noise alone; None where there is no field, or
+            the mount is held.
+        converged: whether the standard deviations converged.
+        relative_std: relative standard errors of the estimated standard deviations of pixel,
+            translation, rotation and field; large for one near zero, which the data do not
+            determine.
+        parameter_names: names of the fit's shared parameters.
+        small_sample_correction: contribution of the uncertain standard deviations to the
+            covariance of the shared parameters.
+        robot_prior: prior of the robot's errors.
+    """
+
+    name: str
+    noise: Noise
+    field: AbstractField | None
+    calibration: Calibration
+    candidates: tuple[CandidateResult, ...]
+    target_scale: TargetScaleEvidence | None
+    mount_displacement: tuple[float, ...] | None
+    converged: bool
+    relative_std: tuple[float, ...]
+    parameter_names: tuple[str, ...]
+    small_sample_correction: SmallSampleCorrection
+    robot_prior: RobotPrior
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The paths of the parameters that are made free because the views call for it."""
+        scale_is_free = (
+            self.target_scale is not None and self.target_scale.probability > FREE_SCALE_PROBABILITY
+        )
+        return (TARGET_SCALE,) if scale_is_free else ()
+
+    def correction_of(self, names: Sequence[str]) -> SmallSampleCorrection:
+        """Return the small-sample correction for a subset of the parameters."""
+        return self.small_sample_correction.subset(
+            np.array([self.parameter_names.index(n) for n in names], dtype=int)
+        )
