@@ -26,6 +26,7 @@ BENCHMARKS = {
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
     "fuzz": "malformed files: refused by name, or their values in range",
+    "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "stages": "every stage timed beside OpenCV, in one run",
 }
 
@@ -39,6 +40,7 @@ def main() -> int:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="which to run")
     parser.add_argument("--smoke", action="store_true", help="small sizes; all, unless named")
+    parser.add_argument("--beside", metavar="REV", help="startup: another revision in turn")
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
     if unknown:
@@ -50,7 +52,8 @@ def main() -> int:
     for name in names:
         print(f"\n== {name}: {BENCHMARKS[name]}")
         module = importlib.import_module(f"benchmarks.{name}")
-        if not module.run(smoke=arguments.smoke):
+        options = {"beside": arguments.beside} if name == "startup" else {}
+        if not module.run(smoke=arguments.smoke, **options):
             failed.append(name)
     if failed:
         print(f"\nclaims that did not hold: {', '.join(failed)}")

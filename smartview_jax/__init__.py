@@ -14,6 +14,10 @@ Conventions, kept by every function and file:
 - float64: importing this package turns on JAX's x64 mode, because calibration is
   ill-conditioned in single precision.
 
+The first fit takes longest, because its programs are compiled. They are kept on disk, by default in
+~/.cache/smartview_jax, and later processes read them; `compilation_cache` says how to choose
+another folder or to turn that off.
+
 Glossary:
 
 - `target_from_source`: the name of every rigid transform, read from right to left. The point
@@ -36,50 +40,12 @@ Glossary:
   because the pixels of a real view err together.
 """
 
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import version as _version
+import lazy_loader as _lazy_loader
 
-import jax as _jax
+from .double_precision import enable_double_precision as _enable_double_precision
 
-_jax.config.update("jax_enable_x64", True)
+_enable_double_precision()
 
-from . import cameras as cameras  # noqa: E402
-from . import io as io  # noqa: E402
-from . import robot_errors as robot_errors  # noqa: E402
-from . import robots as robots  # noqa: E402
-from . import simulation as simulation  # noqa: E402
-from . import targets as targets  # noqa: E402
-from . import viewpoints as viewpoints  # noqa: E402
-from .arm_identification import fit_kinematics as fit_kinematics  # noqa: E402
-from .calibration import Calibration as Calibration  # noqa: E402
-from .calibration_pipeline import calibrate as calibrate  # noqa: E402
-from .cameras import Camera as Camera  # noqa: E402
-from .dataset import Dataset as Dataset  # noqa: E402
-from .detection import correct_circle_centres as correct_circle_centres  # noqa: E402
-from .engine import Noise as Noise  # noqa: E402
-from .engine import Prior as Prior  # noqa: E402
-from .evaluation import compare as compare  # noqa: E402
-from .evaluation import cramer_rao as cramer_rao  # noqa: E402
-from .evaluation import error_budget as error_budget  # noqa: E402
-from .evaluation import held_out as held_out  # noqa: E402
-from .evaluation import std_of as std_of  # noqa: E402
-from .geometry import five_viewpoints as five_viewpoints  # noqa: E402
-from .geometry import look_at as look_at  # noqa: E402
-from .geometry import se3_from_xyzoat as se3_from_xyzoat  # noqa: E402
-from .geometry import xyzoat as xyzoat  # noqa: E402
-from .io import load_dataset as load_dataset  # noqa: E402
-from .io import save_dataset as save_dataset  # noqa: E402
-from .joint import JointFit as JointFit  # noqa: E402
-from .joint import fit_camera as fit_camera  # noqa: E402
-from .joint import fit_joint as fit_joint  # noqa: E402
-from .joint import fit_many as fit_many  # noqa: E402
-from .joint import view_influence as view_influence  # noqa: E402
-from .staged import StagedFit as StagedFit  # noqa: E402
-from .staged import fit_staged as fit_staged  # noqa: E402
-from .viewpoints import choose_views as choose_views  # noqa: E402
-from .viewpoints import viewpoint_commands as viewpoint_commands  # noqa: E402
-
-try:
-    __version__ = _version("smartview-jax")
-except PackageNotFoundError:  # a checkout that was never installed has no metadata
-    __version__ = "0+unknown"
+# The public names, and where they are defined, stand in `__init__.pyi`, where type checkers and
+# editors read them. Each is imported when it is first used.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

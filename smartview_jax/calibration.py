@@ -20,13 +20,17 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from .array_namespace import as_float_array
 from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
+from .compilation import compiled
 from .deprecation import DeprecatedAttribute
 from .files import dump_yaml, read_yaml, write_atomically
 from .geometry import (
     PoseLike,
     ViewedRegion,
     as_se3,
+    host_matrices,
+    host_transforms,
     region_from_dict,
     region_to_dict,
     transform_from_dict,
@@ -70,6 +74,13 @@ def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
     # Eye-in-hand: tool_from_base, the inverse of what the robot reports. Eye-to-hand: the camera is
     # on the base and the target on the tool, so the reported pose itself is the link between them.
     return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
+
+
+def host_mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
+    """Return what `mount_from_holder` returns, computed with NumPy."""
+    if mount != "eye_in_hand":
+        return base_from_tool
+    return host_transforms(np.linalg.inv(host_matrices(base_from_tool)))
 
 
 class Calibration(eqx.Module):
@@ -119,7 +130,7 @@ class Calibration(eqx.Module):
         self.camera_from_mount = camera_from_mount
         self.holder_from_world = holder_from_world
         # An array, not a float: a fit may estimate it, and a new value must not compile again.
-        self.target_scale = jnp.asarray(target_scale, dtype=float)
+        self.target_scale = as_float_array(target_scale)
         self.mount = mount
         self.robot_error = robot_error
         self.region = region
@@ -214,12 +225,13 @@ class Calibration(eqx.Module):
             corrected: apply the robot error, if one was fitted; False takes poses as reported.
         """
         reported, error = as_command(base_from_tool), self.robot_error if corrected else None
-        # The command may carry joint angles, on which an arm's own errors depend; a pose alone does
-        # not determine them.
-        pose = reported.base_from_tool if error is None else error.actual_pose(reported)
-        robot = mount_from_holder(self.mount, pose)
-        # Eq. 10: camera_from_world = camera_from_tool @ tool_from_base @ base_from_world.
-        return self.camera_from_mount @ robot @ self.holder_from_world
+        return _chain(self.camera_from_mount, self.holder_from_world, self.mount, error, reported)
+
+    def camera_from_world_matrices(self, reported: Command) -> Float[Array, "views 4 4"]:
+        """Return the extrinsics `(views)` of `camera_from_world` as matrices, compiled."""
+        return _chain_matrices(
+            self.camera_from_mount, self.holder_from_world, self.mount, self.robot_error, reported
+        )
 
     def command_for(
         self,
@@ -426,3 +438,30 @@ class Calibration(eqx.Module):
 
 _TRANSFORM_PATTERNS = ("camera_from_{0}", "{1}_from_world")
 """The names of the two transforms in a file, to be formatted with mount and holder frame."""
+
+
+def _chain(
+    camera_from_mount: SE3,
+    holder_from_world: SE3,
+    mount: str,
+    error: RobotError | None,
+    reported: Command,
+) -> SE3:
+    """Return the extrinsics at the given robot poses by the chain of Eq. 10."""
+    # The command may carry joint angles, on which an arm's own errors depend; a pose alone does
+    # not determine them.
+    pose = reported.base_from_tool if error is None else error.actual_pose(reported)
+    # Eq. 10: camera_from_world = camera_from_tool @ tool_from_base @ base_from_world.
+    return camera_from_mount @ mount_from_holder(mount, pose) @ holder_from_world
+
+
+@compiled
+def _chain_matrices(
+    camera_from_mount: SE3,
+    holder_from_world: SE3,
+    mount: str,
+    error: RobotError | None,
+    reported: Command,
+) -> Float[Array, "views 4 4"]:
+    """Return the extrinsics as matrices; one program for all cameras."""
+    return _chain(camera_from_mount, holder_from_world, mount, error, reported).as_matrix()

@@ -1,6 +1,5 @@
 """Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -178,20 +177,17 @@ def calibrate(
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
     views_to_use(data, camera)
+    noise = joint_options.get("noise", "estimated")
     with ThreadPoolExecutor(max_workers=1) as background:
-        precompilation = background.submit(precompile, data, lens, camera, joint_options)
+        precompilation = background.submit(precompile, data, lens, camera=camera, noise=noise)
         staged = fit_staged(
             data, lens, camera=camera, step2=STEP2_METHODS[step2], progress=progress
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
-    inlier_data = _restrict_visible(data, staged.inliers)
-    joint = fit_joint(inlier_data, staged.calibration, progress=progress, **joint_options)
-    # Residuals are reported for every observation, outliers too. The region is left out so that the
-    # calibration has the structure for which the fits have already compiled `chain_residuals`.
-    without_region = dataclasses.replace(joint.calibration, region=None)
-    residuals = chain_residuals(without_region, data.observations)
-    joint = eqx.tree_at(lambda f: f.residuals, joint, residuals)
+    joint = fit_joint(
+        data, staged.calibration, inliers=staged.inliers, progress=progress, **joint_options
+    )
     return CalibrationFit(staged, joint)
 
 
@@ -210,8 +206,8 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     start, estimated = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
     free = tuple(name for name in ("target_scale",) if name in estimated)
-    used = _restrict_visible(data, fit.joint.problem.observations.visible)
-    return fit_joint(used, start, noise="trusted", fixed=fixed, free=free).calibration
+    used = fit.joint.problem.observations.visible
+    return fit_joint(data, start, noise="trusted", fixed=fixed, free=free, inliers=used).calibration
 
 
 def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
@@ -238,8 +234,3 @@ def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
                 f"RMS, the staged one {staged_rms:.1f}: the correction holds what belongs elsewhere"
             )
     return tuple(messages)
-
-
-def _restrict_visible(data: Dataset, mask: Bool[Array, "views points"]) -> Dataset:
-    """Return the data with only these of the visible observations."""
-    return eqx.tree_at(lambda d: d.visible, data, data.visible & mask)

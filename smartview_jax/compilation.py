@@ -2,7 +2,7 @@
 
 Compilation by XLA takes most of the time to a first result. XLA's fusion emitters for the CPU need
 nearly half of that time and hardly speed up a fit; optimisation by LLVM costs as much time as a
-thousand small fits.
+thousand small fits. Compiled programs are kept for later processes (`compilation_cache`).
 """
 
 import functools
@@ -12,6 +12,8 @@ from typing import ParamSpec, TypeVar
 import equinox as eqx
 import jax
 from jax.core import Tracer
+
+from .compilation_cache import keep_compiled_programs
 
 MIN_OPTIMISED_ELEMENTS = 30_000
 """Smallest number of array elements in the arguments for which a program is compiled optimised.
@@ -69,6 +71,9 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs)))
-        return (nested if traced else top_level)(*args, **kwargs)
+        if traced:
+            return nested(*args, **kwargs)
+        keep_compiled_programs()
+        return top_level(*args, **kwargs)
 
     return call

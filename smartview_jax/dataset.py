@@ -12,10 +12,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from .array_namespace import AnyArray, to_device
 from .calibration import Calibration, mount_frames
+from .cameras import Camera
 from .compilation import compiled
 from .deprecation import DeprecatedAttribute
-from .geometry import PoseLike, as_se3, check_rigid
+from .geometry import PoseLike, check_rigid, host_matrices, se3_from_matrices
 from .robots import Command, SerialArm
 
 MINIMUM_RELIABLE_VIEWS = 8
@@ -61,7 +63,6 @@ class Observations(eqx.Module):
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
 
 
-@compiled
 def chain_residuals(
     calibration: Calibration, observations: Observations
 ) -> Float[Array, "views points 2"]:
@@ -70,16 +71,34 @@ def chain_residuals(
     They are zero where a point was not seen, and infinite where a point was seen but cannot be
     predicted.
     """
+    poses = calibration.camera_from_world_matrices(observations.command)
+    return view_residuals(calibration.camera, calibration.target_scale, poses, observations)
 
-    def view_residuals(view_observations: Observations) -> Float[Array, "points 2"]:
+
+@compiled
+def view_residuals(
+    camera: Camera,
+    target_scale: Float[Array, ""],
+    camera_from_world: Float[AnyArray, "views 4 4"],
+    observations: Observations,
+) -> Float[Array, "views points 2"]:
+    """Return measured minus predicted pixels for given camera poses.
+
+    They are zero where a point was not seen, and infinite where a point was seen but cannot be
+    predicted. One program serves every fit, whatever it knows about the robot.
+    """
+
+    def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
         """Return the residuals of one view."""
-        predicted, valid = calibration.project(view_observations.command, view_observations.points)
+        pose, view = pose_and_view
+        in_camera = (target_scale * view.points) @ pose[:3, :3].T + pose[:3, 3][None]
+        predicted, valid = camera.project(in_camera)
         # Infinite, not zero: a calibration that cannot predict a seen point must not look good.
-        unpredicted = (view_observations.visible & ~valid)[..., None]
-        return jnp.where(unpredicted, jnp.inf, view_observations.residuals(predicted, valid))
+        unpredicted = (view.visible & ~valid)[..., None]
+        return jnp.where(unpredicted, jnp.inf, view.residuals(predicted, valid))
 
     # View by view: projecting all views at once takes several times the memory of the data.
-    return jax.lax.map(view_residuals, observations)
+    return jax.lax.map(one_view, (camera_from_world, observations))
 
 
 class Dataset(eqx.Module):
@@ -198,11 +217,13 @@ class Dataset(eqx.Module):
             raise ValueError("points: a target point that was seen has NaN coordinates")
         # NaN makes any code fail visibly that reads a pixel without looking at the mask.
         pixels[~seen] = np.nan
+        # All arrays are copies of the caller's, because `device_put` may share their memory; unlike
+        # `jnp.asarray` it compiles no program.
         data = cls(
-            points=jnp.broadcast_to(jnp.nan_to_num(jnp.asarray(points)), (*seen.shape, 3)),
-            pixels=jnp.asarray(pixels),
-            visible=jnp.asarray(seen),
-            base_from_tool=as_se3(matrices),
+            points=jax.device_put(np.broadcast_to(np.nan_to_num(points), (*seen.shape, 3))),
+            pixels=jax.device_put(pixels),
+            visible=jax.device_put(seen),
+            base_from_tool=se3_from_matrices(matrices),
             view_ids=ids,
             image_size=(int(image_size[0]), int(image_size[1])),
             mount=mount,
@@ -229,10 +250,15 @@ class Dataset(eqx.Module):
         used = np.array([view not in masked for view in self.view_ids], dtype=bool)
         # Masked views are not compared: a wrong pose may be the reason why they are masked.
         _check_forward_kinematics(computed, self.base_from_tool, used, self.view_ids)
-        poses = jnp.where(used[:, None], computed.wxyz_xyz, self.base_from_tool.wxyz_xyz)
+        poses = np.where(used[:, None], computed.wxyz_xyz, self.base_from_tool.wxyz_xyz)
         # Joint readings of masked views may be NaN, which would spread through sums over views.
-        readings = jnp.nan_to_num(jnp.asarray(joints, dtype=float))
-        return dataclasses.replace(self, base_from_tool=SE3(poses), joints=readings, arm=arm)
+        readings = np.nan_to_num(np.asarray(joints, dtype=float))
+        return dataclasses.replace(
+            self,
+            base_from_tool=SE3(jax.device_put(poses)),
+            joints=jax.device_put(readings),
+            arm=arm,
+        )
 
     @property
     def observations(self) -> Observations:
@@ -260,12 +286,19 @@ class Dataset(eqx.Module):
         """Return the indices of the views with no fewer than `minimum_points` visible points."""
         return np.flatnonzero(np.asarray(self.visible).sum(axis=1) >= minimum_points)
 
+    def with_visible(self, visible: Bool[np.ndarray, "views points"]) -> "Dataset":
+        """Return the data set with these observations only, of those that are visible."""
+        return dataclasses.replace(
+            self, visible=to_device(np.asarray(self.visible) & np.asarray(visible))
+        )
+
     def mask_views(self, views: Sequence[int] | np.ndarray) -> "Dataset":
         """Return the data set with some views masked; shapes stay, so nothing is compiled again."""
         unmasked = np.ones(self.view_count, dtype=bool)
         unmasked[list(views)] = False
-        visible = self.visible & jnp.asarray(unmasked)[:, None]
-        pixels = jnp.where(visible[..., None], self.pixels, jnp.nan)
+        visible = np.asarray(self.visible) & unmasked[:, None]
+        pixels = np.where(visible[..., None], self.pixels, np.nan)
+        visible, pixels = jax.device_put((visible, pixels))
         return dataclasses.replace(self, visible=visible, pixels=pixels)
 
     def select(self, views: Sequence[int] | np.ndarray) -> "Dataset":
@@ -283,18 +316,23 @@ class Dataset(eqx.Module):
         if len(np.unique(index)) < len(index):
             raise ValueError(f"views: expected each index once, found {list(views)}")
         ids = tuple(self.view_ids[i] for i in index)
+
+        def taken(values: Array) -> Array:
+            """Return the given views' entries; NumPy needs no program for each number of views."""
+            return jax.device_put(np.asarray(values)[index])
+
         return Dataset(
-            points=self.points[index],
-            pixels=self.pixels[index],
-            visible=self.visible[index],
-            base_from_tool=SE3(self.base_from_tool.wxyz_xyz[index]),
+            points=taken(self.points),
+            pixels=taken(self.pixels),
+            visible=taken(self.visible),
+            base_from_tool=SE3(taken(self.base_from_tool.wxyz_xyz)),
             view_ids=ids,
             image_size=self.image_size,
             mount=self.mount,
             masked_views=tuple(entry for entry in self.masked_views if entry[0] in ids),
             pictures=None if self.pictures is None else tuple(self.pictures[i] for i in index),
             target=self.target,
-            joints=None if self.joints is None else self.joints[index],
+            joints=None if self.joints is None else taken(self.joints),
             arm=self.arm,
             notes=self.notes,
         )
@@ -338,6 +376,12 @@ def _forward_kinematics(
     return arm.base_from_tool(readings)
 
 
+@compiled
+def _pose_difference(first: SE3, second: SE3) -> Float[Array, "*views 6"]:
+    """Return the twist from one pose to another, `log(first^-1 second)`."""
+    return (first.inverse() @ second).log()
+
+
 def _check_forward_kinematics(
     computed: SE3, reported: SE3, used: Bool[np.ndarray, "views"], ids: tuple[str, ...]
 ) -> None:
@@ -346,7 +390,7 @@ def _check_forward_kinematics(
     The tool frame, the pose convention or the arm is then wrong.
     """
     # The difference is the twist log(computed^-1 reported): translation (m), then rotation (rad).
-    twist = np.asarray((computed.inverse() @ reported).log())
+    twist = np.asarray(_pose_difference(computed, reported))
     # Largest component of each of the two; NaN fails the comparison below.
     max_components = np.abs(twist).reshape(-1, 2, 3).max(axis=2)
     for view in np.flatnonzero(used):
@@ -369,7 +413,7 @@ def _pose_matrices(base_from_tool: PoseLike, view_count: int) -> np.ndarray:
     if not isinstance(base_from_tool, SE3):
         matrices = np.asarray(base_from_tool, dtype=float)
     else:
-        matrices = np.asarray(as_se3(base_from_tool).as_matrix())
+        matrices = host_matrices(base_from_tool)
     if matrices.shape != (view_count, 4, 4):
         raise ValueError(
             f"base_from_tool: expected shape ({view_count}, 4, 4), one pose a view, "

@@ -5,7 +5,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,6 +19,9 @@ from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 RUNNER = CliRunner()
+
+LOAD = "smartview_jax.cli.calibrate.load_named"
+"""The function by which a subcommand reads its data set."""
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +96,7 @@ def test_a_camera_that_stands_is_published_in_the_base(tmp_path):
 
 def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     """Three views are too few to be held out or to be given a field."""
-    monkeypatch.setattr("smartview_jax.cli._load", lambda *_: (three_views(), "three views"))
+    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])
     assert run.exit_code == 0, run.output
@@ -158,7 +160,7 @@ def test_where_results_go_is_looked_at_before_the_work(tmp_path, monkeypatch):
     def never(*_):
         raise AssertionError("it began to work")
 
-    monkeypatch.setattr("smartview_jax.cli._load", never)
+    monkeypatch.setattr(LOAD, never)
     (tmp_path / "file").write_text("a file")
     cases = {
         tmp_path / "file": f"--out: {tmp_path / 'file'} is a file; expected a folder",
@@ -173,7 +175,7 @@ def test_where_results_go_is_looked_at_before_the_work(tmp_path, monkeypatch):
 
 def test_a_report_that_fails_leaves_the_last_runs_files(tmp_path, monkeypatch):
     """Not a new calibration beside an old report."""
-    monkeypatch.setattr("smartview_jax.cli._load", lambda *_: (three_views(), "three views"))
+    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
 
     def broken(*_):
         raise ValueError("no report")
@@ -244,21 +246,6 @@ def test_a_bad_view_is_an_error_or_masked_as_the_user_says(tmp_path, monkeypatch
     run = RUNNER.invoke(app, ["compare", str(folder), "--bad-views", "mask"])
     assert run.exit_code == 0, run.output
     assert [view for view, _ in seen[0].masked_views] == ["3"]
-
-
-def test_what_is_compiled_is_kept_where_the_user_says(tmp_path, monkeypatch):
-    before = jax.config.jax_compilation_cache_dir
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
-    try:
-        RUNNER.invoke(app, ["export", str(tmp_path / "none.yaml"), "--to", "ros"])
-        assert jax.config.jax_compilation_cache_dir == str(tmp_path / "smartview_jax")
-        monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "mine"))
-        jax.config.update("jax_compilation_cache_dir", None)
-        RUNNER.invoke(app, ["export", str(tmp_path / "none.yaml"), "--to", "ros"])
-        assert jax.config.jax_compilation_cache_dir is None
-    finally:
-        jax.config.update("jax_compilation_cache_dir", before)
 
 
 def test_version():

@@ -3,9 +3,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from programs import programs_built
 
 from smartview_jax import Dataset
 from smartview_jax.dataset import chain_residuals
+from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.robots import kuka_lwr4
 from smartview_jax.simulation import random_scene
 
@@ -38,6 +40,33 @@ def test_poses_may_be_transforms_or_matrices(arrays):
     np.testing.assert_allclose(
         matrices.base_from_tool.as_matrix(), transforms.base_from_tool.as_matrix(), atol=1e-14
     )
+
+
+def test_data_are_read_without_compiling_a_program(arrays):
+    """NumPy does what is done once; a program takes a hundred times as long to build as to run."""
+    poses = SE3.from_matrix(jnp.asarray(arrays["base_from_tool"]))
+    with programs_built() as programs:
+        data = Dataset.from_arrays(**arrays)
+        Dataset.from_arrays(**{**arrays, "base_from_tool": poses})
+        data.mask_views([1]).select([0, 2])
+        load_dataset(sample_folder(), keep_detections=False)
+        assert not programs
+        # The check can fail: this is one.
+        jnp.zeros(3) + 1.0
+    assert programs
+
+
+def test_the_callers_arrays_are_copied(arrays):
+    """What is put on a device may share the memory of the array that it came from."""
+    visible = np.ones((VIEWS, POINTS), dtype=bool)
+    arrays["points"] = np.tile(arrays["points"], (VIEWS, 1, 1))
+    data = Dataset.from_arrays(**arrays, visible=visible)
+    before = [np.array(x) for x in (data.points, data.pixels, data.visible)]
+    arrays["points"][:] = 0.0
+    arrays["pixels"][:] = 0.0
+    visible[:] = False
+    for kept, now in zip(before, (data.points, data.pixels, data.visible), strict=True):
+        np.testing.assert_array_equal(kept, now)
 
 
 def test_pixels_that_are_nan_are_not_visible(arrays):

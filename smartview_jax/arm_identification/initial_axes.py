@@ -14,6 +14,7 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..geometry import host_nearest_rotation
 from ..robots import SerialArm
 
 MAX_REST_MOTION = 2e-3
@@ -132,7 +133,7 @@ def axes_from_arm(
     ]
     rotations = np.linalg.svd(np.concatenate(rows), full_matrices=False)[2][-1].reshape(2, 3, 3)
     rotations = rotations * np.sign(np.linalg.det(rotations[0]))
-    inverse_rotation_y, rotation_x = (_nearest_rotation(m) for m in rotations)
+    inverse_rotation_y, rotation_x = (host_nearest_rotation(m) for m in rotations)
     # Translation part: t_P - R_X t_B = R_X R_B t_Y + t_X.
     A = np.concatenate([np.hstack([rotation_x @ b[:3, :3], identity]) for b in B])
     differences = P[:, :3, 3] - B[:, :3, 3] @ rotation_x.T
@@ -220,10 +221,3 @@ def _joint_axis_frame(
     frame = np.eye(4)
     frame[:3] = np.stack([x, np.cross(z, x), z, point], axis=1)
     return frame
-
-
-def _nearest_rotation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation matrix nearest to a matrix in the Frobenius norm."""
-    # R = U diag(1, 1, det(U V^T)) V^T: the determinant excludes reflections.
-    U, _, Vt = np.linalg.svd(matrix)
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

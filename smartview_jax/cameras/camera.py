@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..array_namespace import as_float_array
 from .lens import AbstractLens
 
 
@@ -37,10 +38,10 @@ class Camera(eqx.Module):
         lens: AbstractLens,
         image_size: tuple[int, int],
     ):
-        self.alpha_u = jnp.asarray(alpha_u, dtype=float)
-        self.alpha_v = jnp.asarray(alpha_v, dtype=float)
-        self.u0 = jnp.asarray(u0, dtype=float)
-        self.v0 = jnp.asarray(v0, dtype=float)
+        self.alpha_u = as_float_array(alpha_u)
+        self.alpha_v = as_float_array(alpha_v)
+        self.u0 = as_float_array(u0)
+        self.v0 = as_float_array(v0)
         self.lens = lens
         self.image_size = image_size
 

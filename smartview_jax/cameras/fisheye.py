@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..array_namespace import as_float_array
 from .lens import AbstractLens
 
 
@@ -27,7 +28,7 @@ class Fisheye(AbstractLens):
     def __init__(
         self, k1: ScalarLike = 0.0, k2: ScalarLike = 0.0, k3: ScalarLike = 0.0, k4: ScalarLike = 0.0
     ):
-        self.k1, self.k2, self.k3, self.k4 = (jnp.asarray(k, dtype=float) for k in (k1, k2, k3, k4))
+        self.k1, self.k2, self.k3, self.k4 = (as_float_array(k) for k in (k1, k2, k3, k4))
 
     def distort(
         self, points: Float[Array, "*batch 3"]

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..array_namespace import as_float_array
 from .implicit import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
@@ -154,7 +155,7 @@ class OpenCV4(AbstractOpenCVLens):
     def __init__(
         self, k1: ScalarLike = 0.0, k2: ScalarLike = 0.0, p1: ScalarLike = 0.0, p2: ScalarLike = 0.0
     ):
-        self.k1, self.k2, self.p1, self.p2 = (jnp.asarray(k, dtype=float) for k in (k1, k2, p1, p2))
+        self.k1, self.k2, self.p1, self.p2 = (as_float_array(k) for k in (k1, k2, p1, p2))
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
@@ -180,7 +181,7 @@ class OpenCV5(AbstractOpenCVLens):
         p2: ScalarLike = 0.0,
         k3: ScalarLike = 0.0,
     ):
-        values = (jnp.asarray(k, dtype=float) for k in (k1, k2, p1, p2, k3))
+        values = (as_float_array(k) for k in (k1, k2, p1, p2, k3))
         self.k1, self.k2, self.p1, self.p2, self.k3 = values
 
     @property
@@ -213,7 +214,7 @@ class OpenCV8(AbstractOpenCVLens):
         k5: ScalarLike = 0.0,
         k6: ScalarLike = 0.0,
     ):
-        values = (jnp.asarray(k, dtype=float) for k in (k1, k2, p1, p2, k3, k4, k5, k6))
+        values = (as_float_array(k) for k in (k1, k2, p1, p2, k3, k4, k5, k6))
         self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
 
     @property

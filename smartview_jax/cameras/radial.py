@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..array_namespace import as_float_array
 from .lens import AbstractPerspectiveLens
 
 
@@ -20,7 +21,7 @@ class Radial(AbstractPerspectiveLens):
     k1: Float[Array, ""]
 
     def __init__(self, k1: ScalarLike = 0.0):
-        self.k1 = jnp.asarray(k1, dtype=float)
+        self.k1 = as_float_array(k1)
 
     def distort_normalised(
         self, ideal: Float[Array, "*batch 2"]

@@ -1,8 +1,9 @@
 """Find lens models by name, and convert one model to the start of another."""
 
 import equinox as eqx
-import jax.numpy as jnp
+import numpy as np
 
+from ..array_namespace import as_float_array
 from ..schemas.messages import spelling_suggestion
 from .fisheye import Fisheye
 from .lens import AbstractLens
@@ -68,8 +69,8 @@ def initial_lens(name: str | AbstractLens, fitted: AbstractLens) -> AbstractLens
         return lens
     # To first order in k1, the inverse of  x' = x (1 + k1 |x|^2)  is  x = x' (1 - k1 |x'|^2), so
     # that k1 changes its sign where the directions differ. A pinhole has none: it counts as zero.
-    k1 = getattr(fitted, "k1", jnp.zeros(()))
+    k1 = np.asarray(getattr(fitted, "k1", 0.0))
     same_direction = isinstance(lens, undistorting_models) == isinstance(
         fitted, undistorting_models
     )
-    return eqx.tree_at(lambda model: model.k1, lens, k1 if same_direction else -k1)
+    return eqx.tree_at(lambda model: model.k1, lens, as_float_array(k1 if same_direction else -k1))

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..array_namespace import as_float_array
 from .implicit import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
@@ -36,7 +37,7 @@ class Weng(AbstractPerspectiveLens):
         g3: ScalarLike = 0.0,
         g4: ScalarLike = 0.0,
     ):
-        values = (jnp.asarray(k, dtype=float) for k in (k1, g1, g2, g3, g4))
+        values = (as_float_array(k) for k in (k1, g1, g2, g3, g4))
         self.k1, self.g1, self.g2, self.g3, self.g4 = values
 
     def distort_normalised(

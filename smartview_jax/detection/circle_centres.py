@@ -50,17 +50,19 @@ def correct_circle_centres(
     count = data.points.shape[1]
     if radii.shape not in ((), (count,)):
         raise ValueError(f"radius: expected one number or {count}, found shape {radii.shape}")
-    radius_per_point = jnp.broadcast_to(jnp.asarray(radii), (count,))
+    radius_per_point = jax.device_put(np.broadcast_to(radii, (count,)))
     bias, valid = predicted_bias(calibration, data.observations, radius_per_point)
-    not_projectable = np.asarray(data.visible & ~valid)
+    visible = np.asarray(data.visible)
+    not_projectable = visible & ~np.asarray(valid)
     if not_projectable.any():
         view, point = np.argwhere(not_projectable)[0]
         raise ValueError(
             f"view {data.view_ids[view]}: circle {point} was seen, but this calibration cannot "
             "project it"
         )
-    pixels = jnp.where(data.visible[..., None], data.pixels - bias, data.pixels)
-    return dataclasses.replace(data, pixels=pixels)
+    measured = np.asarray(data.pixels)
+    pixels = np.where(visible[..., None], measured - np.asarray(bias), measured)
+    return dataclasses.replace(data, pixels=jax.device_put(pixels))
 
 
 @compiled_optimised

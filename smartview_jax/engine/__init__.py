@@ -1,9 +1,11 @@
 """The least-squares problem of the joint calibration, and the solver that uses its structure."""
 
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE
+from .covariance import ReducedEquations as ReducedEquations
 from .covariance import ScaledJacobian as ScaledJacobian
 from .covariance import covariance as covariance
 from .covariance import per_view_std as per_view_std
+from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance
 from .covariance import variance_factor as variance_factor
 from .losses import AbstractLoss as AbstractLoss
@@ -22,12 +24,13 @@ from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
 from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma
+from .pixel_sigma import squared_residuals as squared_residuals
 from .pixel_sigma import updated_sigma as updated_sigma
 from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
 from .priors import Prior as Prior
+from .problem import FittedChain as FittedChain
 from .problem import JointProblem as JointProblem
 from .problem import NormalEquations as NormalEquations
-from .problem import valid_at_start as valid_at_start
 from .problem_builder import BuiltProblem as BuiltProblem
 from .problem_builder import build_problem as build_problem
 from .problem_builder import unprojectable_views_message as unprojectable_views_message

@@ -1,10 +1,13 @@
 """Covariance matrix of the fitted parameters, from the normal equations at the optimum."""
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from typing import NamedTuple
 
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..array_namespace import AnyArray, AnyScalar, array_namespace
 from .problem import JointProblem
+from .schur import BlockArrow
 
 RANK_TOLERANCE = 3e-7
 """Singular value, of the Jacobian with unit columns, below which a direction is unobservable.
@@ -41,9 +44,44 @@ class ScaledJacobian:
         self.right_singular_vectors = vectors.T[::-1]
 
 
+class ReducedEquations(NamedTuple):
+    """The normal equations of the shared parameters, the views' own eliminated, on the host.
+
+    Attributes:
+        schur_complement: matrix of the shared parameters alone.
+        per_view_inverse: inverse of each view's own block.
+        gain: that inverse times the view's border block with the shared parameters.
+    """
+
+    schur_complement: Float[np.ndarray, "n n"]
+    per_view_inverse: Float[np.ndarray, "views 6 6"]
+    gain: Float[np.ndarray, "views 6 n"]
+
+    def per_view_covariance(
+        self, shared_covariance: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "views 6 6"]:
+        """Return the covariance of each view's own parameters, given that of the shared ones."""
+        # Cov(y_v) = D_v^-1 + K_v C K_v^T with the gain K_v = D_v^-1 B_v and C = Cov(x).
+        return self.per_view_inverse + self.gain @ shared_covariance @ np.swapaxes(self.gain, 1, 2)
+
+
+def reduced_equations(matrix: BlockArrow) -> ReducedEquations:
+    """Eliminate every view's own parameters from the normal equations, as `eliminate` does.
+
+    A block without an inverse gives NaN, not an error.
+    """
+    shared, border, per_view = map(np.asarray, (matrix.shared, matrix.border, matrix.per_view))
+    try:
+        inverse = np.linalg.inv(per_view)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(per_view, np.nan)
+    gain = inverse @ border
+    return ReducedEquations(shared - np.einsum("vki,vkj->ij", border, gain), inverse, gain)
+
+
 def variance_factor(
-    problem: JointProblem, squared_residuals: Float[Array, "views points"]
-) -> Float[Array, ""]:
+    problem: JointProblem, squared_residuals: Float[AnyArray, "views points"]
+) -> AnyScalar:
     """Estimate the factor by which the assumed pixel variance is wrong, from all residuals.
 
     It is the sum of squared whitened residuals over the degrees of freedom. With a robust loss it
@@ -55,29 +93,31 @@ def variance_factor(
         squared_residuals: squared whitened residuals of the points, as
             `JointProblem.squared_residuals` returns them.
     """
-    visible, weight = problem.observations.visible, problem.prior_weight
+    xp = array_namespace(squared_residuals)
+    visible, weight = xp.asarray(problem.observations.visible), problem.prior_weight
     if problem.loss is not None:
         return robust_variance(squared_residuals, visible)
     # sum |r|^2 / (2 n - p), with n visible points and p free parameters without a prior.
-    shared = weight.shared[problem.free_indices] == 0.0
-    per_view = problem.per_view_free & (weight.per_view == 0.0)
-    free = jnp.sum(shared.astype(float)) + jnp.sum(per_view.astype(float))
-    return jnp.sum(squared_residuals) / jnp.maximum(
-        2.0 * jnp.sum(visible.astype(float)) - free, 1.0
-    )
+    shared = xp.asarray(weight.shared)[xp.asarray(problem.free)] == 0.0
+    per_view = xp.asarray(problem.per_view_free) & (xp.asarray(weight.per_view) == 0.0)
+    free = xp.sum(shared) + xp.sum(per_view)
+    return xp.sum(squared_residuals) / xp.maximum(2.0 * xp.sum(visible) - free, 1.0)
 
 
 def robust_variance(
-    squared_residuals: Float[Array, "views points"], visible: Bool[Array, "views points"]
-) -> Float[Array, ""]:
+    squared_residuals: Float[AnyArray, "views points"], visible: Bool[AnyArray, "views points"]
+) -> AnyScalar:
     """Estimate the variance per component from the median of the squared residuals.
 
     The result is one if no point is visible.
     """
     # |r|^2 / sigma^2 of a two-component residual is chi-square with 2 degrees of freedom, whose
     # median is 2 log 2: median |r|^2 = 2 log 2 sigma^2.
-    variance = jnp.nanmedian(jnp.where(visible, squared_residuals, jnp.nan)) / (2.0 * jnp.log(2.0))
-    return jnp.where(jnp.isnan(variance), 1.0, jnp.maximum(variance, 1e-24))
+    xp = array_namespace(squared_residuals)
+    if xp is np and not np.any(visible):
+        return np.asarray(1.0)
+    variance = xp.nanmedian(xp.where(visible, squared_residuals, xp.nan)) / (2.0 * np.log(2.0))
+    return xp.where(xp.isnan(variance), 1.0, xp.maximum(variance, 1e-24))
 
 
 def covariance(
@@ -107,21 +147,21 @@ def covariance(
 
 
 def per_view_std(
-    per_view_inverse: Float[np.ndarray, "views 6 6"],
-    gain: Float[np.ndarray, "views 6 n"],
+    equations: ReducedEquations,
     shared_covariance: Float[np.ndarray, "n n"],
     variance_factor: float,
 ) -> Float[np.ndarray, "views 6"]:
     """Compute the standard deviations of each view's own parameters.
 
     Args:
-        per_view_inverse: inverse of each view's own block of the normal equations.
-        gain: that inverse times the view's border block with the shared parameters.
+        equations: the reduced normal equations.
         shared_covariance: covariance of the shared parameters, as `covariance` returns it.
         variance_factor: as in `covariance`.
     """
     # Cov(y_v) = f D^-1 + K C K^T for the view's own parameters y_v, with D their block, K = D^-1 B
     # the gain, C the covariance of the shared parameters and f the variance factor.
-    conditional_variance = variance_factor * np.diagonal(per_view_inverse, axis1=1, axis2=2)
-    shared_contribution = np.einsum("vki,ij,vkj->vk", gain, shared_covariance, gain)
-    return np.sqrt(conditional_variance + shared_contribution)
+    conditional_variance = variance_factor * np.diagonal(
+        equations.per_view_inverse, axis1=1, axis2=2
+    )
+    gain = equations.gain
+    return np.sqrt(conditional_variance + np.sum((gain @ shared_covariance) * gain, axis=2))

@@ -43,13 +43,13 @@ class Huber(AbstractLoss):
 
 
 class Cauchy(AbstractLoss):
-    """The Cauchy loss `scale^2 log(1 + s / scale^2)`."""
+    """The Cauchy loss `scale^2 log(1 + s / scale^2)`; an infinite scale is least squares."""
 
-    scale: float = 2.5
+    scale: float | Float[Array, ""] = 2.5
 
     def rho(self, s: Float[Array, "*points"]) -> Float[Array, "*points"]:
         """Return the loss of a squared whitened residual."""
-        return self.scale**2 * jnp.log1p(s / self.scale**2)
+        return jnp.where(jnp.isinf(self.scale), s, self.scale**2 * jnp.log1p(s / self.scale**2))
 
 
 class GemanMcClure(AbstractLoss):

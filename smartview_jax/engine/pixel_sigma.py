@@ -9,36 +9,58 @@ the residuals' standard deviation are computed in turn until they agree:
 from collections.abc import Callable
 
 import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Float
 
+from ..array_namespace import AnyScalar, array_namespace, as_float_array
+from ..dataset import view_residuals
 from .parameters import Step
-from .problem import JointProblem, NormalEquations
+from .problem import FittedChain, JointProblem, NormalEquations
 from .solver import Solution
+from .view_normal_equations import INVALID_PROJECTION_RESIDUAL
 
 SIGMA_FLOOR = 1e-4
 """Smallest pixel sigma, px; data with a smaller one count as free of noise."""
 
 
-def with_pixel_sigma(problem: JointProblem, sigma: Float[Array, ""] | float) -> JointProblem:
+def with_pixel_sigma(problem: JointProblem, sigma: AnyScalar) -> JointProblem:
     """Return the problem with another pixel sigma, px."""
-    return eqx.tree_at(lambda p: p.pixel_sigma, problem, jnp.asarray(sigma))
+    return eqx.tree_at(lambda p: p.pixel_sigma, problem, as_float_array(sigma))
 
 
-def updated_sigma(problem: JointProblem, factor: Float[Array, ""]) -> Float[Array, ""]:
+def updated_sigma(sigma: AnyScalar, factor: AnyScalar) -> AnyScalar:
     """Return the pixel sigma that the residuals have, not less than `SIGMA_FLOOR`.
 
     Args:
-        problem: the problem with the pixel sigma assumed in the fit.
+        sigma: pixel sigma assumed in the fit, px.
         factor: variance of the residuals at the fit over the assumed one.
     """
-    return jnp.maximum(problem.pixel_sigma * jnp.sqrt(factor), SIGMA_FLOOR)
+    xp = array_namespace(sigma, factor)
+    return xp.maximum(sigma * xp.sqrt(factor), SIGMA_FLOOR)
+
+
+def squared_residuals(
+    problem: JointProblem, chain: FittedChain
+) -> Float[np.ndarray, "views points"]:
+    """Return the squared length of every whitened residual at a fit, on the host.
+
+    Points that cannot be projected have `INVALID_PROJECTION_RESIDUAL` in u and in v, as in
+    `JointProblem.squared_residuals`, which is the same inside `jit`.
+    """
+    residuals = view_residuals(
+        chain.calibration.camera,
+        chain.calibration.target_scale,
+        chain.camera_from_world,
+        problem.observations,
+    )
+    squares = np.sum(np.square(residuals), axis=-1) / float(problem.pixel_sigma) ** 2
+    return np.where(np.isfinite(squares), squares, 2.0 * INVALID_PROJECTION_RESIDUAL**2)
 
 
 def solve_with_estimated_sigma(
     problem: JointProblem,
     solve_problem: Callable[[JointProblem, Step], tuple[Solution, NormalEquations]],
-    estimate_sigma: Callable[[JointProblem, Step], Float[Array, ""]],
+    variance_factor: Callable[[JointProblem, Float[np.ndarray, "views points"]], AnyScalar],
     tolerance: float,
     maximum_fits: int,
 ) -> tuple[JointProblem, Solution, NormalEquations, float]:
@@ -47,7 +69,8 @@ def solve_with_estimated_sigma(
     Args:
         problem: the problem with the first pixel sigma.
         solve_problem: solves a problem from a step.
-        estimate_sigma: pixel sigma from the residuals of a problem at a step, px.
+        variance_factor: variance of the residuals over the assumed one, from a problem and the
+            squared whitened residuals of its fit.
         tolerance: relative change of the pixel sigma at which to stop.
         maximum_fits: number of fits after which to stop.
 
@@ -55,13 +78,13 @@ def solve_with_estimated_sigma(
         The problem with the pixel sigma of the last fit, what the last fit returned, and the pixel
         sigma that its residuals have.
     """
-    solution, equations = solve_problem(problem, problem.zero_step())
-    sigma = float(estimate_sigma(problem, solution.z))
-    for _ in range(maximum_fits - 1):
-        assumed_sigma = float(problem.pixel_sigma)
-        if abs(sigma - assumed_sigma) <= tolerance * assumed_sigma:
-            break
+    step = problem.zero_step()
+    for fits in range(1, maximum_fits + 1):
+        solution, equations = solve_problem(problem, step)
+        step, assumed_sigma = solution.z, float(problem.pixel_sigma)
+        factor = variance_factor(problem, squared_residuals(problem, solution.chain))
+        sigma = float(updated_sigma(assumed_sigma, factor))
+        if abs(sigma - assumed_sigma) <= tolerance * assumed_sigma or fits == maximum_fits:
+            return problem, solution, equations, sigma
         problem = with_pixel_sigma(problem, sigma)
-        solution, equations = solve_problem(problem, solution.z)
-        sigma = float(estimate_sigma(problem, solution.z))
-    return problem, solution, equations, sigma
+    raise ValueError(f"maximum_fits: expected at least 1, found {maximum_fits}")

@@ -6,15 +6,15 @@ target's scale, the robot error field and the views' own corrections, once for a
 `view_normal_equations.py` computes the effect of a twist of a view on its pixels.
 """
 
+from typing import Any
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..geometry import se3_left_jacobian
-from ..robots import Command
 from .parameters import Parameters, Step
 
 
@@ -36,13 +36,16 @@ class PoseJacobians(eqx.Module):
     per_view_jacobian: Float[Array, "corrected 6 6"]
 
 
-def linearise_poses(parameters: Parameters, step: Step, reported: Command) -> PoseJacobians:
+def linearise_poses(
+    parameters: Parameters, step: Step, reported: SE3, prepared_poses: Any
+) -> PoseJacobians:
     """Compute all camera poses and their derivatives at a step from the start.
 
     Args:
         parameters: the start and the layout of its parameters.
         step: step from the start.
-        reported: commands or poses that the robot reported, batch shape `(views)`.
+        reported: poses that the robot reported, batch shape `(views)`.
+        prepared_poses: what the robot error field needs of them; see `AbstractField.prepare`.
     """
     calibration, corrections = parameters.retract(step)
     layout = parameters.layout
@@ -53,7 +56,9 @@ def linearise_poses(parameters: Parameters, step: Step, reported: Command) -> Po
     eye_in_hand = calibration.mount == "eye_in_hand"
 
     error = calibration.robot_error
-    pose = reported.base_from_tool if error is None else error.actual_pose(reported)
+    pose = reported
+    if error is not None:
+        pose = error.field.prepared_pose(prepared_poses, error.coefficients)
     # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
     identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, pose.wxyz_xyz.shape))
     before, after = (identity, pose.inverse()) if eye_in_hand else (pose, identity)
@@ -84,14 +89,14 @@ def linearise_poses(parameters: Parameters, step: Step, reported: Command) -> Po
         # correction to its left; with the camera beside the arm it has pose @ exp(F d), with the
         # correction to its right.
         camera_from_tool = camera_from_after if eye_in_hand else camera_from_before
-        field_jacobian = error.jacobian(reported)
+        field_jacobian = error.field.prepared_jacobian(prepared_poses, error.coefficients)
         columns.append(
             camera_from_tool.adjoint() @ (-field_jacobian if eye_in_hand else field_jacobian)
         )
     per_view_jacobian = jnp.zeros((0, 6, 6))
     if len(corrections):
         # exp(c + dc) = exp(J_l(c) dc) @ exp(c); the sign is that of the correction in the chain.
-        left_jacobian = jax.vmap(se3_left_jacobian)(signed_corrections)
+        left_jacobian = se3_left_jacobian(signed_corrections)
         per_view_jacobian = camera_from_before.adjoint() @ (
             left_jacobian if eye_in_hand else -left_jacobian
         )

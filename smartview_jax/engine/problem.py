@@ -4,16 +4,20 @@ Both are pure functions. Any optimistix least-squares solver can minimise `resid
 `normal_equations` is the same problem in the block structure that the library's own solver uses.
 """
 
+import dataclasses
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
+from ..array_namespace import to_device
 from ..calibration import Calibration
-from ..compilation import compiled
 from ..dataset import Observations
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
@@ -40,6 +44,24 @@ class NormalEquations(eqx.Module):
     matrix: BlockArrow
 
 
+class FittedChain(eqx.Module):
+    """The chain of transforms of every view at a step.
+
+    Attributes:
+        calibration: the calibration.
+        pose_corrections: twist at the tool of every view's own correction; no views where there are
+            none.
+        field_corrections: twist at the tool from the reported pose to the one that the robot error
+            field gives; zero without a field.
+        camera_from_world: pose of the world in each view's camera, with all corrections.
+    """
+
+    calibration: Calibration
+    pose_corrections: Float[Array, "corrected 6"]
+    field_corrections: Float[Array, "views 6"]
+    camera_from_world: Float[Array, "views 4 4"]
+
+
 class JointProblem(eqx.Module):
     """A least-squares problem: observations predicted through the chain of transforms, and priors.
 
@@ -47,7 +69,8 @@ class JointProblem(eqx.Module):
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
         pixel_sigma: standard deviation of u and of v, px.
-        free: indices of the free shared parameters.
+        free: indices of the free shared parameters; an index after the last one is padding (see
+            `solver.padded`), a parameter without any effect.
         per_view_free: mask of the free parameters among each view's own six; no views where there
             are none.
         prior_mean: prior mean of every parameter's value; NaN where it is the start's.
@@ -55,39 +78,56 @@ class JointProblem(eqx.Module):
         scale: length of one unit of step, for the free shared parameters and for each view's own;
             for solvers that treat all parameters alike.
         loss: robust loss; None is least squares.
+        prepared_poses: what the robot error field needs of the reported poses, as its `prepare`
+            returns it; None without a field.
         mesh: devices over which the views are distributed; None is one device.
     """
 
     parameters: Parameters
     observations: Observations
     pixel_sigma: Float[Array, ""]
-    free: tuple[int, ...] = eqx.field(static=True)
+    free: Int[Array, "free"]
     per_view_free: Bool[Array, "corrected 6"]
     prior_mean: Step
     prior_weight: Step
     scale: Step
     loss: AbstractLoss | None
+    prepared_poses: Any = None
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
-    @property
-    def free_indices(self) -> Int[Array, "free"]:
-        """The indices of the free shared parameters, as an array."""
-        return jnp.array(self.free, dtype=int)
+    def with_observations(self, observations: Observations) -> "JointProblem":
+        """Return the problem with other observations, of the same robot."""
+        error = self.parameters.start.robot_error
+        prepared = None if error is None else error.field.prepare(observations.command)
+        return dataclasses.replace(self, observations=observations, prepared_poses=prepared)
 
     def zero_step(self) -> Step:
         """Return the zero step."""
-        return Step(jnp.zeros(len(self.free)), jnp.zeros(self.per_view_free.shape))
+        zeros = np.zeros(len(self.free)), np.zeros(self.per_view_free.shape)
+        return Step(*map(to_device, zeros))
 
     def unscaled_step(self, z: Step) -> Step:
         """Convert a scaled step of the free parameters to all parameters in their own units."""
         shared = jnp.zeros(self.parameters.layout.size)
-        shared = shared.at[self.free_indices].set(z.shared * self.scale.shared)
+        shared = shared.at[self.free].set(z.shared * self.scale.shared, mode="drop")
         per_view = jnp.where(self.per_view_free, z.per_view * self.scale.per_view, 0.0)
         return Step(shared, per_view)
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Return the calibration and the pose corrections at a scaled step."""
         return self.parameters.retract(self.unscaled_step(z))
+
+    def chain(self, z: Step) -> FittedChain:
+        """Return the chain of every view at a scaled step."""
+        calibration, pose_corrections = self.calibration(z)
+        _, poses = self._corrected_poses(z)
+        reported, error = self.observations.base_from_tool, calibration.robot_error
+        field_corrections = jnp.zeros((len(reported.wxyz_xyz), 6))
+        if error is not None:
+            actual = error.field.prepared_pose(self.prepared_poses, error.coefficients)
+            field_corrections = (reported.inverse() @ actual).log()
+        camera_from_world = calibration.camera_from_world(poses, corrected=False).as_matrix()
+        return FittedChain(calibration, pose_corrections, field_corrections, camera_from_world)
 
     def whitened_residuals(self, z: Step) -> Float[Array, "views points 2"]:
         """Compute the whitened residuals before any loss.
@@ -103,7 +143,7 @@ class JointProblem(eqx.Module):
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
         if error is not None:
-            poses = error.actual_pose(self.observations.command)
+            poses = error.field.prepared_pose(self.prepared_poses, error.coefficients)
         return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
 
     def _whitened_residuals_at(
@@ -151,10 +191,18 @@ class JointProblem(eqx.Module):
 
     def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
-        step = self.unscaled_step(z)
-        pose_jacobians = linearise_poses(self.parameters, step, self.observations.command)
+        pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
+
+    def _linearise_poses(self, z: Step) -> PoseJacobians:
+        """Return the pose of the camera in every view at a scaled step, with its derivatives."""
+        return linearise_poses(
+            self.parameters,
+            self.unscaled_step(z),
+            self.observations.base_from_tool,
+            self.prepared_poses,
+        )
 
     def _view_normal_equations(self, pose_jacobians: PoseJacobians) -> ViewNormalEquations:
         """Return every view's normal equations, each computed on the device that holds the view."""
@@ -240,8 +288,12 @@ class JointProblem(eqx.Module):
         count = len(pose_jacobians.shared_jacobian)
         camera = jnp.broadcast_to(jnp.eye(n, size)[None], (count, n, size))
         twist = jnp.pad(pose_jacobians.shared_jacobian, ((0, 0), (0, 0), (n, 0)))
-        shared = jnp.concatenate([camera, twist], axis=1)[:, :, self.free_indices]
+        shared = self._take_free(jnp.concatenate([camera, twist], axis=1))
         return shared * self.scale.shared[None, None]
+
+    def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
+        """Return the entries of the free shared parameters; those of padding are zero."""
+        return jnp.take(shared, self.free, axis=-1, mode="fill", fill_value=0.0)
 
     def _per_view_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "corrected 6 6"]:
         """Return the derivative of each view's twist by its own parameters.
@@ -269,9 +321,7 @@ class JointProblem(eqx.Module):
         self, z: Step
     ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
         """Return every view's term of the shared parameters' gradient and matrix."""
-        pose_jacobians = linearise_poses(
-            self.parameters, self.unscaled_step(z), self.observations.command
-        )
+        pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
@@ -283,9 +333,7 @@ class JointProblem(eqx.Module):
         The view's own correction is marginalised. The matrices add up to the normal equations with
         the views' own parameters eliminated, except for the priors of the shared parameters.
         """
-        pose_jacobians = linearise_poses(
-            self.parameters, self.unscaled_step(z), self.observations.command
-        )
+        pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
         matrix_shared = views.matrix @ shared
@@ -302,17 +350,19 @@ class JointProblem(eqx.Module):
         """Add the priors' cost, gradient and diagonal to the observations' normal equations."""
         # A prior is a residual w (x - mean) with w = 1 / std: it adds w^2 (x - mean)^2 / 2 to the
         # cost, w^2 (x - mean) to the gradient and w^2 to the diagonal.
-        free_indices, gradient, matrix = self.free_indices, equations.gradient, equations.matrix
+        gradient, matrix = equations.gradient, equations.matrix
         residual, per_view_residual = self._prior_residuals(step)
-        weight = self.prior_weight.shared[free_indices] * self.scale.shared
+        weight = self._take_free(self.prior_weight.shared) * self.scale.shared
+        # Padding has a zero column in the Jacobian; the one keeps its equation solvable.
+        precision = jnp.where(self.free < self.parameters.layout.size, weight**2, 1.0)
         return NormalEquations(
             equations.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(per_view_residual**2)),
             Step(
-                gradient.shared + weight * residual[free_indices],
+                gradient.shared + weight * self._take_free(residual),
                 gradient.per_view + self._per_view_weight * per_view_residual,
             ),
             BlockArrow(
-                matrix.shared + jnp.diag(weight**2),
+                matrix.shared + jnp.diag(precision),
                 matrix.border,
                 matrix.per_view + jnp.eye(6)[None] * self._per_view_precision[:, None],
             ),
@@ -328,13 +378,3 @@ class JointProblem(eqx.Module):
         """Return the whitened residuals of the priors, shared and of the views' own parameters."""
         offset, weight = self.offset_from_prior(step), self.prior_weight
         return offset.shared * weight.shared, offset.per_view * weight.per_view
-
-
-@compiled
-def valid_at_start(problem: JointProblem) -> Bool[Array, "views points"]:
-    """Return a mask of the points that can be projected at the start."""
-    start = problem.parameters.start
-    # One view after the other: projecting everything at once needs several times the data's memory.
-    return jax.lax.map(
-        lambda view: start.project(view.command, view.points)[1], problem.observations
-    )

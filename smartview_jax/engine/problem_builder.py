@@ -4,24 +4,28 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Literal
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..calibration import Calibration
+from ..array_namespace import to_device
+from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..dataset import Dataset
+from ..compilation import compiled
+from ..dataset import Dataset, chain_residuals
+from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
+from ..robots import Command
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, Parameters, Step, parameter_mask, parameter_names
 from .priors import Prior
-from .problem import JointProblem, valid_at_start
+from .problem import JointProblem
 
 
 class BuiltProblem(eqx.Module):
@@ -41,6 +45,18 @@ class BuiltProblem(eqx.Module):
     noise: Noise | None = eqx.field(static=True)
     unprojectable: Bool[np.ndarray, "views points"]
 
+    def holding(self, names: Collection[str]) -> "BuiltProblem":
+        """Return the problem with these shared parameters held at the start."""
+        kept = [k for k, name in enumerate(self.shared_names) if name not in names]
+        problem = self.problem
+        scale = Step(to_device(np.asarray(problem.scale.shared)[kept]), problem.scale.per_view)
+        free = to_device(np.asarray(problem.free)[kept])
+        return dataclasses.replace(
+            self,
+            problem=dataclasses.replace(problem, free=free, scale=scale),
+            shared_names=tuple(self.shared_names[k] for k in kept),
+        )
+
     @property
     def sigma_known(self) -> bool:
         """Whether the pixel sigma is taken as given; if not, it is estimated from the residuals."""
@@ -50,7 +66,7 @@ class BuiltProblem(eqx.Module):
     def depends_on_sigma(self) -> bool:
         """Whether the result depends on the pixel sigma, because of a prior or a robust loss."""
         weight = self.problem.prior_weight
-        shared = np.asarray(weight.shared)[list(self.problem.free)]
+        shared = np.asarray(weight.shared)[np.asarray(self.problem.free)]
         per_view = np.asarray(weight.per_view)[np.asarray(self.problem.per_view_free)]
         return self.problem.loss is not None or bool(shared.any() or per_view.any())
 
@@ -108,43 +124,63 @@ def build_problem(
         # constrains it.
         usable = np.isin(np.arange(data.view_count), views).repeat(6)
         is_free[shared_size:] &= usable | (weight[shared_size:] > 0.0)
+    # Arrays are made by NumPy: every JAX operation on the host would be a program to compile.
+    units = np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
     problem = JointProblem(
         parameters,
         data.observations,
-        jnp.asarray(noise_model.pixel if noise_model else 1.0, dtype=float),
-        tuple(int(k) for k in np.flatnonzero(is_free[:shared_size])),
-        jnp.asarray(is_free[shared_size:].reshape(-1, 6)),
+        to_device(np.array(noise_model.pixel if noise_model else 1.0)),
+        to_device(np.flatnonzero(is_free[:shared_size])),
+        to_device(is_free[shared_size:].reshape(-1, 6)),
         _step_from_vector(mean, shared_size),
         _step_from_vector(weight, shared_size),
-        Step(
-            jnp.ones(int(is_free[:shared_size].sum())), jnp.ones((len(names[shared_size:]) // 6, 6))
-        ),
+        Step(*map(to_device, units)),
         loss_by_name(loss),
+        prepared_poses(start.robot_error, data.observations.command),
     )
-    unprojectable = np.asarray(data.visible & ~valid_at_start(problem))
+    # Residuals are infinite where a point that was seen cannot be projected.
+    residuals = np.asarray(chain_residuals(start, data.observations))
+    unprojectable = np.any(~np.isfinite(residuals), axis=-1)
     _check_views_projectable(data, unprojectable)
-    visible = data.visible & ~jnp.asarray(unprojectable)
+    visible = to_device(np.asarray(data.visible) & ~unprojectable)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
     return BuiltProblem(
         problem,
-        tuple(names[k] for k in problem.free),
+        tuple(names[k] for k in np.flatnonzero(is_free[:shared_size])),
         tuple(names[shared_size + k] for k in np.flatnonzero(is_free[shared_size:])),
         noise_model,
         unprojectable,
     )
 
 
+def prepared_poses(error: RobotError | None, reported: Command) -> Any:
+    """Return what a robot error field needs of reported poses; None without a field."""
+    return None if error is None else _prepare(error.field, reported)
+
+
+@compiled
+def _prepare(field: AbstractField, reported: Command) -> Any:
+    """Return what a field needs of reported poses, compiled."""
+    return field.prepare(reported)
+
+
 def with_free_camera_poses(
-    data: Dataset, camera: Camera, camera_from_world: SE3
+    data: Dataset, camera: Camera, camera_from_world: SE3, field: AbstractField | None = None
 ) -> tuple[Dataset, Calibration]:
     """Return data and a start in which each view's own camera pose replaces the robot's report.
 
     With both transforms held, the corrections of the reported poses are then free camera poses: the
-    corrected pose of a view is `exp(correction) @ camera_from_world`.
+    corrected pose of a view is `exp(correction) @ camera_from_world`. A robot error field, which
+    must be one of reported poses, has coefficients of zero and no effect; with it the problem has
+    the structure of a fit with that field.
     """
-    identity_start = Calibration(camera, SE3.identity(), SE3.identity(), "eye_in_hand")
+    identity = host_transforms(np.eye(4))
+    error = None if field is None else RobotError.zero(field)
+    identity_start = Calibration(camera, identity, identity, "eye_in_hand", robot_error=error)
     repositioned = dataclasses.replace(
-        data, base_from_tool=camera_from_world.inverse(), mount="eye_in_hand"
+        data,
+        base_from_tool=host_mount_from_holder("eye_in_hand", camera_from_world),
+        mount="eye_in_hand",
     )
     return repositioned, identity_start
 
@@ -165,9 +201,17 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     if field is None:
         return start.uncorrected
     current = start.robot_error
-    if current is not None and bool(eqx.tree_equal(current.field, field)):
+    if current is not None and _is_same_field(current.field, field):
         return start
     return dataclasses.replace(start, robot_error=RobotError.zero(field))
+
+
+def _is_same_field(first: AbstractField, second: AbstractField) -> bool:
+    """Return whether two fields are equal, compared on the host."""
+    if jax.tree.structure(first) != jax.tree.structure(second):
+        return False
+    pairs = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    return all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
 
 
 def _prior_means_and_weights(
@@ -209,7 +253,7 @@ def _prior_means_and_weights(
 
 def _step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
     """Split a flat vector into the shared parameters and six per view."""
-    return Step(jnp.asarray(vector[:shared_size]), jnp.asarray(vector[shared_size:].reshape(-1, 6)))
+    return Step(to_device(vector[:shared_size]), to_device(vector[shared_size:].reshape(-1, 6)))
 
 
 def _check_views_projectable(

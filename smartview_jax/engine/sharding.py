@@ -17,8 +17,9 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
+from ..array_namespace import to_device
 from .parameters import Step
-from .problem import VIEW_AXIS, JointProblem, NormalEquations
+from .problem import VIEW_AXIS, FittedChain, JointProblem, NormalEquations
 from .schur import BlockArrow
 from .solver import Solution, solve
 
@@ -43,22 +44,27 @@ def solve_on(
         start = Step(start.shared, jnp.pad(start.per_view, ((0, padding), (0, 0))))
     solution, equations = solve(sharded, solver, start=start)
 
-    def to_default_device(x: Array) -> Array:
-        """Copy an array to the default device."""
-        return jnp.asarray(np.asarray(x))
-
     def without_padding(x: Array) -> Array:
         """Copy an array of the views without the padding."""
-        return to_default_device(x)[:corrected_views]
+        return to_device(x)[:corrected_views]
 
-    z, gradient, matrix = solution.z, equations.gradient, equations.matrix
+    z, gradient, matrix, chain = solution.z, equations.gradient, equations.matrix, solution.chain
+    view_count = len(problem.observations.visible)
     return (
-        solution._replace(z=Step(to_default_device(z.shared), without_padding(z.per_view))),
+        solution._replace(
+            z=Step(to_device(z.shared), without_padding(z.per_view)),
+            chain=FittedChain(
+                jax.tree.map(to_device, chain.calibration),
+                without_padding(chain.pose_corrections),
+                to_device(chain.field_corrections)[:view_count],
+                to_device(chain.camera_from_world)[:view_count],
+            ),
+        ),
         NormalEquations(
-            to_default_device(equations.cost),
-            Step(to_default_device(gradient.shared), without_padding(gradient.per_view)),
+            to_device(equations.cost),
+            Step(to_device(gradient.shared), without_padding(gradient.per_view)),
             BlockArrow(
-                to_default_device(matrix.shared),
+                to_device(matrix.shared),
                 without_padding(matrix.border),
                 without_padding(matrix.per_view),
             ),
@@ -100,6 +106,7 @@ def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
     """Return the arrays whose first axis is the views."""
     return (
         problem.observations,
+        problem.prepared_poses,
         problem.per_view_free,
         problem.prior_mean.per_view,
         problem.prior_weight.per_view,
@@ -119,9 +126,9 @@ def pad_with_last(arrays: Any, copies: int) -> Any:
 
 def _pad_views(arrays: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
     """Repeat the last view; in the copies no point is visible and no parameter is free."""
-    observations, per_view_free, *rest = pad_with_last(arrays, extra)
+    observations, prepared_poses, per_view_free, *rest = pad_with_last(arrays, extra)
     views = len(observations.visible) - extra
     observations = eqx.tree_at(
         lambda o: o.visible, observations, observations.visible.at[views:].set(False)
     )
-    return observations, per_view_free.at[views:].set(False), *rest
+    return observations, prepared_poses, per_view_free.at[views:].set(False), *rest

@@ -7,6 +7,7 @@ single parameters say little on ill-conditioned data, and tests of the cost alon
 data without noise.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,11 +18,13 @@ import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array, Bool, Float, Int, Scalar, ScalarLike
+from jaxtyping import Array, Bool, Float, Int, Scalar
 
+from ..array_namespace import AnyArray, to_device
 from ..compilation import compiled
+from .losses import Cauchy
 from .parameters import Step
-from .problem import JointProblem, NormalEquations
+from .problem import FittedChain, JointProblem, NormalEquations
 from .schur import BlockArrow, SchurCholesky
 
 MAX_RECORDED_COSTS = 64
@@ -36,6 +39,12 @@ hundred-millionth of that.
 
 MAX_CONSECUTIVE_REJECTIONS = 25
 """Largest number of rejected steps in a row before a fit is given up."""
+
+MIN_UNPADDED_OBSERVATIONS = 10_000
+"""Smallest number of observations, visible or not, of a problem that is solved without padding.
+
+With more, the additional columns cost more than the compilation of a program that has none.
+"""
 
 MAXIMUM_STEPS = 200
 """Largest number of solver steps of a fit."""
@@ -76,8 +85,9 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         search: optimistix's trust region.
     """
 
-    rtol: float = 1e-10
-    atol: float = 1e-14
+    # Optimistix expects numbers; arrays let one program serve all tolerances.
+    rtol: float | Float[Array, ""] = 1e-10  # pyright: ignore[reportIncompatibleVariableOverride]
+    atol: float | Float[Array, ""] = 1e-14  # pyright: ignore[reportIncompatibleVariableOverride]
     norm: Callable[[Any], Scalar] = optx.max_norm
     descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=SchurCholesky())
     search: optx.AbstractSearch = optx.ClassicalTrustRegion(
@@ -245,6 +255,7 @@ class Solution(NamedTuple):
         relative_decrease: decrease of the cost that one more Gauss-Newton step predicts, as a
             fraction of the cost.
         converged: whether that decrease is negligible.
+        chain: the chain of every view at the result.
     """
 
     z: Step
@@ -252,11 +263,15 @@ class Solution(NamedTuple):
     steps: int
     relative_decrease: float
     converged: bool
+    chain: FittedChain
 
 
-def is_converged(predicted_decrease: ScalarLike, cost: ScalarLike) -> Bool[Array, ""]:
-    """Return whether a fit has converged: a further step predicts a negligible decrease."""
-    return (jnp.abs(predicted_decrease) < 1e-8 * cost) | (jnp.abs(predicted_decrease) < 1e-12)
+def is_converged(predicted_decrease: Any, cost: Any) -> Any:
+    """Return whether a fit has converged: a further step predicts a negligible decrease.
+
+    Both are numbers on the host, or scalar arrays inside `jit`; the result is of the same kind.
+    """
+    return (abs(predicted_decrease) < 1e-8 * cost) | (abs(predicted_decrease) < 1e-12)
 
 
 def solve(
@@ -276,15 +291,23 @@ def solve(
     Returns:
         The solution, and the normal equations at the solution.
     """
+    free_count = len(problem.free)
     if solver is None:
         solver = StructuredLM()
-    elif not isinstance(solver, StructuredLM):
+    if isinstance(solver, StructuredLM):
+        rtol, atol = (to_device(np.array(value)) for value in (solver.rtol, solver.atol))
+        solver = dataclasses.replace(solver, rtol=rtol, atol=atol)
+        problem = padded(problem)
+    else:
+        # Padding would make the residuals' Jacobian singular, which not every solver allows for.
         problem = _with_jacobi_scale(problem)
     # z is in units of `problem.scale`, a start that is passed in is in the parameters' own units.
     initial = (
-        problem.zero_step() if start is None else jax.tree.map(jnp.divide, start, problem.scale)
+        problem.zero_step()
+        if start is None
+        else jax.tree.map(_host_quotient, _padded_step(start, problem), problem.scale)
     )
-    z, steps, recorded_costs, equations, predicted_decrease = _compiled_minimise(
+    z, steps, recorded_costs, equations, predicted_decrease, chain = _minimise_and_evaluate(
         problem, solver, maximum_steps, initial
     )
     cost, predicted_decrease = float(equations.cost), float(predicted_decrease)
@@ -293,7 +316,58 @@ def solve(
     # Entries that were never reached are NaN.
     recorded_costs = np.asarray(recorded_costs)
     costs = (*recorded_costs[np.isfinite(recorded_costs)].tolist(), cost)
-    return Solution(z, costs, int(steps), relative_decrease, converged), equations
+    if len(problem.free) > free_count:
+        z = Step(to_device(np.asarray(z.shared)[:free_count]), z.per_view)
+        equations = _without_padding(equations, free_count)
+    return Solution(z, costs, int(steps), relative_decrease, converged, chain), equations
+
+
+def padded(problem: JointProblem) -> JointProblem:
+    """Return a small problem with as many free parameters as there are, the others without effect.
+
+    Small problems that differ in what is free or in their loss, as they do within one calibration,
+    are then solved by the same program, which takes far longer to compile than to run.
+    """
+    size, count = problem.parameters.layout.size, len(problem.free)
+    if problem.observations.visible.size >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
+        return problem
+    free = np.concatenate([problem.free, np.full(size - count, size)])
+    scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
+    loss = problem.loss
+    if loss is None or isinstance(loss, Cauchy):
+        # Least squares is the Cauchy loss of infinite scale.
+        loss = Cauchy(to_device(np.array(np.inf if loss is None else loss.scale)))
+    return dataclasses.replace(
+        problem,
+        free=to_device(free),
+        scale=Step(to_device(scale), problem.scale.per_view),
+        loss=loss,
+    )
+
+
+def _padded_step(step: Step, problem: JointProblem) -> Step:
+    """Return a step with zeros for the padding of a problem."""
+    padding = len(problem.free) - len(step.shared)
+    return Step(to_device(np.pad(np.asarray(step.shared), (0, padding))), step.per_view)
+
+
+def _without_padding(equations: NormalEquations, count: int) -> NormalEquations:
+    """Return normal equations with the first free shared parameters only, copied by NumPy."""
+    gradient, matrix = equations.gradient, equations.matrix
+    return NormalEquations(
+        equations.cost,
+        Step(to_device(np.asarray(gradient.shared)[:count]), gradient.per_view),
+        BlockArrow(
+            to_device(np.asarray(matrix.shared)[:count, :count]),
+            to_device(np.asarray(matrix.border)[:, :, :count]),
+            matrix.per_view,
+        ),
+    )
+
+
+def _host_quotient(numerator: AnyArray, denominator: AnyArray) -> Array:
+    """Return a quotient of arrays, computed on the host: a JAX operation would be compiled."""
+    return to_device(np.asarray(numerator) / np.asarray(denominator))
 
 
 @compiled
@@ -341,7 +415,20 @@ def minimise(
     return outputs
 
 
-_compiled_minimise = compiled(minimise)
+@compiled
+def _minimise_and_evaluate(
+    problem: JointProblem,
+    solver: optx.AbstractLeastSquaresSolver,
+    maximum_steps: int,
+    start: Step,
+) -> tuple[Step, Array, Array, NormalEquations, Array, FittedChain]:
+    """Minimise as `minimise` does, and return the chain of every view at the result too."""
+    outputs = minimise(problem, solver, maximum_steps, start)
+    # `minimise` returns a step in the parameters' own units.
+    chain = problem.chain(jax.tree.map(jnp.divide, outputs[0], problem.scale))
+    if problem.mesh is not None:
+        chain = jax.lax.with_sharding_constraint(chain, NamedSharding(problem.mesh, P()))
+    return *outputs, chain
 
 
 def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:

@@ -11,7 +11,9 @@ from .conics import conic_centre as conic_centre
 from .conics import region_centroid as region_centroid
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
+from .host import host_logarithms as host_logarithms
 from .host import host_matrices as host_matrices
+from .host import host_transforms as host_transforms
 from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
@@ -21,9 +23,12 @@ from .pose_codecs import LENGTH_UNITS as LENGTH_UNITS
 from .pose_codecs import POSE_CODECS as POSE_CODECS
 from .pose_codecs import PoseCodec as PoseCodec
 from .pose_codecs import pose_codec as pose_codec
+from .pose_codecs import se3_from_matrices as se3_from_matrices
 from .rigid_transforms import PoseLike as PoseLike
 from .rigid_transforms import as_se3 as as_se3
 from .rigid_transforms import check_rigid as check_rigid
+from .rigid_transforms import host_nearest_rotation as host_nearest_rotation
+from .rigid_transforms import mean_matrix as mean_matrix
 from .rigid_transforms import mean_pose as mean_pose
 from .rigid_transforms import nearest_rotation as nearest_rotation
 from .rigid_transforms import rotation_angle as rotation_angle

@@ -1,7 +1,9 @@
 """Read and write poses as rows of numbers in the named formats of robots and files.
 
-A codec converts rows to transforms and back. Units are stated by the caller, never guessed. The
-formats, and the units that the vendors' own programs use, are
+A codec converts rows to transforms and back. Units are stated by the caller, never guessed. Rows
+are read with SciPy, so that reading a file compiles no JAX program.
+
+The formats, and the units that the vendors' own programs use, are
 
 | name | rotation | columns after x, y, z | units |
 |---|---|---|---|
@@ -23,14 +25,17 @@ Reference: the vendors' pose formats as collected in the manual of Basler's rc_v
 import dataclasses
 from collections.abc import Callable, Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
 
-from .euler import rotation_from_ypr, rotation_from_zyz, ypr_from_rotation, zyz_from_rotation
-from .oat import oat_from_rotation, rotation_from_oat
-from .rigid_transforms import as_se3, check_rigid
+from .euler import ypr_from_rotation, zyz_from_rotation
+from .host import host_matrices
+from .oat import oat_from_rotation
+from .rigid_transforms import check_rigid
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Size of each known unit of length, m."""
@@ -59,8 +64,8 @@ class PoseCodec:
         columns: name of each number.
         length_columns: indices of the columns that are lengths.
         angle_columns: indices of the columns that are angles.
-        to_se3: converts rows `(*batch, columns)` in m and rad to transforms `(*batch)`; pure JAX.
-        from_se3: the inverse of `to_se3`.
+        to_numbers: converts rows `(n, columns)` in m and rad to the numbers `(n, 7)` of `SE3`.
+        from_se3: converts transforms `(*batch)` to rows `(*batch, columns)` in m and rad.
         check: returns an error text for each of the labelled rows `(n, columns)` that is not a
             rigid transform.
         units: units of length and angle that the manufacturer's own programs use.
@@ -70,8 +75,8 @@ class PoseCodec:
     columns: tuple[str, ...]
     length_columns: tuple[int, ...]
     angle_columns: tuple[int, ...]
-    to_se3: Callable[[Array], SE3]
-    from_se3: Callable[[SE3], Array]
+    to_numbers: Callable[[np.ndarray], np.ndarray]
+    from_se3: Callable[[SE3], np.ndarray | Array]
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]]
     units: tuple[str, str] = ("m", "rad")
 
@@ -114,7 +119,7 @@ class PoseCodec:
         if len(names) != len(flat):
             raise ValueError(f"{self.name}: {len(flat)} rows, but {len(names)} labels")
         self._require_rigid(flat, names)
-        return self.to_se3(jnp.asarray(numbers))
+        return SE3(jax.device_put(self.to_numbers(flat).reshape(*numbers.shape[:-1], 7)))
 
     def encode(
         self, poses: SE3, length_unit: str = "m", angle_unit: str = "rad"
@@ -170,8 +175,8 @@ def _matrix_codec() -> PoseCodec:
         columns=tuple(f"m{i}{j}" for i in range(4) for j in range(4)),
         length_columns=(3, 7, 11),
         angle_columns=(),
-        to_se3=lambda rows: as_se3(rows.reshape(*rows.shape[:-1], 4, 4)),
-        from_se3=lambda poses: poses.as_matrix().reshape(*poses.get_batch_axes(), 16),
+        to_numbers=lambda rows: _numbers_of_matrices(rows.reshape(-1, 4, 4)),
+        from_se3=lambda poses: host_matrices(poses).reshape(*poses.get_batch_axes(), 16),
         check=check,
     )
 
@@ -203,8 +208,9 @@ def _quaternion_codec(
         name,
         columns,
         angle_columns=(),
-        to_rotation=lambda numbers: SO3(numbers[..., jnp.array(wxyz)]).normalize(),
-        from_rotation=lambda rotation: rotation.wxyz[..., jnp.array(inverse_permutation)],
+        # SciPy's quaternions have the real part last.
+        to_rotation=lambda numbers: Rotation.from_quat(numbers[:, [*wxyz[1:], wxyz[0]]]),
+        from_rotation=lambda rotation: np.asarray(rotation.wxyz)[..., list(inverse_permutation)],
         check=check,
         units=units,
     )
@@ -213,8 +219,8 @@ def _quaternion_codec(
 def _angle_codec(
     name: str,
     columns: tuple[str, str, str],
-    to_rotation: Callable[[Array], SO3],
-    from_rotation: Callable[[SO3], Array],
+    to_rotation: Callable[[np.ndarray], Rotation],
+    from_rotation: Callable[[SO3], np.ndarray | Array],
     units: tuple[str, str] = _SI,
 ) -> PoseCodec:
     """Return a codec of x, y, z and three numbers in units of angle."""
@@ -227,8 +233,8 @@ def _position_rotation_codec(
     name: str,
     columns: tuple[str, ...],
     angle_columns: tuple[int, ...],
-    to_rotation: Callable[[Array], SO3],
-    from_rotation: Callable[[SO3], Array],
+    to_rotation: Callable[[np.ndarray], Rotation],
+    from_rotation: Callable[[SO3], np.ndarray | Array],
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
     units: tuple[str, str],
 ) -> PoseCodec:
@@ -239,7 +245,7 @@ def _position_rotation_codec(
         columns: names of the rotation's columns.
         angle_columns: indices, in the whole row, of the columns that are angles.
         to_rotation: converts the rotation's columns to a rotation.
-        from_rotation: the inverse of `to_rotation`.
+        from_rotation: the inverse of `to_rotation`, for JAX's rotations.
         check: as in `PoseCodec`.
         units: units of length and angle of the format.
     """
@@ -248,8 +254,9 @@ def _position_rotation_codec(
         columns=("x", "y", "z", *columns),
         length_columns=(0, 1, 2),
         angle_columns=angle_columns,
-        to_se3=lambda rows: SE3.from_rotation_and_translation(
-            to_rotation(rows[..., 3:]), rows[..., :3]
+        to_numbers=lambda rows: np.hstack(
+            # SciPy's quaternions have the real part last, jaxlie's first.
+            [to_rotation(rows[:, 3:]).as_quat()[:, [3, 0, 1, 2]], rows[:, :3]]
         ),
         from_se3=lambda poses: jnp.concatenate(
             [poses.translation(), from_rotation(poses.rotation())], axis=-1
@@ -257,6 +264,51 @@ def _position_rotation_codec(
         check=check,
         units=units,
     )
+
+
+def se3_from_matrices(matrices: Float[np.ndarray, "*batch 4 4"]) -> SE3:
+    """Return transforms `(*batch)` from matrices as `as_se3` does, without compiling a program."""
+    numbers = _numbers_of_matrices(matrices.reshape(-1, 4, 4))
+    return SE3(jax.device_put(numbers.reshape(*matrices.shape[:-2], 7)))
+
+
+def _numbers_of_matrices(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
+    """Return the numbers `wxyz_xyz` of matrices: a unit quaternion and a translation.
+
+    SciPy is not used: of a matrix of few digits it takes the nearest rotation, which is another one
+    than jaxlie's, and it refuses the mirrored matrices that masked views may have.
+    """
+    R = matrices[:, :3, :3]
+    # For a unit quaternion (w, x, y, z), each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
+    diagonal = 1.0 + np.stack([R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]], axis=1) @ _DIAGONAL_SIGNS.T
+    wx, wy, wz = (R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((1, 0), (0, 2), (2, 1)))
+    w, x, y, z = diagonal.T
+    rows = np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]])
+    # The choice of the row is jaxlie's: one that is far from zero.
+    first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    chosen = np.where(third < 0.0, np.where(first > second, 1, 2), np.where(first < -second, 3, 0))
+    quaternions = rows[chosen, :, np.arange(len(R))]
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.hstack([quaternions, matrices[:, :3, 3]])
+
+
+_DIAGONAL_SIGNS = np.array(
+    [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
+)
+"""Signs of a rotation matrix's diagonal in `4 w^2 - 1`, `4 x^2 - 1`, `4 y^2 - 1`, `4 z^2 - 1`."""
+
+
+def _from_euler(axes: str) -> Callable[[np.ndarray], Rotation]:
+    """Return the conversion of three angles (rad) about moving axes ("ZYX") to rotations."""
+    return lambda angles: Rotation.from_euler(axes, angles)
+
+
+def _from_oat(oat: np.ndarray) -> Rotation:
+    """Return the rotations of VAL's angles O, A, T in rad (Eq. 18)."""
+    # R = Rz(O) Rx(A) M0 Rz(T)
+    M0 = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+    return Rotation.from_euler("ZX", oat[:, :2]) * M0 * Rotation.from_euler("Z", oat[:, 2:])
 
 
 _RXYZ, _OAT = ("rx", "ry", "rz"), ("O", "A", "T")
@@ -267,18 +319,19 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _matrix_codec(),
         _quaternion_codec("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
         _quaternion_codec("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
-        _angle_codec("rotation_vector", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
+        _angle_codec("rotation_vector", _RXYZ, Rotation.from_rotvec, SO3.log),
         _angle_codec(
-            "yaw_pitch_roll", ("yaw", "pitch", "roll"), rotation_from_ypr, ypr_from_rotation
+            "yaw_pitch_roll", ("yaw", "pitch", "roll"), _from_euler("ZYX"), ypr_from_rotation
         ),
-        _angle_codec("val_oat", _OAT, rotation_from_oat, oat_from_rotation, _MM_DEG),
-        _angle_codec("kawasaki_oat", _OAT, rotation_from_zyz, zyz_from_rotation, _MM_DEG),
-        _angle_codec("kuka_abc", ("A", "B", "C"), rotation_from_ypr, ypr_from_rotation, _MM_DEG),
-        _angle_codec("ur", _RXYZ, SO3.exp, lambda rotation: rotation.log()),
+        _angle_codec("val_oat", _OAT, _from_oat, oat_from_rotation, _MM_DEG),
+        _angle_codec("kawasaki_oat", _OAT, _from_euler("ZYZ"), zyz_from_rotation, _MM_DEG),
+        _angle_codec("kuka_abc", ("A", "B", "C"), _from_euler("ZYX"), ypr_from_rotation, _MM_DEG),
+        _angle_codec("ur", _RXYZ, Rotation.from_rotvec, SO3.log),
         _angle_codec(
             "fanuc_wpr",
             ("W", "P", "R"),
-            lambda wpr: rotation_from_ypr(wpr[..., ::-1]),
+            # First about the fixed x axis, then y and z.
+            lambda wpr: Rotation.from_euler("xyz", wpr),
             lambda rotation: ypr_from_rotation(rotation)[..., ::-1],
             _MM_DEG,
         ),

@@ -5,7 +5,8 @@ The library `jaxlie` provides the group SE(3) and its derivatives. A transform n
 first, then rotation (rad).
 """
 
-from typing import TypeAlias
+from types import ModuleType
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +14,31 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from .host import host_matrices, host_transforms
+
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
 """Type of a rigid transform in the arguments of this library: an `SE3`, or 4x4 matrices."""
+
+
+_SERIES_SQUARED_ANGLE = 0.25
+"""Squared angle, rad^2, below which the left Jacobian is computed from its Taylor series."""
+
+_LEFT_JACOBIAN_SERIES = (
+    (1 / 2, 0.0, -1 / 720, 1 / 20160, -1 / 1209600, 1 / 119750400),
+    (1 / 6, 0.0, -1 / 5040, 1 / 181440, -1 / 13305600, 1 / 1556755200),
+    (1 / 24, -1 / 360, 1 / 13440, -1 / 907200, 1 / 95800320, -1 / 14529715200),
+    (1 / 120, -1 / 2520, 1 / 120960, -1 / 9979200, 1 / 1245404160, -1 / 217945728000),
+)
+"""Taylor coefficients, in powers of the squared angle, of a1 to a4 in `se3_left_jacobian`."""
+
+_CROSS_BASIS = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
+"""Matrices of the cross products with the three unit vectors."""
 
 
 def as_se3(pose: PoseLike) -> SE3:
@@ -95,10 +119,25 @@ def nearest_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     vectors that it is computed from are not differentiable where singular values are equal, which
     they are at every rotation and at every mean of equal rotations.
     """
+    return _orthogonal_factor(matrix, jnp)
+
+
+def host_nearest_rotation(
+    matrix: Float[np.ndarray, "*batch 3 3"],
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the closest rotations with NumPy, NaN where a matrix is not finite."""
+    # NumPy's decomposition raises where a matrix is not finite; JAX's returns NaN.
+    finite = np.isfinite(matrix).all(axis=(-2, -1), keepdims=True)
+    return np.where(finite, _orthogonal_factor(np.where(finite, matrix, np.eye(3)), np), np.nan)
+
+
+def _orthogonal_factor(matrix: Any, array_module: ModuleType) -> Any:
+    """Return the nearest rotation by the singular value decomposition of NumPy or of JAX."""
     # M = U S V^T   gives   R = U diag(1, 1, det(U V^T)) V^T.
-    U, _, Vt = jnp.linalg.svd(matrix)
-    sign = jnp.linalg.det(U @ Vt)
-    return (U * jnp.stack([jnp.ones(()), jnp.ones(()), sign])[None]) @ Vt
+    U, _, Vt = array_module.linalg.svd(matrix)
+    sign = array_module.linalg.det(U @ Vt)
+    one = array_module.ones_like(sign)
+    return (U * array_module.stack([one, one, sign], axis=-1)[..., None, :]) @ Vt
 
 
 @nearest_rotation.defjvp
@@ -119,8 +158,10 @@ def _nearest_rotation_jvp(
     return R, jnp.cross(R, w[None])
 
 
-def mean_pose(poses: SE3, weights: Float[Array, "poses"] | None = None) -> SE3:
-    """Return the chordal mean of poses.
+def mean_pose(
+    poses: SE3, weights: Float[Array, "poses"] | Float[np.ndarray, "poses"] | None = None
+) -> SE3:
+    """Return the chordal mean of poses, computed with NumPy.
 
     Its rotation is the one nearest to the weighted mean of the rotation matrices, and its
     translation the weighted mean of the translations.
@@ -131,32 +172,65 @@ def mean_pose(poses: SE3, weights: Float[Array, "poses"] | None = None) -> SE3:
         poses: `(poses)`.
         weights: not negative, not all zero; equal by default.
     """
+    matrices = host_matrices(poses)
+    return host_transforms(
+        mean_matrix(matrices, np.ones(len(matrices)) if weights is None else np.asarray(weights))
+    )
+
+
+def mean_matrix(
+    matrices: Float[np.ndarray, "poses 4 4"], weights: Float[np.ndarray, "poses"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the chordal mean of poses as 4x4 matrices; see `mean_pose`."""
     # R = argmin over rotations of sum_i w_i |R_i - R|^2 = nearest_rotation(sum_i w_i R_i),
     # t = sum_i w_i t_i,   with weights w_i that are normalised to the sum 1.
-    if weights is None:
-        weights = jnp.ones(poses.get_batch_axes())
-    normalised_weights = weights / jnp.sum(weights)
-    rotation = nearest_rotation(
-        jnp.einsum("i,ijk->jk", normalised_weights, poses.rotation().as_matrix())
-    )
-    return SE3.from_rotation_and_translation(
-        SO3.from_matrix(rotation), normalised_weights @ poses.translation()
-    )
+    mean = np.einsum("i,ijk->jk", weights / weights.sum(), matrices)
+    mean[:3, :3] = host_nearest_rotation(mean[:3, :3])
+    return mean
 
 
-def se3_left_jacobian(tangent: Float[Array, "6"]) -> Float[Array, "6 6"]:
-    """Return the left Jacobian J of `SE3.exp` at a tangent.
+def se3_left_jacobian(tangent: Float[Array, "*batch 6"]) -> Float[Array, "*batch 6 6"]:
+    """Return the left Jacobian J of `SE3.exp` at tangents.
 
     For small d, `exp(tangent + d) = exp(J d) @ exp(tangent)`. The last three rows and columns of J
     are the left Jacobian of `SO3.exp`.
+
+    Reference: Barfoot, State estimation for robotics, 2017, section 7.1.
     """
-    # exp(v, w) = (t, R) with t = V(w) v, and dR = [V dw]x R. Applying exp(J d) on the left changes
-    # the translation by (J d)_t + (J d)_w x t, so that
-    #   J = [ V   dt/dw + [t]x V ]
-    #       [ 0   V              ]
-    # Only the translation is differentiated: dt/dv is V itself.
-    translation = SE3.exp(tangent).translation()
-    translation_jacobian = jax.jacfwd(lambda t: SE3.exp(t).translation())(tangent)
-    V = translation_jacobian[:, :3]
-    upper_right = translation_jacobian[:, 3:] + jnp.cross(translation[None], V.T).T
-    return jnp.block([[V, upper_right], [jnp.zeros((3, 3)), V]])
+    # J = sum_k ad^k / (k + 1)!, with ad the matrix of [tangent, .]. By ad^5 = -2 t^2 ad^3 - t^4 ad,
+    # t the angle, the series ends at the fourth power:
+    #     J = I + a1 ad + a2 ad^2 + a3 ad^3 + a4 ad^4
+    #     a1 = (4 - t sin t - 4 cos t) / (2 t^2),   a2 = (4 t - 5 sin t + t cos t) / (2 t^3),
+    #     a3 = (2 - t sin t - 2 cos t) / (2 t^4),   a4 = (2 t - 3 sin t + t cos t) / (2 t^5)
+    translation, rotation = tangent[..., :3], tangent[..., 3:]
+    w, v = _cross_matrix(rotation), _cross_matrix(translation)
+    upper = jnp.concatenate([w, v], axis=-1)
+    ad = jnp.concatenate([upper, jnp.concatenate([jnp.zeros_like(w), w], axis=-1)], axis=-2)
+    squared_angle = jnp.sum(rotation**2, axis=-1)
+    is_small = squared_angle < _SERIES_SQUARED_ANGLE
+    # Taylor series of the four in t^2 near zero, where the quotients lose their digits.
+    series = [
+        sum(c * squared_angle**k for k, c in enumerate(coefficients))
+        for coefficients in _LEFT_JACOBIAN_SERIES
+    ]
+    # The inner `where` keeps the derivative of the branch that is not taken finite.
+    squared = jnp.where(is_small, 1.0, squared_angle)
+    t = jnp.sqrt(squared)
+    sine, cosine = jnp.sin(t), jnp.cos(t)
+    quotients = (
+        (4.0 - t * sine - 4.0 * cosine) / (2.0 * squared),
+        (4.0 * t - 5.0 * sine + t * cosine) / (2.0 * squared * t),
+        (2.0 - t * sine - 2.0 * cosine) / (2.0 * squared**2),
+        (2.0 * t - 3.0 * sine + t * cosine) / (2.0 * squared**2 * t),
+    )
+    a1, a2, a3, a4 = (
+        jnp.where(is_small, s, q)[..., None, None] for s, q in zip(series, quotients, strict=True)
+    )
+    identity = jnp.broadcast_to(jnp.eye(6), ad.shape)
+    # Horner's scheme, with three products of matrices.
+    return identity + ad @ (a1 * identity + ad @ (a2 * identity + ad @ (a3 * identity + a4 * ad)))
+
+
+def _cross_matrix(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
+    """Return the matrix of the cross product with a vector from the left."""
+    return jnp.einsum("...k,kij->...ij", vector, _CROSS_BASIS)

@@ -9,10 +9,10 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..calibration import mount_frames, mount_from_holder
+from ..calibration import mount_frames
 from ..dataset import Dataset
 from ..detection import Detection, consistent_ordering, detect, empty_detection, read_picture
-from ..geometry import PoseLike, as_se3
+from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
 from .detections import read_cached_detections, write_detections
 
@@ -227,7 +227,7 @@ def _consistent_numbering(
         return pixels, ""
     rough_rotation = None
     if holder_from_world is not None:
-        rough_rotation = np.asarray(as_se3(holder_from_world).rotation().as_matrix())
+        rough_rotation = host_matrices(as_se3(holder_from_world))[:3, :3]
         if stacked and not board.y_up:
             # The order refers to the board's own frame, which differs from the stack's frame by a
             # half rotation about x: diag(1, -1, -1).
@@ -235,7 +235,10 @@ def _consistent_numbering(
     # Each picture has an order of its own: at another height the detector may start at another
     # corner. So the heights of a view are separate rows here, `(views * heights, points, 2)`.
     board_pixels = pixels.reshape(-1, len(board.points), 2)
-    rotations = np.asarray(mount_from_holder(mount, poses).rotation().as_matrix())
+    # The rotations of `mount_from_holder`, whose inverse are the transposes.
+    rotations = host_matrices(poses)[:, :3, :3]
+    if mount_frames(mount)[0] == "tool":
+        rotations = rotations.transpose(0, 2, 1)
     ordering = consistent_ordering(
         board_pixels,
         np.asarray(np.isfinite(board_pixels).all(axis=-1)),

@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..dataset import Dataset
-from ..geometry import LENGTH_UNITS, PoseCodec, pose_codec
+from ..geometry import LENGTH_UNITS, PoseCodec, host_matrices, pose_codec, se3_from_matrices
 from ..robots import SerialArm
 from .csv_tables import duplicates, parse_numbers, read_table, refuse_out_of_range, refuse_truncated
 from .joints import read_joints
@@ -88,11 +88,9 @@ def _read_poses(
         poses = codec.decode(rows, *units, labels=view_ids)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return (
-        view_ids,
-        poses if content["direction"] == "base_from_tool" else poses.inverse(),
-        masked_views,
-    )
+    if content["direction"] != "base_from_tool":
+        poses = se3_from_matrices(np.linalg.inv(host_matrices(poses)))
+    return view_ids, poses, masked_views
 
 
 def _decoding_errors(

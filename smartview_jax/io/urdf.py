@@ -10,12 +10,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from ..files import read_text
-from ..geometry import rotation_from_ypr
 from ..robots import SerialArm, arm_from_axes
 from ..schemas.messages import shortened_repr
 
@@ -136,7 +135,7 @@ def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
         zeros = (0.0, 0.0, 0.0)
         # rpy about fixed axes is R = Rz(yaw) Ry(pitch) Rx(roll): yaw, pitch, roll in reverse order.
         angles = _parse_vector(joint.origin.rpy or zeros, joint, "origin rpy", path)[::-1]
-        pose[:3, :3] = np.asarray(rotation_from_ypr(jnp.asarray(angles)).as_matrix())
+        pose[:3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
         pose[:3, 3] = _parse_vector(joint.origin.xyz or zeros, joint, "origin xyz", path)
     return pose
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
@@ -180,7 +180,7 @@ def _validated_viewpoints(
                     f"{MAX_TOOL_COORDINATE:.0f} m from the base: millimetres given as metres?"
                 )
     if joints is None:
-        return Viewpoints(SE3(jnp.asarray(poses)), view_names)
+        return Viewpoints(SE3(jax.device_put(poses)), view_names)
     readings = np.asarray(joints, dtype=float)
     if readings.ndim != 2 or len(readings) != len(view_names):
         raise ValueError(
@@ -191,7 +191,7 @@ def _validated_viewpoints(
         if not np.isfinite(row).all():
             k = int(np.flatnonzero(~np.isfinite(row))[0])
             raise ValueError(f"view {name}: joint {1 + k} is {row[k]}")
-    return Viewpoints(SE3(jnp.asarray(poses)), view_names, readings)
+    return Viewpoints(SE3(jax.device_put(poses)), view_names, readings)
 
 
 def _encoded_poses(viewpoints: Viewpoints, codec: PoseCodec) -> Float[np.ndarray, "views columns"]:

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxlie import SE3
 
@@ -52,9 +52,9 @@ def import_visp(
     # Sorted as numbers, not as text: view 2 before view 10.
     numbers = sorted(pose_paths)
     files = numbered_pictures(folder, pictures, numbers, folder / poses)
-    rows = jnp.stack([read_visp_pose(pose_paths[number]).wxyz_xyz for number in numbers])
+    rows = np.stack([read_visp_pose(pose_paths[number]).wxyz_xyz for number in numbers])
     return dataset_from_pictures(
-        files, SE3(rows), target, mount, bad_views=bad_views, progress=progress
+        files, SE3(jax.device_put(rows)), target, mount, bad_views=bad_views, progress=progress
     )
 
 
@@ -70,13 +70,12 @@ def read_visp_pose(path: str | Path) -> SE3:
 
     data = validate_content(read_yaml(path), VISP_POSE_SCHEMA, path).data
     numbers = np.array([row[0] if isinstance(row, list) else row for row in data])
-    pose = pose_codec("rotation_vector").decode(numbers[None], labels=[str(path)])
-    return SE3(pose.wxyz_xyz[0])
+    return pose_codec("rotation_vector").decode(numbers, labels=[str(path)])
 
 
 def write_visp_pose(path: str | Path, pose: SE3) -> None:
     """Write a pose as the vector of ViSP that `read_visp_pose` reads."""
-    row = pose_codec("rotation_vector").encode(SE3(pose.wxyz_xyz[None]))[0]
+    row = pose_codec("rotation_vector").encode(pose)
     lines = [f"  - [{float(number)!r}]" for number in row]
     write_atomically(path, "\n".join(["rows: 6", "cols: 1", "data:", *lines]) + "\n")
 

@@ -8,12 +8,13 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import to_device
+from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
@@ -107,10 +108,8 @@ def fit_camera(
         solver=solver,
         progress=progress,
     )
-    # camera_from_world <- exp(c) camera_from_world.
-    poses = SE3.exp(fit.pose_corrections) @ camera_from_world
-    fitted_observations = eqx.tree_at(
-        lambda o: o.base_from_tool, data.observations, poses.inverse()
+    poses, residuals = _corrected_poses_and_residuals(
+        fit.calibration, data.observations, fit.pose_corrections, camera_from_world
     )
     return CameraFit(
         camera=fit.calibration.camera,
@@ -118,7 +117,7 @@ def fit_camera(
         covariance=fit.covariance,
         std=fit.std,
         parameter_names=fit.parameter_names,
-        residuals=chain_residuals(fit.calibration, fitted_observations),
+        residuals=residuals,
         inliers=data.visible,
         pixel_sigma=fit.pixel_sigma,
         solution=fit.solution,
@@ -126,11 +125,32 @@ def fit_camera(
     )
 
 
+@compiled
+def _corrected_poses_and_residuals(
+    calibration: Calibration,
+    observations: Observations,
+    corrections: Float[Array, "views 6"],
+    camera_from_world: SE3,
+) -> tuple[SE3, Float[Array, "views points 2"]]:
+    """Return the poses of the views after the fit, and the residuals with them, px.
+
+    Args:
+        calibration: the fitted camera, with both transforms held at the identity.
+        observations: points, pixels, visibility; the robot's poses are not used.
+        corrections: tangents of the fit, one per view.
+        camera_from_world: poses that the fit started from.
+    """
+    # camera_from_world <- exp(c) camera_from_world.
+    poses = SE3.exp(corrections) @ camera_from_world
+    fitted_observations = eqx.tree_at(lambda o: o.base_from_tool, observations, poses.inverse())
+    return poses, chain_residuals(calibration, fitted_observations)
+
+
 def batch_least_squares(
     observations: Observations,
     start_camera: Camera,
     start_camera_from_world: SE3,
-    start_inliers: Bool[Array, "views points"] | None = None,
+    start_inliers: Bool[Array | np.ndarray, "views points"] | None = None,
     pixel_sigma: float | None = None,
     gate_probability: float = 0.9999,
     hold_camera: bool = False,
@@ -139,8 +159,8 @@ def batch_least_squares(
     """Fit a camera to all views in batches: fit, remove outliers, repeat until they stay the same.
 
     It replaces `kalman_filter`, with the same arguments and, in its result, the same `camera`,
-    `camera_from_world`, `inliers`, `pixel_sigma`, `rms`, `converged` and `message`. It is four
-    times as fast on 1000 points, and two hundred times on 50 000.
+    `camera_from_world`, `inliers`, `pixel_sigma`, `rms`, `converged` and `message`. It is twice
+    as fast on 1000 points, and nine times on 50 000, where the filter takes half a second.
     """
     # Quantile of the chi-square distribution with 2 degrees of freedom: -2 log(1 - p), p the
     # probability of the gate.
@@ -162,11 +182,11 @@ def batch_least_squares(
     iteration = 0
     while True:
         iteration += 1
-        inlier_data = eqx.tree_at(lambda d: d.visible, data, jnp.asarray(inliers))
+        inlier_data = eqx.tree_at(lambda d: d.visible, data, to_device(inliers))
         fit = fit_camera(inlier_data, *estimate, fixed=fixed)
         estimate = (fit.camera, fit.camera_from_world)
-        sigma = float(robust_sigma(observations, estimate, jnp.asarray(inliers), pixel_sigma))
-        residuals = np.asarray(_compiled_pixel_residuals(observations, *estimate))
+        residuals = np.asarray(pixel_residuals(observations, *estimate))
+        sigma = robust_sigma(residuals, inliers, pixel_sigma)
         # Every visible point is tested again, so that a point can return once the camera is better.
         within_gate = visible & (np.sum(residuals**2, axis=-1) <= gate * sigma**2)
         converged = bool((within_gate == inliers).all())
@@ -180,7 +200,4 @@ def batch_least_squares(
         inliers = within_gate
     stopped_early = FitResult(FitCode.STOPPED_EARLY, "the outliers kept changing")
     result = fit.result if converged else stopped_early
-    return dataclasses.replace(fit, residuals=jnp.asarray(residuals), result=result)
-
-
-_compiled_pixel_residuals = compiled(pixel_residuals)
+    return dataclasses.replace(fit, residuals=to_device(residuals), result=result)

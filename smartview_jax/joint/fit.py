@@ -5,16 +5,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool
 
+from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..compilation import compiled
 from ..dataset import Dataset, chain_residuals
 from ..engine import (
+    ROBOT_ERROR,
     AbstractLoss,
     BlockArrow,
     BuiltProblem,
@@ -27,19 +27,25 @@ from ..engine import (
     Step,
     build_problem,
     covariance,
-    eliminate,
     observability,
     per_view_std,
+    reduced_equations,
     robust_variance,
     solve,
     solve_on,
     solve_with_estimated_sigma,
-    updated_sigma,
+    squared_residuals,
     variance_factor,
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
-from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
+from ..robot_errors import (
+    AbstractField,
+    FieldChoice,
+    RobotError,
+    RobotPrior,
+    checked_field_choice,
+)
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views
@@ -74,6 +80,7 @@ def fit_joint(
     solver: optx.AbstractLeastSquaresSolver | None = None,
     devices: Sequence[Any] | None = None,
     gross_errors: str = "auto",
+    inliers: Bool[Array, "views points"] | Bool[np.ndarray, "views points"] | None = None,
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
 ) -> JointFit:
@@ -101,6 +108,8 @@ def fit_joint(
         gross_errors: `"leave_out"` leaves out points that are too far off to be noise and views
             whose pose contradicts the others', and lists them in `rejected`; `"keep"` takes the
             data as they are; `"auto"` leaves out where the noise is estimated.
+        inliers: mask of the visible observations to fit, where an earlier step has rejected some;
+            by default all. Residuals are reported for the others too.
         progress: called with a line of text for each stage.
         robot_prior: prior on the standard deviations of the robot's errors where the noise is
             estimated; by default that of good industrial arms.
@@ -113,14 +122,16 @@ def fit_joint(
         raise ValueError(
             f"gross_errors is one of {', '.join(GROSS_ERRORS_OPTIONS)}; found {gross_errors!r}"
         )
-    field = checked_field_choice(field)
+    field, all_data = checked_field_choice(field), data
+    if inliers is not None:
+        data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     say, start = progress or (lambda _: None), with_lens(start, lens)
 
     def fit_once(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field = start, noise, field
-        noise_estimate, free_paths = None, tuple(free)
+        noise_estimate, free_paths, held_paths = None, tuple(free), ()
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
@@ -132,8 +143,7 @@ def fit_joint(
                 progress=progress,
                 robot_prior=robot_prior,
             )
-            initial, noise_model = noise_estimate.calibration, noise_estimate.noise
-            error_field = noise_estimate.field
+            initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
             # The target's size is free if the views favour another one than stated.
             free_paths += noise_estimate.free
         built = build_problem(
@@ -141,7 +151,7 @@ def fit_joint(
             initial,
             noise=noise_model,
             loss=loss,
-            fixed=fixed,
+            fixed=(*fixed, *held_paths),
             free=free_paths,
             priors=priors,
             field=error_field,
@@ -162,14 +172,14 @@ def fit_joint(
             solution, equations = solve_problem(built.problem, built.problem.zero_step())
         else:
             problem, solution, equations, _ = solve_with_estimated_sigma(
-                built.problem, solve_problem, _residual_sigma, SIGMA_TOLERANCE, MAX_SIGMA_FITS
+                built.problem, solve_problem, variance_factor, SIGMA_TOLERANCE, MAX_SIGMA_FITS
             )
             built = dataclasses.replace(built, problem=problem)
         joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
         return joint_fit, equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
-        return _finish_fit(fit_once(data, ())[0], data)
+        return _finish_fit(fit_once(data, ())[0], data, all_data)
     # Gross errors first, then one view at a time: the view rejected by its posterior pose
     # correction, or, where all poses look poor, the view without which the pose standard deviations
     # collapse. The noise is estimated anew after each, since one wrong pose inflates it for all
@@ -193,14 +203,43 @@ def fit_joint(
             accepted, matrix = fit_once(used_data, rejected_points)
         else:
             break
-    # Residuals are reported for rejected observations too.
-    all_residuals = chain_residuals(accepted.calibration, data.observations)
-    return _finish_fit(dataclasses.replace(accepted, residuals=all_residuals), used_data)
+    return _finish_fit(accepted, used_data, all_data)
 
 
-def _finish_fit(fit: JointFit, data: Dataset) -> JointFit:
-    """Return the fit with the region of viewpoints that the data cover, and with its warnings."""
-    fit = dataclasses.replace(fit, calibration=with_region(fit.calibration, data))
+def _embedded(
+    estimate: NoiseEstimate,
+) -> tuple[Calibration, Noise, AbstractField | None, tuple[str, ...]]:
+    """Return an estimate as one with the field that contains those of all models.
+
+    All fits of a calibration are then solved by one compiled program.
+
+    Returns:
+        The calibration, the noise, the field, and the paths of the groups to hold at zero.
+    """
+    field, calibration = estimate.encompassing_field, estimate.calibration
+    if field is None:
+        return calibration, estimate.noise, None, ()
+    error = calibration.robot_error
+    embedded = RobotError.zero(field) if error is None else error.converted_to(field)
+    names = () if estimate.field is None else tuple(name for name, _ in estimate.field.groups)
+    sigmas = dict(zip(names, estimate.noise.field, strict=True))
+    groups = [name for name, _ in field.groups]
+    return (
+        dataclasses.replace(calibration, robot_error=embedded),
+        # The standard deviation of a group that is held has no effect.
+        dataclasses.replace(estimate.noise, field=tuple(sigmas.get(name, 1.0) for name in groups)),
+        field,
+        tuple(f"{ROBOT_ERROR}.{name}" for name in groups if name not in sigmas),
+    )
+
+
+def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFit:
+    """Return the fit with the residuals of all data, its region of viewpoints and its warnings."""
+    # Residuals are reported for rejected observations too. The region is added afterwards: without
+    # it the calibration has the structure of the one that was fitted, and needs no new program.
+    residuals = chain_residuals(fit.calibration, all_data.observations)
+    calibration = with_region(fit.calibration, used_data)
+    fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
     return dataclasses.replace(fit, warnings=plausibility_warnings(fit))
 
 
@@ -213,28 +252,15 @@ def _assemble_fit(
     rejected_points: tuple[Rejection, ...],
 ) -> JointFit:
     """Build the result: covariances, degrees of freedom, inliers and rejections at the solution."""
-    problem = built.problem
-    at_solution = _solution_quantities(problem, solution.z, equations.matrix)
-    (
-        calibration,
-        corrections,
-        field_corrections,
-        squared_residuals,
-        estimated_factor,
-        residual_variance,
-        elimination,
-        per_view_inverse,
-    ) = at_solution
-    visible, squared_residuals = (
-        np.asarray(problem.observations.visible),
-        np.asarray(squared_residuals),
-    )
-    factor = 1.0 if built.sigma_known else float(estimated_factor)
+    problem, chain = built.problem, solution.chain
+    squares, visible = squared_residuals(problem, chain), np.asarray(problem.observations.visible)
+    factor = 1.0 if built.sigma_known else float(variance_factor(problem, squares))
+    reduced = reduced_equations(equations.matrix)
 
     # Covariance f R^-1, with R the Schur complement of the corrections, f the variance factor. Unit
     # columns keep pixels and radians apart in the singular values.
     column_norms = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
-    scaled_jacobian = ScaledJacobian(np.asarray(elimination.schur_complement), column_norms)
+    scaled_jacobian = ScaledJacobian(reduced.schur_complement, column_norms)
     common_covariance, std = covariance(scaled_jacobian, factor)
     degrees_of_freedom = np.full(len(std), np.inf)
     if noise_estimate is not None:
@@ -246,70 +272,46 @@ def _assemble_fit(
         )
         std = np.sqrt(std**2 + np.diagonal(small_sample.added_covariance))
     # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
-    correction_std = per_view_std(
-        np.asarray(per_view_inverse), np.asarray(elimination.gain), common_covariance, factor
-    )
+    correction_std = per_view_std(reduced, common_covariance, factor)
     correction_std = correction_std[np.asarray(problem.per_view_free)]
 
     # The robust variance widens the gate where residuals are larger than the noise model states.
+    residual_variance = float(robust_variance(squares, visible))
     gate = MAX_INLIER_CHI_SQUARE * (
-        max(1.0, float(residual_variance)) if built.sigma_known else float(residual_variance)
+        max(1.0, residual_variance) if built.sigma_known else residual_variance
     )
-    inliers = visible & (squared_residuals <= gate)
     names = (*built.shared_names, *built.per_view_names)
+    # The robot error of the result has the groups that were fitted, and no others.
+    calibration, error = chain.calibration, chain.calibration.robot_error
+    if noise_estimate is not None and error is not None:
+        field = noise_estimate.field
+        error = None if field is None else error.converted_to(field)
+        calibration = dataclasses.replace(calibration, robot_error=error)
     return JointFit(
         calibration=calibration,
         covariance=common_covariance,
         pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
-        residuals=chain_residuals(calibration, problem.observations),
-        inliers=jnp.asarray(inliers),
-        pose_corrections=corrections if len(corrections) else jnp.zeros((data.view_count, 6)),
-        field_corrections=field_corrections,
-        start=problem.parameters.start,
+        residuals=problem.observations.pixels,
+        inliers=to_device(visible & (squares <= gate)),
+        pose_corrections=chain.pose_corrections
+        if len(chain.pose_corrections)
+        else to_device(np.zeros((data.view_count, 6))),
+        field_corrections=chain.field_corrections,
+        start=problem.parameters.start if noise_estimate is None else noise_estimate.calibration,
         problem=problem,
         solution=solution,
         std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)),
         degrees_of_freedom=dict(
             zip(built.shared_names, map(float, degrees_of_freedom), strict=True)
         ),
-        noise=built.noise,
+        noise=built.noise if noise_estimate is None else noise_estimate.noise,
         noise_estimate=noise_estimate,
         rejected=_all_rejections(data, rejected_points, built.unprojectable),
-        observability=observability(scaled_jacobian, built.shared_names, calibration),
+        observability=observability(scaled_jacobian, built.shared_names, chain.calibration),
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=_solver_result(solution),
     )
-
-
-@compiled
-def _solution_quantities(problem: JointProblem, z: Step, matrix: BlockArrow) -> tuple:
-    """Compute what the result needs from the normal equations and residuals at the solution."""
-    calibration, corrections = problem.calibration(z)
-    elimination = eliminate(matrix)
-    error, observations = calibration.robot_error, problem.observations
-    field_corrections = (
-        jnp.zeros((len(observations.visible), 6))
-        if error is None
-        else (observations.base_from_tool.inverse() @ error.actual_pose(observations.command)).log()
-    )
-    squares = problem.squared_residuals(z)
-    return (
-        calibration,
-        corrections,
-        field_corrections,
-        squares,
-        variance_factor(problem, squares),
-        robust_variance(squares, problem.observations.visible),
-        elimination,
-        elimination.per_view_inverse,
-    )
-
-
-@compiled
-def _residual_sigma(problem: JointProblem, z: Step) -> Float[Array, ""]:
-    """Return the pixel sigma that the residuals have at a step, px."""
-    return updated_sigma(problem, variance_factor(problem, problem.squared_residuals(z)))
 
 
 def _all_rejections(

@@ -10,33 +10,31 @@ transform for all. Smaller disagreement can only be judged with the variance com
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
-from ..calibration import Calibration, mount_from_holder
-from ..compilation import compiled
-from ..dataset import Dataset, Observations
+from ..array_namespace import AnyArray, to_device
+from ..calibration import Calibration, host_mount_from_holder
+from ..dataset import Dataset, Observations, view_residuals
 from ..engine import (
     Cauchy,
-    JointProblem,
     Noise,
     Prior,
-    Step,
     StructuredLM,
     build_problem,
     robust_variance,
     solve,
     solve_with_estimated_sigma,
+    squared_residuals,
     updated_sigma,
     with_free_camera_poses,
     with_pixel_sigma,
 )
 from ..fit_result import Rejection
+from ..geometry import host_matrices, host_transforms
 from ..staged import estimate_view_poses, find_consistent_views, median_reprojection_errors
+from ..variance import encompassing_field
 
 MAX_SQUARED_RESIDUAL = 144.0
 """The squared whitened residual from a view's own best pose beyond which a point is left out.
@@ -104,15 +102,15 @@ def remove_gross_errors(
     }
     # Four points are the fewest that determine a pose.
     trusted = (count >= 4) & ~np.isin(np.arange(len(count)), list(rejected_views))
-    robot_poses = mount_from_holder(data.mount, data.base_from_tool)
+    robot_poses = host_mount_from_holder(data.mount, data.base_from_tool)
     rejected_views |= find_consistent_views(
         robot_poses,
         poses,
-        jnp.asarray(trusted, dtype=float),
+        to_device(trusted.astype(float)),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
             Calibration(start.camera, camera_from_mount, holder_from_world, data.mount),
             located_data.observations,
-            jnp.asarray(visible & ~outside),
+            to_device(visible & ~outside),
         ),
         data.view_ids,
     ).reasons
@@ -130,7 +128,7 @@ def remove_gross_errors(
     if progress is not None and (point_rejections or rejected_views or unlocated):
         view_count = len(rejected_views) + len(unlocated)
         progress(f"left out: {len(point_rejections)} points, {view_count} views")
-    clean_data = dataclasses.replace(located_data, visible=jnp.asarray(visible & ~outside))
+    clean_data = located_data.with_visible(visible & ~outside)
     return without_views(clean_data, rejected_views), point_rejections
 
 
@@ -157,8 +155,8 @@ def _start_poses(
 
     The pose comes from the chain where that is close, otherwise from the view's points.
     """
-    chain = start.camera_from_world(data.command)
-    residual_norms = np.asarray(_chain_residual_norms(start, data.observations))
+    chain = np.asarray(start.camera_from_world_matrices(data.command))
+    residual_norms = _residual_norms(start, chain, data.observations)
     visible = np.asarray(data.visible)
     # The median residual of a view, so that a few outlying points do not make its pose look wrong.
     median_residual = np.zeros(len(visible))
@@ -167,15 +165,13 @@ def _start_poses(
     limit = max(MAX_MEDIAN_RATIO * float(np.median(median_residual[usable])), MAX_MEDIAN_RESIDUAL)
     misplaced = usable & (median_residual > limit)
     if not misplaced.any():
-        return chain, {}
-    misplaced_observations = eqx.tree_at(
-        lambda o: o.visible, data.observations, data.visible & jnp.asarray(misplaced)[:, None]
-    )
-    located = estimate_view_poses(misplaced_observations, start.camera)[0].wxyz_xyz
-    has_pose = np.isfinite(np.asarray(located)).all(axis=1)
+        return host_transforms(chain), {}
+    misplaced_data = data.with_visible(visible & misplaced[:, None])
+    located = host_matrices(estimate_view_poses(misplaced_data.observations, start.camera)[0])
+    has_pose = np.isfinite(located).all(axis=(1, 2))
     unlocated = {int(k): "no pose was found for it" for k in np.flatnonzero(misplaced & ~has_pose)}
-    relocated = jnp.asarray(misplaced & has_pose)
-    return SE3(jnp.where(relocated[:, None], located, chain.wxyz_xyz)), unlocated
+    relocated = (misplaced & has_pose)[:, None, None]
+    return host_transforms(np.where(relocated, located, chain)), unlocated
 
 
 def _robust_poses(
@@ -192,7 +188,9 @@ def _robust_poses(
     """
     # Priors and held parameters that concern the robot have no meaning here; those of the camera
     # stay.
-    free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses)
+    # The field has no effect, but with it the fit is compiled together with those that follow.
+    field = encompassing_field(data, len(data.usable_views())) if data.arm is None else None
+    free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses, field)
     camera_priors = {path: prior for path, prior in (priors or {}).items() if _is_camera_path(path)}
     problem = build_problem(
         free_pose_data,
@@ -202,20 +200,18 @@ def _robust_poses(
         fixed=(*identity_start.transform_names, *filter(_is_camera_path, fixed)),
         priors=camera_priors,
     ).problem
+    residual_norms = _residual_norms(identity_start, host_matrices(poses), problem.observations)
+    first_factor = robust_variance(residual_norms**2, np.asarray(problem.observations.visible))
     # Cauchy's loss has the scale sigma, and sigma is estimated from the residuals under it.
-    first_sigma = _robust_residual_sigma(problem, problem.zero_step())
     problem, solution, _, sigma = solve_with_estimated_sigma(
-        with_pixel_sigma(problem, first_sigma),
+        with_pixel_sigma(problem, updated_sigma(1.0, first_factor)),
         lambda problem, step: solve(problem, LOOSE_SOLVER, start=step),
-        _robust_residual_sigma,
+        lambda problem, squares: robust_variance(squares, np.asarray(problem.observations.visible)),
         SIGMA_TOLERANCE,
         MAX_SIGMA_FITS,
     )
-    return (
-        sigma,
-        np.asarray(_residual_norms(problem, solution.z)),
-        SE3.exp(solution.z.per_view) @ poses,
-    )
+    norms = float(problem.pixel_sigma) * np.sqrt(squared_residuals(problem, solution.chain))
+    return sigma, norms, host_transforms(np.asarray(solution.chain.camera_from_world))
 
 
 def _is_camera_path(path: str) -> bool:
@@ -223,29 +219,9 @@ def _is_camera_path(path: str) -> bool:
     return path.split(".")[0] == "camera"
 
 
-@compiled
-def _robust_residual_sigma(problem: JointProblem, z: Step) -> Float[Array, ""]:
-    """Return the pixel sigma from the median of the residuals at a step, px."""
-    factor = robust_variance(problem.squared_residuals(z), problem.observations.visible)
-    return updated_sigma(problem, factor)
-
-
-@compiled
-def _residual_norms(problem: JointProblem, z: Step) -> Float[Array, "views points"]:
-    """Return the norm of every point's residual at a step, px."""
-    return problem.pixel_sigma * jnp.sqrt(problem.squared_residuals(z))
-
-
-@compiled
-def _chain_residual_norms(
-    start: Calibration, observations: Observations
-) -> Float[Array, "views points"]:
-    """Return the norms of all residuals under the chain, px; infinite without a projection."""
-
-    def view_residual_norms(view: Observations) -> Float[Array, "points"]:
-        predicted, valid = start.project(view.command, view.points)
-        norms = jnp.linalg.norm(view.residuals(predicted, valid), axis=-1)
-        return jnp.where(valid, norms, jnp.inf)
-
-    # View by view: a projection of all observations at once takes several times the data's memory.
-    return jax.lax.map(view_residual_norms, observations)
+def _residual_norms(
+    start: Calibration, camera_from_world: Float[AnyArray, "views 4 4"], observations: Observations
+) -> Float[np.ndarray, "views points"]:
+    """Return the norms of all residuals for given camera poses, px; infinite without projection."""
+    residuals = view_residuals(start.camera, start.target_scale, camera_from_world, observations)
+    return np.linalg.norm(residuals, axis=-1)

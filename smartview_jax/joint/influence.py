@@ -21,12 +21,19 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaincc
 from jaxtyping import Array, Float
+from scipy.special import chdtrc
 
 from ..compilation import compiled
 from ..deprecation import DeprecatedAttribute
-from ..engine import BlockArrow, JointProblem, Step, eliminate, parameter_mask
+from ..engine import (
+    BlockArrow,
+    JointProblem,
+    Step,
+    eliminate,
+    parameter_mask,
+    reduced_equations,
+)
 
 MIN_EXPLAINED_VARIANCE_FRACTION = 1e-6
 """The smallest fraction of a correction's prior variance that a view must explain to be tested."""
@@ -107,11 +114,10 @@ class PoseOutlierTest(NamedTuple):
         p_value: probability of a distance at least as large, under the components as estimated.
     """
 
-    distance: Float[Array, "views"]
-    p_value: Float[Array, "views"]
+    distance: Float[np.ndarray, "views"]
+    p_value: Float[np.ndarray, "views"]
 
 
-@compiled
 def pose_outlier_test(
     problem: JointProblem, z: Step, matrix: BlockArrow, sigmas_known: bool
 ) -> PoseOutlierTest:
@@ -126,55 +132,48 @@ def pose_outlier_test(
         sigmas_known: whether the priors' standard deviations are given, not estimated from these
             views.
     """
-    elimination = eliminate(matrix)
-    identity = jnp.eye(len(elimination.schur_complement))
-    column_norms = jnp.sqrt(jnp.diagonal(elimination.schur_complement))
-    scaling = jnp.diag(1.0 / jnp.where(column_norms > 0.0, column_norms, 1.0))
-    shared_covariance = (
-        scaling
-        @ jnp.linalg.solve(scaling @ elimination.schur_complement @ scaling, identity)
-        @ scaling
+    reduced = reduced_equations(matrix)
+    column_norms = np.sqrt(np.diagonal(reduced.schur_complement))
+    inverse_norms = 1.0 / np.where(column_norms > 0.0, column_norms, 1.0)
+    shared_covariance = np.outer(inverse_norms, inverse_norms) * np.linalg.inv(
+        reduced.schur_complement * np.outer(inverse_norms, inverse_norms)
     )
     # V_i = C_i^-1 + G_i P G_i^T, with G_i = C_i^-1 B_i and P = R^-1 the shared covariance.
-    covariance = elimination.per_view_covariance(shared_covariance)
+    covariance = reduced.per_view_covariance(shared_covariance)
 
-    weight = problem.prior_weight.per_view
+    weight, per_view_free = map(np.asarray, (problem.prior_weight.per_view, problem.per_view_free))
     # Whitened by W = S^-1/2, the `weight`:
     #     whitened_correction = W (c - mean),  explained_covariance = I - W V W,
     #     squared_distance = whitened_correction^T explained_covariance^-1 whitened_correction
     # in the eigenvectors of explained_covariance. Directions about which the view says nothing have
     # an eigenvalue of zero and are left out.
-    whitened_correction = weight * problem.offset_from_prior(problem.unscaled_step(z)).per_view
-    explained_covariance = jnp.eye(6)[None] - weight[..., None] * covariance * weight[:, None]
-    explained_fractions, eigenvectors = jnp.linalg.eigh(explained_covariance)
-    components = jnp.einsum("vki,vk->vi", eigenvectors, whitened_correction)
-    testable = jnp.all(problem.per_view_free & (weight > 0.0), axis=1)
+    correction = np.where(per_view_free, np.asarray(z.per_view), 0.0)
+    whitened_correction = weight * (correction - np.nan_to_num(problem.prior_mean.per_view))
+    explained_covariance = np.eye(6) - weight[..., None] * covariance * weight[:, None]
+    explained_fractions, eigenvectors = np.linalg.eigh(explained_covariance)
+    components = np.einsum("vki,vk->vi", eigenvectors, whitened_correction)
+    testable = np.all(per_view_free & (weight > 0.0), axis=1)
     informative = (explained_fractions > MIN_EXPLAINED_VARIANCE_FRACTION) & testable[:, None]
-    squared_distance = jnp.sum(
-        jnp.where(
-            informative, components**2 / jnp.where(informative, explained_fractions, 1.0), 0.0
-        ),
+    squared_distance = np.sum(
+        np.where(informative, components**2 / np.where(informative, explained_fractions, 1.0), 0.0),
         axis=1,
     )
-    degrees_of_freedom = jnp.sum(informative.astype(float), axis=1)
-    positive_degrees_of_freedom = jnp.maximum(degrees_of_freedom, 1.0)
-    # Chi-square tail of k degrees of freedom, P(X > d^2) = Q(k / 2, d^2 / 2).
-    p_value = jnp.where(
-        degrees_of_freedom > 0.0,
-        gammaincc(0.5 * positive_degrees_of_freedom, 0.5 * squared_distance),
-        1.0,
+    degrees_of_freedom = informative.sum(axis=1)
+    positive_degrees_of_freedom = np.maximum(degrees_of_freedom, 1)
+    p_value = np.where(
+        degrees_of_freedom > 0, chdtrc(positive_degrees_of_freedom, squared_distance), 1.0
     )
     if not sigmas_known:
         # Externally studentised, as in regression: with nu degrees of freedom over all views and k
         # of this view, the variance without it is (nu - d^2) / (nu - k), so
         #     d^2 <- d^2 (nu - k) / (nu - d^2).
-        total_degrees_of_freedom = jnp.sum(jnp.where(informative, explained_fractions, 0.0))
-        remaining = jnp.maximum(
+        total_degrees_of_freedom = np.sum(np.where(informative, explained_fractions, 0.0))
+        remaining = np.maximum(
             total_degrees_of_freedom - squared_distance, 1e-3 * total_degrees_of_freedom
         )
         squared_distance = (
             squared_distance
-            * jnp.maximum(total_degrees_of_freedom - positive_degrees_of_freedom, 1.0)
-            / jnp.where(remaining > 0.0, remaining, 1.0)
+            * np.maximum(total_degrees_of_freedom - positive_degrees_of_freedom, 1.0)
+            / np.where(remaining > 0.0, remaining, 1.0)
         )
-    return PoseOutlierTest(jnp.sqrt(squared_distance), p_value)
+    return PoseOutlierTest(np.sqrt(squared_distance), p_value)

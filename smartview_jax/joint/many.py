@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled_optimised
-from ..dataset import Dataset, Observations
+from ..dataset import Dataset, Observations, chain_residuals
 from ..engine import (
     MAXIMUM_STEPS,
     RANK_TOLERANCE,
@@ -37,7 +37,6 @@ from ..engine import (
     pad_with_last,
     unprojectable_views_message,
     updated_sigma,
-    valid_at_start,
     variance_factor,
     with_field,
     with_lens,
@@ -225,7 +224,12 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
         Calibration, corrections, covariance, cost, steps, whether it converged, and which views
         have points of which none can be projected.
     """
-    valid, visible = valid_at_start(problem), problem.observations.visible
+    # The prepared poses are those of the fit from which all problems were made.
+    problem = problem.with_observations(problem.observations)
+    visible = problem.observations.visible
+    # Residuals are infinite where a point that was seen cannot be projected.
+    residuals = chain_residuals(problem.parameters.start, problem.observations)
+    valid = jnp.all(jnp.isfinite(residuals), axis=-1)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible & valid)
     unprojectable = jnp.any(visible, axis=1) & ~jnp.any(visible & valid, axis=1)
 
@@ -234,7 +238,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
         # Each fit starts at the last one's solution.
         z = minimise(reweighted, StructuredLM(), MAXIMUM_STEPS, state[1])[0]
         factor = variance_factor(reweighted, reweighted.squared_residuals(z))
-        return (updated_sigma(reweighted, factor), z), None
+        return (jnp.asarray(updated_sigma(reweighted.pixel_sigma, factor)), z), None
 
     sigma, initial_step = problem.pixel_sigma, problem.zero_step()
     # A scan of length zero would still be compiled, with the whole solver in it.

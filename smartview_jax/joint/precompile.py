@@ -1,44 +1,51 @@
-"""Compile the later steps of a calibration while its first steps run.
+"""Compile the joint fit's programs before they are needed, for data of a given shape.
 
 In a new process compilation takes far longer than the fits. XLA compiles without holding Python's
-interpreter lock, so a second thread meanwhile runs the later steps on synthetic data of the same
-shape.
+interpreter lock, so a second thread can do it while the first steps of a calibration run.
 """
 
-import equinox as eqx
-import jax.numpy as jnp
-from jaxlie import SE3
+import numpy as np
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera, Pinhole, initial_lens
-from ..compilation import compiled
 from ..dataset import Dataset
-from ..staged import solve_hand_eye
-from .fit import fit_joint
-
-_precompiled: set[tuple] = set()
+from ..engine import Noise, Prior, build_problem, solve
+from ..geometry import host_transforms
+from ..variance import encompassing_field
 
 
 def precompile(
-    data: Dataset, lens: str | AbstractLens, camera: Camera | None, options: dict
+    data: Dataset,
+    lens: str | AbstractLens,
+    *,
+    camera: Camera | None = None,
+    noise: str | Noise = "estimated",
 ) -> None:
-    """Run Step 3 and the joint fit once on synthetic data, unless this shape was run before."""
-    key = (data.pixels.shape, data.mount, str(lens), camera is None, repr(sorted(options.items())))
-    if key in _precompiled:
-        return
-    _precompiled.add(key)
-    # Identical poses are enough: compilation depends on shapes, not on values.
-    solve_hand_eye(data.base_from_tool, data.base_from_tool)
-    width, height = data.image_size
+    """Compile what `fit_joint` runs on data of this shape; a second call takes milliseconds.
+
+    Args:
+        data: data set of the same number of views and points, and of the same kind of robot, as the
+            one to be fitted; it need not be the same.
+        lens: lens model of the fit.
+        camera: a known camera, with its own lens.
+        noise: as for `fit_joint`.
+    """
     if camera is None:
+        width, height = data.image_size
         lens_model = initial_lens(lens, Pinhole())
         camera = Camera(width, width, width / 2.0, height / 2.0, lens_model, data.image_size)
-    # Target one metre in front of the camera, so that every point can be projected.
-    base_from_world = SE3.from_translation(jnp.array([0.0, 0.0, 1.0]))
-    calibration = Calibration(camera, SE3.identity(), base_from_world, data.mount)
-    poses = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, data.base_from_tool.wxyz_xyz.shape))
-    pixels, valid = compiled(calibration.project)(poses, data.points)
-    synthetic = eqx.tree_at(
-        lambda d: (d.pixels, d.visible, d.base_from_tool), data, (pixels, valid, poses)
-    )
-    fit_joint(synthetic, calibration, **options)
+    field, noise_model = None, noise
+    if noise == "estimated":
+        field = encompassing_field(data, len(data.usable_views()))
+        noise_model = Noise(1.0, 1.0, 1.0, field=(1.0,) * len(field.groups))
+    identity = host_transforms(np.eye(4))
+    # The fit of data in which nothing is visible ends at once, at the start that its priors ask
+    # for; only the shapes of the arrays matter.
+    problem = build_problem(
+        data.with_visible(np.zeros(data.visible.shape, dtype=bool)),
+        Calibration(camera, identity, identity, data.mount),
+        noise=noise_model,
+        field="auto" if field is None else field,
+        priors={"camera": Prior(1.0)},
+    ).problem
+    solve(problem)

@@ -1,5 +1,7 @@
 """Combine two robot error fields, for data whose likelihood cannot decide between them."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
@@ -50,26 +52,48 @@ class CombinedField(AbstractField):
         )
 
     def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        first_coefficients, second_coefficients = jnp.split(coefficients, [self.first.size])
-        second_error = reported.base_from_tool.inverse() @ self.second.actual_pose(
-            reported, second_coefficients
-        )
-        return self.first.actual_pose(reported, first_coefficients) @ second_error
+        return self.prepared_pose(self.prepare(reported), coefficients)
 
     def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        first_coefficients, second_coefficients = jnp.split(coefficients, [self.first.size])
-        second_error = reported.base_from_tool.inverse() @ self.second.actual_pose(
-            reported, second_coefficients
+        return self.prepared_jacobian(self.prepare(reported), coefficients)
+
+    def prepare(self, reported: Command) -> tuple[SE3, Any, Any]:
+        """Return the reported poses, and what both fields need of them."""
+        return (
+            reported.base_from_tool,
+            self.first.prepare(reported),
+            self.second.prepare(reported),
         )
+
+    def prepared_pose(
+        self, prepared: tuple[SE3, Any, Any], coefficients: Float[Array, "coefficients"]
+    ) -> SE3:
+        first_coefficients = coefficients[: self.first.size]
+        return self.first.prepared_pose(prepared[1], first_coefficients) @ self._second_error(
+            prepared, coefficients
+        )
+
+    def _second_error(
+        self, prepared: tuple[SE3, Any, Any], coefficients: Float[Array, "coefficients"]
+    ) -> SE3:
+        """Return the second field's error at the tool, `reported^-1 @ actual_pose(reported)`."""
+        pose, _, second = prepared
+        return pose.inverse() @ self.second.prepared_pose(second, coefficients[self.first.size :])
+
+    def prepared_jacobian(
+        self, prepared: tuple[SE3, Any, Any], coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "*views 6 coefficients"]:
+        second_error = self._second_error(prepared, coefficients)
         # With A = second_error = reported^-1 second.actual_pose(reported), a small twist d of
         # F = first.actual_pose(reported) satisfies
         #     F exp(d) A = F A exp(Ad(A^-1) d),
         # so the first field's Jacobian is transformed to the tool by the adjoint of A^-1.
-        first_jacobian = second_error.inverse().adjoint() @ self.first.jacobian(
-            reported, first_coefficients
+        first_jacobian = second_error.inverse().adjoint() @ self.first.prepared_jacobian(
+            prepared[1], coefficients[: self.first.size]
         )
-        return jnp.concatenate(
-            [first_jacobian, self.second.jacobian(reported, second_coefficients)], axis=-1
+        second_jacobian = self.second.prepared_jacobian(
+            prepared[2], coefficients[self.first.size :]
         )
+        return jnp.concatenate([first_jacobian, second_jacobian], axis=-1)

@@ -6,7 +6,7 @@ field maps what the robot reports to the actual pose of the tool.
 """
 
 import abc
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -41,6 +41,25 @@ class AbstractField(eqx.Module):
     @abc.abstractmethod
     def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         """Return the actual `base_from_tool`, `(*views)`."""
+
+    def prepare(self, reported: Command) -> Any:
+        """Return what the field needs of reported poses, whatever its coefficients.
+
+        A fit calls it once, and then `prepared_pose` and `prepared_jacobian` at every step. By
+        default it is the report itself; a field for which much does not depend on the coefficients
+        returns that, as arrays whose first axis is the views.
+        """
+        return reported
+
+    def prepared_pose(self, prepared: Any, coefficients: Float[Array, "coefficients"]) -> SE3:
+        """Return `actual_pose` from what `prepare` returned."""
+        return self.actual_pose(prepared, coefficients)
+
+    def prepared_jacobian(
+        self, prepared: Any, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
+        """Return `jacobian` from what `prepare` returned."""
+        return self.jacobian(prepared, coefficients)
 
     def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
@@ -136,17 +155,35 @@ class AbstractLinearField(AbstractField):
         return self.basis(base_from_tool) @ coefficients
 
     def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        pose = reported.base_from_tool
-        return pose @ SE3.exp(-self.twist(pose, coefficients))
+        return self.prepared_pose(self.prepare(reported), coefficients)
 
     def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        basis = self.basis(reported.base_from_tool)
+        return self.prepared_jacobian(self.prepare(reported), coefficients)
+
+    def prepare(self, reported: Command) -> tuple[SE3, Float[Array, "*views 6 coefficients"]]:
+        """Return the reported poses and the basis there."""
+        return reported.base_from_tool, self.basis(reported.base_from_tool)
+
+    def prepared_pose(
+        self,
+        prepared: tuple[SE3, Float[Array, "*views 6 coefficients"]],
+        coefficients: Float[Array, "coefficients"],
+    ) -> SE3:
+        pose, basis = prepared
+        return pose @ SE3.exp(-(basis @ coefficients))
+
+    def prepared_jacobian(
+        self,
+        prepared: tuple[SE3, Float[Array, "*views 6 coefficients"]],
+        coefficients: Float[Array, "coefficients"],
+    ) -> Float[Array, "*views 6 coefficients"]:
         # actual_pose = reported exp(-B c), with the basis B; and with the left Jacobian J of exp at
         # B c, to first order in d,
         #     exp(-B (c + d)) = exp(-B c) exp(-J B d).
-        return -jax.vmap(se3_left_jacobian)(basis @ coefficients) @ basis
+        _, basis = prepared
+        return -se3_left_jacobian(basis @ coefficients) @ basis
 
 
 FieldChoice: TypeAlias = AbstractField | Literal["auto"] | None

@@ -9,15 +9,16 @@ closed-form inverse kinematics, models the errors of a real arm better than no a
 none of its lengths is correct.
 """
 
-import jax.numpy as jnp
+import jax
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
 
 from ..robots import Command, SerialArm, branch_joints
 from .arm_errors import DHErrors
 from .field import AbstractField
-from .linear_fields import max_normalised_offset, position_scale
+from .linear_fields import centre_and_reach, max_normalised_offset
 
 MAX_POSE_REACH_FRACTION = 0.7
 """Distance of the farthest reported pose as a fraction of the reach of the default arm."""
@@ -76,14 +77,14 @@ class GenericSixAxisArm(AbstractField):
             raise ValueError(
                 f"approach is one of {', '.join(_APPROACH_ROTATIONS)}; found {approach!r}"
             )
-        positions = base_from_tool.translation()
         if arm is None:
-            about_x, about_y = _APPROACH_ROTATIONS[approach]
-            flange_from_tool = SO3.from_x_radians(about_x) @ SO3.from_y_radians(about_y)
-            farthest = jnp.max(jnp.linalg.norm(positions, axis=1))
-            arm = _generic_arm(farthest / MAX_POSE_REACH_FRACTION, flange_from_tool)
-        signs = jnp.asarray(branch, dtype=float)
-        return cls(arm, signs, jnp.mean(positions, axis=0), position_scale(positions))
+            positions = np.asarray(base_from_tool.wxyz_xyz)[:, 4:]
+            farthest = np.max(np.linalg.norm(positions, axis=1))
+            # Capital letters: the rotation about y is about the axis that the first has turned.
+            flange_from_tool = Rotation.from_euler("XY", _APPROACH_ROTATIONS[approach])
+            arm = _generic_arm(float(farthest) / MAX_POSE_REACH_FRACTION, flange_from_tool)
+        signs = jax.device_put(np.array(branch, dtype=float))
+        return cls(arm, signs, *centre_and_reach(base_from_tool))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -103,35 +104,50 @@ class GenericSixAxisArm(AbstractField):
 
     def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         """Return the actual `base_from_tool`, out of reach by the joints that come closest."""
-        # actual_pose = reported arm(joints)^-1 actual_arm(joints)
-        # The arm's change of pose is applied relative to the reported pose, which is therefore
-        # exact for zero coefficients even where the inferred arm does not reach it.
-        pose, inferred = reported.base_from_tool, self._inferred_command(reported)
-        actual = self._dh_errors.actual_pose(inferred, coefficients)
-        return pose @ inferred.base_from_tool.inverse() @ actual
+        return self.prepared_pose(self.prepare(reported), coefficients)
 
     def jacobian(
         self, reported: Command, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
         """Return the Jacobian of the actual pose, that of the arm errors at the inferred joints."""
+        return self.prepared_jacobian(self.prepare(reported), coefficients)
+
+    def prepare(self, reported: Command) -> tuple[SE3, Command]:
+        """Return reported poses times the inverse of the inferred arm's, and the inferred joints.
+
+        The inferred arm's pose is the reported one where the arm reaches it.
+        """
+        pose = reported.base_from_tool
+        inferred = self.arm.command(branch_joints(self.arm, pose, self.branch))
+        return pose @ inferred.base_from_tool.inverse(), inferred
+
+    def prepared_pose(
+        self, prepared: tuple[SE3, Command], coefficients: Float[Array, "coefficients"]
+    ) -> SE3:
+        # actual_pose = reported arm(joints)^-1 actual_arm(joints)
+        # The arm's change of pose is applied relative to the reported pose, which is therefore
+        # exact for zero coefficients even where the inferred arm does not reach it.
+        reported_from_arm, inferred = prepared
+        return reported_from_arm @ self._dh_errors.actual_pose(inferred, coefficients)
+
+    def prepared_jacobian(
+        self, prepared: tuple[SE3, Command], coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
         # The factor reported arm(joints)^-1 stands on the left and does not depend on the
         # coefficients: it does not change a twist at the tool.
-        return self._dh_errors.jacobian(self._inferred_command(reported), coefficients)
-
-    def _inferred_command(self, reported: Command) -> Command:
-        """Return the inferred joints with the arm's pose: the reported one where it reaches."""
-        return self.arm.command(branch_joints(self.arm, reported.base_from_tool, self.branch))
+        return self._dh_errors.jacobian(prepared[1], coefficients)
 
 
-def _generic_arm(reach: Float[Array, ""], flange_from_tool: SO3) -> SerialArm:
+def _generic_arm(reach: float, flange_from_tool: Rotation) -> SerialArm:
     """Return an upright arm of given reach, with an upper arm as long as the forearm."""
-    right_angle = 0.5 * jnp.pi
+    right_angle = 0.5 * np.pi
+    x, y, z, w = flange_from_tool.as_quat()
     # Lengths as fractions of the reach: upper arm and forearm 0.45 each, base, shoulder offset,
     # elbow offset and wrist 0.35, 0.1, 0.05 and 0.1.
     return SerialArm(
-        theta=jnp.array([0.0, -right_angle, 0.0, 0.0, 0.0, 0.0]),
-        d=reach * jnp.array([0.35, 0.0, 0.0, 0.45, 0.0, 0.1]),
-        a=reach * jnp.array([0.1, 0.45, 0.05, 0.0, 0.0, 0.0]),
-        alpha=jnp.array([-right_angle, 0.0, -right_angle, right_angle, -right_angle, 0.0]),
-        flange_from_tool=SE3.from_rotation(flange_from_tool),
+        theta=np.array([0.0, -right_angle, 0.0, 0.0, 0.0, 0.0]),
+        d=reach * np.array([0.35, 0.0, 0.0, 0.45, 0.0, 0.1]),
+        a=reach * np.array([0.1, 0.45, 0.05, 0.0, 0.0, 0.0]),
+        alpha=np.array([-right_angle, 0.0, -right_angle, right_angle, -right_angle, 0.0]),
+        flange_from_tool=SE3(jax.device_put(np.array([w, x, y, z, 0.0, 0.0, 0.0]))),
     )

@@ -1,9 +1,12 @@
 """Define robot error fields for any robot: twists linear in the tool's position and orientation."""
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..geometry import host_matrices
 from ..robots import Command
 from .field import AbstractField, AbstractLinearField
 
@@ -33,8 +36,7 @@ class LinearInPosition(AbstractLinearField):
     @classmethod
     def from_poses(cls, base_from_tool: SE3) -> "LinearInPosition":
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
-        positions = base_from_tool.translation()
-        return cls(jnp.mean(positions, axis=0), position_scale(positions))
+        return cls(*centre_and_reach(base_from_tool))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -70,9 +72,8 @@ class LinearInPose(AbstractLinearField):
     @classmethod
     def from_poses(cls, base_from_tool: SE3) -> "LinearInPose":
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
-        positions = base_from_tool.translation()
-        mean = jnp.mean(_tool_x_and_z(base_from_tool), axis=0)
-        return cls(jnp.mean(positions, axis=0), position_scale(positions), mean)
+        mean = np.mean(host_matrices(base_from_tool)[:, :3, [0, 2]], axis=0)
+        return cls(*centre_and_reach(base_from_tool), jax.device_put(mean.T.ravel()))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
@@ -105,12 +106,15 @@ class LinearInPose(AbstractLinearField):
         return jnp.concatenate(column_blocks, axis=-1)
 
 
-def position_scale(positions: Float[Array, "views 3"]) -> Float[Array, ""]:
-    """Return the distance from the mean position that counts as one unit, m."""
-    variance = jnp.sum(jnp.var(positions, axis=0)) / 3.0
+def centre_and_reach(base_from_tool: SE3) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    """Return the mean position of the tool, and the distance from it that counts as one unit, m."""
+    # Made once on the host, where NumPy needs no compilation.
+    positions = np.asarray(base_from_tool.wxyz_xyz)[:, 4:]
+    variance = np.sum(np.var(positions, axis=0)) / 3.0
     # A robot that only rotated has no standard deviation to scale by: its reach is that of a
     # standard deviation of 1 m, with which the field hardly depends on the position.
-    return UNIFORM_HALF_WIDTH * jnp.sqrt(jnp.where(variance > MIN_POSITION_STD**2, variance, 1.0))
+    std = np.sqrt(np.where(variance > MIN_POSITION_STD**2, variance, 1.0))
+    return jax.device_put((np.mean(positions, axis=0), UNIFORM_HALF_WIDTH * std))
 
 
 def max_normalised_offset(

@@ -1,10 +1,11 @@
 """Provide a fitted robot error field, which maps reported poses to actual poses and back."""
 
 import equinox as eqx
-import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..array_namespace import to_device
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .field import AbstractField
 
@@ -23,7 +24,16 @@ class RobotError(eqx.Module):
     @classmethod
     def zero(cls, field: AbstractField) -> "RobotError":
         """Return the error with all coefficients zero, which corrects nothing."""
-        return cls(field, jnp.zeros(field.size))
+        return cls(field, to_device(np.zeros(field.size)))
+
+    def converted_to(self, field: AbstractField) -> "RobotError":
+        """Return the error with another field, which has some of the same groups of coefficients.
+
+        Coefficients are taken over by name; those that this field does not have are zero. It is the
+        same error if those that the other field does not have are zero.
+        """
+        values = dict(zip(self.field.names, np.asarray(self.coefficients), strict=True))
+        return RobotError(field, to_device([float(values.get(name, 0.0)) for name in field.names]))
 
     def actual_pose(self, reported: CommandLike) -> SE3:
         """Return the actual `base_from_tool` for what the robot reports, `(*views)`."""

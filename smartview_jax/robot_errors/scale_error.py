@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from ..robots import Command
 from .field import AbstractField, AbstractLinearField
-from .linear_fields import LinearInPose, position_scale
+from .linear_fields import LinearInPose, centre_and_reach
 
 ROBOT_SCALE_GROUP = "translation_by_stretch"
 """The name of the group with the single coefficient of the scale of the robot's displacements.
@@ -44,8 +44,7 @@ class ScaleError(AbstractField):
     @classmethod
     def from_poses(cls, field: AbstractField, base_from_tool: SE3) -> "ScaleError":
         """Return the field centred on poses `(views)` and scaled by their standard deviation."""
-        positions = base_from_tool.translation()
-        return cls(field, jnp.mean(positions, axis=0), position_scale(positions))
+        return cls(field, *centre_and_reach(base_from_tool))
 
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:

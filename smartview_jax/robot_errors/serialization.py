@@ -56,7 +56,8 @@ def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) 
     coefficients = content["coefficients"]
     if set(coefficients) != set(restored.names):
         raise ValueError(f"robot_error.coefficients: {_differences(coefficients, restored.names)}")
-    return RobotError(restored, jnp.array([float(coefficients[name]) for name in restored.names]))
+    values = [float(coefficients[name]) for name in restored.names]
+    return RobotError(restored, jnp.asarray(values, dtype=float))
 
 
 def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> AbstractField:

@@ -10,11 +10,10 @@ Source: Denavit and Hartenberg, A kinematic notation for lower-pair mechanisms, 
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Float
 
+from ..geometry import se3_from_matrices
 from .serial_arm import SerialArm
 
 PARALLEL_TOLERANCE = 1e-9
@@ -71,8 +70,8 @@ def arm_from_axes(
         alpha,
         prismatic=prismatic,
         limits=limits,
-        base_from_first=_se3_from_matrix(first_frame),
-        flange_from_tool=_se3_from_matrix(np.linalg.inv(frame) @ base_from_tool),
+        base_from_first=se3_from_matrices(first_frame),
+        flange_from_tool=se3_from_matrices(np.linalg.inv(frame) @ base_from_tool),
     )
 
 
@@ -117,8 +116,3 @@ def _frame(
     frame = np.eye(4)
     frame[:3] = np.stack([x, np.cross(z, x), z, origin], axis=1)
     return frame
-
-
-def _se3_from_matrix(matrix: Float[np.ndarray, "4 4"]) -> SE3:
-    """Return an `SE3` of a homogeneous matrix, with its quaternion normalised."""
-    return SE3.from_matrix(jnp.asarray(matrix)).normalize()

@@ -6,6 +6,7 @@ References:
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -72,7 +73,7 @@ class SerialArm(eqx.Module):
                 f"convention is one of {', '.join(DH_CONVENTIONS)}; found {convention!r}"
             )
         self.theta, self.d, self.a, self.alpha = (
-            jnp.asarray(row, dtype=float) for row in (theta, d, a, alpha)
+            _as_jax_array(row) for row in (theta, d, a, alpha)
         )
         prismatic_flags = (False,) * len(self.d) if prismatic is None else prismatic
         self.prismatic = tuple(map(bool, prismatic_flags))
@@ -81,11 +82,10 @@ class SerialArm(eqx.Module):
         }
         if len(set(shapes.values())) > 1 or self.theta.ndim != 1 or self.joint_count == 0:
             raise ValueError(f"an arm has one number per joint in each row; found {shapes}")
-        tool = SE3.identity() if flange_from_tool is None else as_se3(flange_from_tool)
-        self.flange_from_tool = tool
-        self.base_from_first = (
-            SE3.identity() if base_from_first is None else as_se3(base_from_first)
-        )
+        # Not jaxlie's own identity, which compiles programs.
+        identity = SE3(jax.device_put(np.eye(7)[0]))
+        self.flange_from_tool = identity if flange_from_tool is None else as_se3(flange_from_tool)
+        self.base_from_first = identity if base_from_first is None else as_se3(base_from_first)
         self.convention = convention
         self.limits = _checked_limits(limits, self.joint_count)
 
@@ -100,7 +100,7 @@ class SerialArm(eqx.Module):
         Raises:
             ValueError: there is not one reading per joint.
         """
-        joints = jnp.asarray(joints, dtype=float)
+        joints = _as_jax_array(joints)
         if joints.shape[-1:] != (self.joint_count,):
             raise ValueError(
                 f"joints: expected (..., {self.joint_count}), one reading per joint, "
@@ -110,7 +110,7 @@ class SerialArm(eqx.Module):
 
     def command(self, joints: JointsLike) -> Command:
         """Return joint readings with the tool pose that the controller computes from them."""
-        return Command(self.base_from_tool(joints), jnp.asarray(joints, dtype=float))
+        return Command(self.base_from_tool(joints), _as_jax_array(joints))
 
     def violated_limits(
         self, joints: JointsLike, tolerance: float = 0.0
@@ -128,6 +128,14 @@ class SerialArm(eqx.Module):
         return jnp.where(prismatic, d_columns, theta_columns)
 
 
+def _as_jax_array(numbers: Sequence[Any] | np.ndarray | Array) -> Float[Array, "..."]:
+    """Return numbers as a JAX array; those of the host without compiling a program."""
+    if any(isinstance(x, Array) for x in jax.tree.leaves(numbers)):
+        return jnp.asarray(numbers, dtype=float)
+    # A copy, because `device_put` may share the memory of the caller's array.
+    return jax.device_put(np.array(numbers, dtype=float))
+
+
 def _checked_limits(
     limits: Sequence[Sequence[float]] | np.ndarray | Array | None, joints: int
 ) -> Float[Array, "joints 2"]:
@@ -138,7 +146,7 @@ def _checked_limits(
             counts joints from one.
     """
     if limits is None:
-        return jnp.broadcast_to(jnp.array([-jnp.inf, jnp.inf]), (joints, 2))
+        return jax.device_put(np.tile([-np.inf, np.inf], (joints, 1)))
     if np.shape(limits) != (joints, 2):
         raise ValueError(
             f"limits: expected ({joints}, 2), the least and the largest reading of each joint, "
@@ -149,7 +157,7 @@ def _checked_limits(
         for k, (lower, upper) in enumerate(np.asarray(limits, dtype=float).tolist()):
             if not lower < upper:
                 raise ValueError(f"limits of joint {1 + k}: {lower} is not below {upper}")
-    return jnp.asarray(limits, dtype=float)
+    return _as_jax_array(limits)
 
 
 def _screw(rotation: SO3, distance: Float[Array, "*views"], axis: int) -> SE3:

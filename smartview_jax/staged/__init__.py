@@ -1,8 +1,9 @@
 """Calibrate in the paper's three steps, as the baseline and as the start of the joint fit.
 
     Step 1  each view by itself, Weng's two-step method       weng*.py (Eq. 8)
-    Step 2  one camera for all views, iterated Kalman filter  kalman.py (Eq. 9)
-    Step 3  hand-eye and world transforms, `A X = X B`        hand_eye.py (Eq. 17), closed_form.py
+    Step 2  one camera for all views, iterated Kalman filter  kalman*.py (Eq. 9)
+    Step 3  hand-eye and world transforms, `A X = X B`        hand_eye.py, frobenius.py (Eq. 17),
+                                                              closed_form.py
 
 `fit.py` runs the three. `conventions.py` and `view_consistency.py` check the data between Steps 2
 and 3; `interpolation.py` is the comparison method of the paper's Table 1.
@@ -21,8 +22,8 @@ from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
 from .fit import views_to_use as views_to_use
+from .frobenius import frobenius_cost as frobenius_cost
 from .hand_eye import HandEyeResult as HandEyeResult
-from .hand_eye import frobenius_cost as frobenius_cost
 from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult

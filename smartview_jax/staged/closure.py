@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ..geometry import host_nearest_rotation
+
 Poses = Float[np.ndarray, "views 4 4"]
 """Homogeneous matrices, one per view, m."""
 
@@ -70,12 +72,12 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
     i, j = np.triu_indices(len(indices), 1)
     A, B = C[j] @ np.linalg.inv(C[i]), M[j] @ np.linalg.inv(M[i])
     a, b = (Rotation.from_matrix(motions[:, :3, :3]).as_rotvec() for motions in (A, B))
-    # R_A R = R R_B: R takes the rotation vectors b to a.
-    R = _procrustes_rotation(a, b)
+    # R_A R = R R_B: R takes the rotation vectors b to a (orthogonal Procrustes).
+    R = host_nearest_rotation(a.T @ b)
     # Repeated without outlying pairs: one wrong view spoils all pairs that contain it.
     for _ in range(TRIMMING_ITERATIONS):
         used = _inlier_pairs(np.linalg.norm(a - b @ R.T, axis=1))
-        R = _procrustes_rotation(a[used], b[used])
+        R = host_nearest_rotation(a[used].T @ b[used])
     # The residual as the angle of a rotation, not as a difference of rotation vectors: for motions
     # near 180 degrees the axis may have either sign.
     expected = R @ B[:, :3, :3] @ R.T
@@ -156,10 +158,3 @@ def _inlier_pairs(residual: np.ndarray) -> np.ndarray:
 def _solve_translation(matrix: np.ndarray, right_hand_side: np.ndarray) -> np.ndarray:
     """Compute the translation of the hand-eye transform by least squares, m."""
     return np.linalg.lstsq(matrix.reshape(-1, 3), right_hand_side.reshape(-1), rcond=1e-6)[0]
-
-
-def _procrustes_rotation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Compute the rotation that takes vectors `b` closest to `a` (orthogonal Procrustes)."""
-    # The sign of the last singular vector keeps the determinant at +1: no reflection.
-    U, _, Vt = np.linalg.svd(a.T @ b)
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt

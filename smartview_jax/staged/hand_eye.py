@@ -18,15 +18,15 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Float
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 
-from ..compilation import compiled
-from ..geometry import mean_pose
-from .closed_form import CLOSED_FORMS
+from ..geometry import host_logarithms, host_matrices, host_transforms
+from .closed_form import CLOSED_FORMS, mean_camera_from_mount
+from .frobenius import frobenius_factor
 
 PAPER_START = "paper: rotation identity"
 """The name of the paper's start: identity rotation and a roughly known translation."""
@@ -74,7 +74,7 @@ class HandEyeResult(eqx.Module):
 def solve_hand_eye(
     mount_from_holder: SE3,
     camera_from_world: SE3,
-    weights: Float[Array, "views"] | None = None,
+    weights: Float[Array, "views"] | Float[np.ndarray, "views"] | None = None,
     rough_translation: Float[Array, "3"] | np.ndarray | None = None,
     length_scale: float = 1.0,
 ) -> HandEyeResult:
@@ -91,43 +91,46 @@ def solve_hand_eye(
     Raises:
         ValueError: fewer than three views.
     """
-    views = len(mount_from_holder.wxyz_xyz)
-    weights = jnp.ones(views) if weights is None else jnp.asarray(weights, dtype=float)
+    T, C = host_matrices(mount_from_holder), host_matrices(camera_from_world)
+    w = np.ones(len(T)) if weights is None else np.asarray(weights, dtype=float)
     # Two motions about different axes are needed, hence three views.
-    used_count = np.count_nonzero(np.asarray(weights))
-    if used_count < 3:
-        raise ValueError(f"Step 3 needs at least 3 views, found {used_count}")
-    closed_forms = _closed_forms(mount_from_holder, camera_from_world, weights)
-    rough = jnp.zeros(3) if rough_translation is None else jnp.asarray(rough_translation, float)
-    paper_start = SE3.from_rotation_and_translation(SO3.identity(), rough)
-
-    T, C = mount_from_holder, camera_from_world
-    # First search: X = holder_from_world in T_i^-1 T_j X = X C_i^-1 C_j (Eq. 17).
-    world_starts = {
-        PAPER_START: paper_start,
-        **{name: form[1] for name, form in closed_forms.items()},
+    if np.count_nonzero(w) < 3:
+        raise ValueError(f"Step 3 needs at least 3 views, found {np.count_nonzero(w)}")
+    # The closed forms are further starts beside the paper's.
+    closed_forms = {
+        name: tuple(host_matrices(x) for x in form(mount_from_holder, camera_from_world, w))
+        for name, form in CLOSED_FORMS.items()
     }
-    world_solution, world_searches, world_best = _search(T, C, weights, world_starts, length_scale)
+    T, C, w = T[w != 0.0], C[w != 0.0], w[w != 0.0]
+    total = float(w.sum())
+    paper_start = np.eye(4)
+    if rough_translation is not None:
+        paper_start[:3, 3] = np.asarray(rough_translation)
+    # First search: X = holder_from_world in T_i^-1 T_j X = X C_i^-1 C_j (Eq. 17).
+    world_solution, world_searches, world_best = _search(
+        frobenius_factor(T, C, w, length_scale) / total,
+        total**2,
+        {PAPER_START: paper_start, **{name: form[1] for name, form in closed_forms.items()}},
+    )
     # Eliminating base_from_world instead of camera_from_tool from Eq. 10 gives
     #     C_j C_i^-1 X = X T_j T_i^-1,  X = camera_from_tool,
     # which is the same search with C^-1 and T^-1 in the roles of T and C.
-    hand_eye_starts = {
-        PAPER_START: SE3.identity(),
-        **{name: form[0] for name, form in closed_forms.items()},
-    }
     hand_eye_solution, hand_eye_searches, hand_eye_best = _search(
-        C.inverse(), T.inverse(), weights, hand_eye_starts, length_scale
+        frobenius_factor(np.linalg.inv(C), np.linalg.inv(T), w, length_scale) / total,
+        total**2,
+        {PAPER_START: np.eye(4), **{name: form[0] for name, form in closed_forms.items()}},
     )
-
-    averaged, difference = (
-        np.asarray(x)
-        for x in _mean_camera_from_mount(T, C, world_solution, hand_eye_solution, weights)
-    )
+    averaged = mean_camera_from_mount(world_solution, T, C, w)
+    difference = host_logarithms(np.linalg.inv(averaged) @ hand_eye_solution)
     converged = world_best.converged and hand_eye_best.converged
+    # JAX arrays, so that users can differentiate; `device_put` compiles no program.
+    holder_from_world, camera_from_mount, camera_from_mount_direct = (
+        jax.device_put(host_transforms(x)) for x in (world_solution, averaged, hand_eye_solution)
+    )
     return HandEyeResult(
-        world_solution,
-        SE3(jnp.asarray(averaged)),
-        hand_eye_solution,
+        holder_from_world,
+        camera_from_mount,
+        camera_from_mount_direct,
         (float(np.linalg.norm(difference[:3])), float(np.linalg.norm(difference[3:]))),
         world_searches,
         hand_eye_searches,
@@ -137,124 +140,112 @@ def solve_hand_eye(
     )
 
 
-@compiled
-def _mean_camera_from_mount(
-    T: SE3, C: SE3, holder_from_world: SE3, camera_from_mount_direct: SE3, weights: Array
-) -> tuple[Array, Array]:
-    """Return `camera_from_mount` averaged over the views, and the twist to the direct solution.
-
-    By Eq. 10 every view gives one estimate, `C_i (T_i X)^-1` with `X = holder_from_world`.
-    """
-    averaged = mean_pose(C @ (T @ SE3(holder_from_world.wxyz_xyz[None])).inverse(), weights)
-    return averaged.wxyz_xyz, (averaged.inverse() @ camera_from_mount_direct).log()
-
-
-def frobenius_cost(
-    X: SE3,
-    T: SE3,
-    C: SE3,
-    weights: Float[Array, "views"],
-    length_scale: float | Float[Array, ""] = 1.0,
-) -> Float[Array, ""]:
-    """Return the cost of Eq. 17, `sum over i != j of || T_i^-1 T_j X - X C_i^-1 C_j ||_F^2`.
-
-    Pairs are weighted by the product of the weights of their views. The norm adds rotation entries
-    to lengths, so its minimum depends on the unit of length, `length_scale` metres.
-    """
-    unit = jnp.asarray(length_scale, dtype=float)
-    A = (SE3(T.wxyz_xyz[:, None]).inverse() @ SE3(T.wxyz_xyz[None])).as_matrix()
-    B = (SE3(C.wxyz_xyz[:, None]).inverse() @ SE3(C.wxyz_xyz[None])).as_matrix()
-    # Pairs with i = j have A = B = I and add nothing, so they need no mask.
-    residual = A @ X.as_matrix()[None, None] - X.as_matrix()[None, None] @ B
-    # Translations in the chosen unit of length: the last column of the 4x4 residual.
-    residual = residual.at[..., :3, 3].divide(unit)
-    return jnp.einsum("i,j,ijab->", weights, weights, residual**2)
-
-
-@compiled
-def _closed_forms(
-    mount_from_holder: SE3, camera_from_world: SE3, weights: Array
-) -> dict[str, tuple[SE3, SE3]]:
-    """Return both transforms by every closed form; they are further starts beside the paper's."""
-    return {
-        name: form(mount_from_holder, camera_from_world, weights)
-        for name, form in CLOSED_FORMS.items()
-    }
-
-
 def _search(
-    T: SE3, C: SE3, weights: Array, starts: dict[str, SE3], length_scale: float
-) -> tuple[SE3, tuple[SearchRecord, ...], SearchRecord]:
-    """Run BFGS from every start and return the result with the lowest finite cost."""
-    stacked = SE3(jnp.stack([start.wxyz_xyz for start in starts.values()]))
-    finite = jnp.all(jnp.isfinite(stacked.wxyz_xyz), axis=-1)
-    # Closed forms give NaN for degenerate motions; one such start must not spoil the batch.
-    finite_starts = jnp.where(finite[:, None], stacked.wxyz_xyz, SE3.identity().wxyz_xyz[None])
-    solutions, before, after, converged = _bfgs(
-        T, C, weights, SE3(finite_starts), jnp.asarray(length_scale)
-    )
-    after = jnp.where(finite & jnp.isfinite(after), after, jnp.inf)
+    factor: Float[np.ndarray, "rows 13"],
+    pair_weight: float,
+    starts: dict[str, Float[np.ndarray, "4 4"]],
+) -> tuple[Float[np.ndarray, "4 4"], tuple[SearchRecord, ...], SearchRecord]:
+    """Minimise the mean cost of a pair from every start, and return the result of lowest cost.
+
+    Args:
+        factor: the matrix of `frobenius_factor` for the mean over the pairs, so that tolerances do
+            not depend on their number.
+        pair_weight: total weight of the pairs. Costs are recorded as sums, as Eq. 17 states them.
+        starts: 4x4 matrices by name.
+    """
+    solutions = [_minimise(factor, start) for start in starts.values()]
     records = tuple(
         SearchRecord(
             name,
-            float(before[k]) if finite[k] else float("nan"),
-            float(after[k]),
-            bool(converged[k] & finite[k]),
+            pair_weight * found.initial_cost,
+            pair_weight * found.final_cost,
+            found.converged,
+            # Closed forms give NaN for degenerate motions.
             "the start is not finite: the motions do not determine it"
-            if not finite[k]
+            if not np.isfinite(start).all()
             else "converged"
-            if converged[k]
+            if found.converged
             else "did not converge",
         )
-        for k, name in enumerate(starts)
+        for (name, start), found in zip(starts.items(), solutions, strict=True)
     )
-    # Equal costs go to the earlier start, so that the paper's own start is named if it suffices.
-    best = min(range(len(records)), key=lambda k: (records[k].final_cost, k))
-    return SE3(solutions.wxyz_xyz[best]), records, records[best]
+    # Costs that are equal to rounding go to the earlier start, so that the paper's own start is
+    # named if it suffices.
+    lowest = min(found.final_cost for found in solutions)
+    best = next(
+        k for k, found in enumerate(solutions) if found.final_cost <= lowest * (1.0 + 1e-9) + 1e-24
+    )
+    return solutions[best].pose, records, records[best]
 
 
-@compiled
-def _bfgs(
-    T: SE3, C: SE3, weights: Array, starts: SE3, length_scale: Array
-) -> tuple[SE3, Array, Array, Array]:
-    """Minimise the cost of Eq. 17 from every start.
+class _Minimum(NamedTuple):
+    """The result of one search: its pose, and the mean cost of a pair before and after."""
 
-    Returns:
-        The transforms, the costs before and after, and whether each search converged.
+    pose: Float[np.ndarray, "4 4"]
+    initial_cost: float
+    final_cost: float
+    converged: bool
+
+
+def _minimise(factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 4"]) -> _Minimum:
+    """Minimise `|| factor x ||^2` by BFGS over yaw, pitch, roll and translation from a start."""
+
+    def cost(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the cost and its gradient."""
+        x, derivative = _entries(start, parameters)
+        residual = factor @ x
+        return float(residual @ residual), 2.0 * derivative.T @ (factor.T @ residual)
+
+    parameters = np.zeros(6)
+    before, _ = cost(parameters)
+    if not np.isfinite(before):
+        return _Minimum(start, np.nan, np.inf, False)
+    found = minimize(
+        cost, parameters, jac=True, method="BFGS", options={"gtol": 1e-10, "maxiter": 300}
+    )
+    parameters = found.x
+    after, gradient = cost(parameters)
+    # BFGS stops where rounding hides differences of the cost; the gradient is then still far above
+    # its own rounding. Gauss-Newton steps, which need no cost, bring it down.
+    for _ in range(_MAX_GAUSS_NEWTON_STEPS):
+        x, derivative = _entries(start, parameters)
+        trial = parameters - np.linalg.lstsq(factor @ derivative, factor @ x)[0]
+        trial_cost, trial_gradient = cost(trial)
+        if not np.abs(trial_gradient).max() < np.abs(gradient).max() or trial_cost > after * (
+            1.0 + 1e-12
+        ):
+            break
+        parameters, after, gradient = trial, trial_cost, trial_gradient
+    x, _ = _entries(start, parameters)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = x[:9].reshape(3, 3), x[9:12]
+    # Without a lower cost along the gradient BFGS reports a failure, also at the optimum.
+    converged = found.success or bool(np.abs(gradient).max() < 1e-7 * (1.0 + after))
+    return _Minimum(pose, before, after, converged)
+
+
+_MAX_GAUSS_NEWTON_STEPS = 20
+"""Largest number of Gauss-Newton steps after BFGS. Each gains a factor of about the cost's root."""
+
+
+def _entries(
+    start: Float[np.ndarray, "4 4"], parameters: Float[np.ndarray, "6"]
+) -> tuple[Float[np.ndarray, "13"], Float[np.ndarray, "13 6"]]:
+    """Return the entries of X as `frobenius_factor` orders them, and their derivative.
+
+    X is `start` times `Rz Ry Rx` (Eq. 16), so that no start is at gimbal lock; its translation is
+    the start's plus the last three parameters.
     """
-    solver = optx.BFGS(rtol=1e-12, atol=1e-12)
-    # The mean over pairs is minimised, so that the tolerances do not depend on their number.
-    pair_weight = jnp.sum(weights) ** 2
-
-    def transform(start: SE3, parameters: Array) -> SE3:
-        """Return `start` times `Rz Ry Rx` (Eq. 16), so that no start is at gimbal lock."""
-        rotation = SO3.from_rpy_radians(parameters[2], parameters[1], parameters[0])
-        return SE3.from_rotation_and_translation(
-            start.rotation() @ rotation, start.translation() + parameters[3:]
-        )
-
-    def cost(parameters, start):
-        """Return the cost of Eq. 17 divided by the total weight of the pairs."""
-        return (
-            frobenius_cost(transform(start, parameters), T, C, weights, length_scale) / pair_weight
-        )
-
-    def search(wxyz_xyz):
-        """Run one search and return its pose, the costs before and after, and convergence."""
-        start = SE3(wxyz_xyz)
-        solution = optx.minimise(cost, solver, jnp.zeros(6), args=start, max_steps=300, throw=False)
-        parameters = solution.value
-        gradient = jax.grad(cost)(parameters, start)
-        after = cost(parameters, start)
-        # BFGS also fails when its line search finds no lower cost. With a zero gradient that is
-        # convergence to the limit of rounding, not a failure.
-        has_converged = (solution.result == optx.RESULTS.successful) | (
-            jnp.max(jnp.abs(gradient)) < 1e-7 * (1.0 + after)
-        )
-        # The costs are returned as sums over the pairs, as Eq. 17 states them.
-        before = cost(jnp.zeros(6), start)
-        pose = transform(start, parameters).wxyz_xyz
-        return pose, before * pair_weight, after * pair_weight, has_converged
-
-    solutions, before, after, has_converged = jax.vmap(search)(starts.wxyz_xyz)
-    return SE3(solutions), before, after, has_converged
+    rotation = start[:3, :3]
+    axes = []
+    for name, column, angle in zip("ZYX", (2, 1, 0), parameters[:3], strict=True):
+        # Each angle turns about an axis of the frame that the previous rotations have reached.
+        axes.append(rotation[:, column])
+        rotation = rotation @ Rotation.from_euler(name, angle).as_matrix()
+    derivative = np.zeros((13, 6))
+    # dR = a x R for a rotation about the axis a, column by column.
+    derivative[:9, :3] = (
+        np.cross(np.array(axes)[:, None], rotation.T).swapaxes(1, 2).reshape(3, 9).T
+    )
+    derivative[9:12, 3:] = np.eye(3)
+    return np.concatenate([rotation.ravel(), start[:3, 3] + parameters[3:], [1.0]]), derivative

@@ -12,16 +12,14 @@ were seen. Such a view is not used for the transforms, but it is not reported as
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..compilation import compiled
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, chain_residuals
-from ..geometry import host_matrices, mean_pose
-from .closed_form import park_martin
+from ..geometry import host_logarithms, host_matrices, host_transforms
+from .closed_form import mean_camera_from_mount, park_martin
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -61,7 +59,7 @@ class ViewConsistency(NamedTuple):
 def find_consistent_views(
     mount_from_holder: SE3,
     camera_from_world: SE3,
-    weights: Float[Array, "views"],
+    weights: Float[Array, "views"] | Float[np.ndarray, "views"],
     reprojection_error: Callable[[SE3, SE3], Float[np.ndarray, "views"]] | None = None,
     view_ids: Sequence[str] | None = None,
 ) -> ViewConsistency:
@@ -84,9 +82,8 @@ def find_consistent_views(
     def fit_transforms_to(used: np.ndarray) -> _TransformFit:
         """Compute the transforms from some views, and the misfits of all views."""
         camera_from_mount, holder_from_world, misfit = _fit_transforms(
-            mount_from_holder, camera_from_world, jnp.asarray(used)
+            mount_from_holder, camera_from_world, used
         )
-        misfit = np.asarray(misfit)
         # Misfits are judged relative to the median view, because robots differ in accuracy.
         misfit_scale = np.maximum(np.median(misfit[used], axis=0), misfit_floor)
         return _TransformFit(
@@ -147,7 +144,9 @@ def find_consistent_views(
 
 
 def median_reprojection_errors(
-    calibration: Calibration, observations: Observations, inliers: Bool[Array, "views points"]
+    calibration: Calibration,
+    observations: Observations,
+    inliers: Bool[Array, "views points"] | Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "views"]:
     """Return the median reprojection error of each view through the whole chain, px.
 
@@ -214,26 +213,22 @@ def _matching_pose_text(
     return "it fits the pose of no other view either: moved, or a wrong pose?"
 
 
-@compiled
 def _fit_transforms(
-    T: SE3, C: SE3, used: Bool[Array, "views"]
-) -> tuple[SE3, SE3, Float[Array, "views 2"]]:
+    T: SE3, C: SE3, used: Bool[np.ndarray, "views"]
+) -> tuple[SE3, SE3, Float[np.ndarray, "views 2"]]:
     """Compute both transforms and each view's misfit at the mount: translation (m), rotation (rad).
 
-    The misfit of view i is the twist `log(H^-1 C_i X^-1 T_i^-1)`, zero if Eq. 10 holds exactly.
+    The misfit of view i is the twist `log(H^-1 C_i X^-1 T_i^-1)`, zero if Eq. 10 holds exactly. It
+    is NaN for every view if a pose that is used is not finite.
     """
-    weights = used.astype(float)
-    camera_from_mount, holder_from_world = park_martin(T, C, weights)
-    # Recomputing one transform from the other makes their errors cancel in the chain.
-    camera_from_mount = mean_pose(
-        C @ (T @ SE3(holder_from_world.wxyz_xyz[None])).inverse(), weights
+    robot, camera = host_matrices(T), host_matrices(C)
+    _, holder_from_world = park_martin(T, C, used.astype(float))
+    world = host_matrices(holder_from_world)
+    hand_eye = mean_camera_from_mount(
+        world, robot[used], camera[used], np.ones(np.count_nonzero(used))
     )
     # closure = H^-1 C_i X^-1 T_i^-1, the identity if Eq. 10 holds.
-    closure = (
-        SE3(camera_from_mount.wxyz_xyz[None]).inverse()
-        @ C
-        @ SE3(holder_from_world.wxyz_xyz[None]).inverse()
-        @ T.inverse()
-    )
-    twist = closure.log()
-    return camera_from_mount, holder_from_world, jnp.linalg.norm(twist.reshape(-1, 2, 3), axis=2)
+    closure = np.linalg.inv(hand_eye) @ camera @ np.linalg.inv(robot @ world)
+    twist = host_logarithms(closure)
+    misfit = np.linalg.norm(twist.reshape(-1, 2, 3), axis=2)
+    return host_transforms(hand_eye), holder_from_world, misfit

@@ -5,6 +5,7 @@ from .kenward_roger import p_value as p_value
 from .model_selection import TARGET_SCALE as TARGET_SCALE
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName
+from .model_selection import encompassing_field as encompassing_field
 from .noise_estimate import FREE_SCALE_PROBABILITY as FREE_SCALE_PROBABILITY
 from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate

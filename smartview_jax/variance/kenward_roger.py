@@ -11,13 +11,18 @@ References:
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.special import chdtrc, fdtrc
 
 from .fisher_scoring import LikelihoodMaximum
-from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .likelihood import (
+    LinearisedViews,
+    Marginalisation,
+    group_indicator,
+    marginalise,
+    rows_of_views,
+)
 
 VAGUE_PRIOR_LOG_STD = 3.0
 """Prior standard deviation of the logarithm of a standard deviation.
@@ -40,11 +45,11 @@ class SmallSampleCorrection(NamedTuple):
             logarithms.
     """
 
-    relative_std: Float[Array, "kinds"]
-    added_covariance: Float[Array, "shared shared"]
-    degrees_of_freedom: Float[Array, "shared"]
-    log_excess_covariance: Float[Array, "kinds kinds"]
-    covariance_derivatives: Float[Array, "kinds shared shared"]
+    relative_std: Float[np.ndarray, "kinds"]
+    added_covariance: Float[np.ndarray, "shared shared"]
+    degrees_of_freedom: Float[np.ndarray, "shared"]
+    log_excess_covariance: Float[np.ndarray, "kinds kinds"]
+    covariance_derivatives: Float[np.ndarray, "kinds shared shared"]
 
     def subset(self, indices: np.ndarray) -> "SmallSampleCorrection":
         """Return the correction for a subset of the parameters.
@@ -75,53 +80,79 @@ def small_sample_correction(
         views: the linearised views.
         maximum: the estimated standard deviations and their information matrix.
     """
-
-    def parameters_and_covariance(
-        logarithms: Float[Array, "kinds"],
-    ) -> tuple[tuple[Array, Array], Array]:
-        """Return the fitted parameters and their covariance at given log standard deviations."""
-        marginal = marginalise(views, StandardDeviations.from_vector(jnp.exp(logarithms)))
-        covariance = marginal.shared_covariance
-        return (marginal.step.shared, covariance), jnp.diagonal(covariance)
-
+    views, maximum = jax.tree.map(np.asarray, (views, maximum))
     sigma_vector = maximum.sigmas.vector
-    (parameter_derivatives, covariance_derivatives), variance = jax.jacfwd(
-        parameters_and_covariance, has_aux=True
-    )(jnp.log(sigma_vector))
+    marginal = marginalise(views, maximum.sigmas)
     # sigma^2 = bound^2 + excess^2: d log(sigma) / d log(excess) = 1 - (bound / sigma)^2
-    log_sigma_by_log_excess = jnp.maximum(
+    log_sigma_by_log_excess = np.maximum(
         1.0 - (views.lower_bounds(len(sigma_vector)) / sigma_vector) ** 2, 0.0
     )
-    vague_precision = jnp.eye(len(sigma_vector)) / VAGUE_PRIOR_LOG_STD**2
-    log_excess_covariance = jnp.linalg.inv(
-        maximum.information * jnp.outer(log_sigma_by_log_excess, log_sigma_by_log_excess)
+    vague_precision = np.eye(len(sigma_vector)) / VAGUE_PRIOR_LOG_STD**2
+    log_excess_covariance = np.linalg.inv(
+        maximum.information * np.outer(log_sigma_by_log_excess, log_sigma_by_log_excess)
         + vague_precision
     )
     # Chain rule: from derivatives by log(sigma) to derivatives by log(excess).
-    parameter_derivatives = log_sigma_by_log_excess[None] * parameter_derivatives
-    covariance_derivatives = log_sigma_by_log_excess[None, None] * covariance_derivatives
+    step_derivatives, covariance_derivatives = _derivatives_by_log_sigma(
+        views, marginal, len(maximum.sigmas.field)
+    )
+    step_derivatives = log_sigma_by_log_excess[:, None] * step_derivatives
+    covariance_derivatives = log_sigma_by_log_excess[:, None, None] * covariance_derivatives
 
     # Satterthwaite: Var(log v_i) = a_i^T W a_i for the variance v_i of parameter i, with
     # W = `log_excess_covariance` and a_i = `log_variance_gradient[i]`, the derivatives of log(v_i)
     # by log(excess).
-    log_variance_gradient = jnp.diagonal(covariance_derivatives).T / variance[:, None]
+    variance = np.diagonal(marginal.shared_covariance)
+    log_variance_gradient = np.diagonal(covariance_derivatives, axis1=1, axis2=2).T
+    log_variance_gradient = log_variance_gradient / variance[:, None]
     # The logarithm of a variance with n degrees of freedom has variance 2 / n.
-    log_variance_variance = jnp.sum(
+    log_variance_variance = np.sum(
         (log_variance_gradient @ log_excess_covariance) * log_variance_gradient, axis=1
     )
-    degrees_of_freedom = jnp.where(
+    degrees_of_freedom = np.where(
         log_variance_variance > 0.0,
-        2.0 / jnp.where(log_variance_variance > 0.0, log_variance_variance, 1.0),
-        jnp.inf,
+        2.0 / np.where(log_variance_variance > 0.0, log_variance_variance, 1.0),
+        np.inf,
     )
-    relative_std = jnp.sqrt(jnp.diagonal(jnp.linalg.inv(maximum.information + vague_precision)))
-    # To first order Cov(x) = J W J^T with J = `parameter_derivatives`; twice that is added.
+    relative_std = np.sqrt(np.diagonal(np.linalg.inv(maximum.information + vague_precision)))
+    # To first order Cov(x) = J^T W J with J = `step_derivatives`; twice that is added.
     return SmallSampleCorrection(
         relative_std,
-        2.0 * parameter_derivatives @ log_excess_covariance @ parameter_derivatives.T,
+        2.0 * step_derivatives.T @ log_excess_covariance @ step_derivatives,
         degrees_of_freedom,
         log_excess_covariance,
-        jnp.moveaxis(covariance_derivatives, -1, 0),
+        covariance_derivatives,
+    )
+
+
+def _derivatives_by_log_sigma(
+    views: LinearisedViews, marginal: Marginalisation, groups: int
+) -> tuple[Float[np.ndarray, "kinds shared"], Float[np.ndarray, "kinds shared shared"]]:
+    """Differentiate the shared parameters and their covariance by the log standard deviations."""
+    # In the notation of `marginalise`, with C = A^-1 and W_j the prior precisions of kind j,
+    # dW_j / d log sigma_j = -2 W_j gives, because A s = -h,
+    #     ds / d log sigma_j = 2 C W_j (o + s),   dC / d log sigma_j = 2 C W_j C,
+    # and for the pixels, whose information is A - W with W that of all priors,
+    #     ds / d log sigma = -2 C W (o + s),      dC / d log sigma = 2 (C - C W C).
+    # Only rows and columns of the shared parameters are needed: C_ss, and C_vs = -K_v C_ss.
+    prior_precision, step, offset = marginal.prior_precision, marginal.step, views.offset_from_prior
+    covariance, gain_covariance = marginal.shared_covariance, marginal.gain_covariance
+    weighted_shared = prior_precision.shared * (offset.shared + step.shared)
+    weighted_per_view = prior_precision.per_view * (offset.per_view + step.per_view)
+    by_step, by_covariance = [], []
+    for rows in (slice(0, 3), slice(3, 6)):
+        covariance_rows = rows_of_views(gain_covariance[:, rows])
+        precision = prior_precision.per_view[:, rows].ravel()
+        by_step.append(-weighted_per_view[:, rows].ravel() @ covariance_rows)
+        by_covariance.append(covariance_rows.T @ (precision[:, None] * covariance_rows))
+    has_known_prior = (views.group_index < 0).astype(float)
+    for members in (*group_indicator(views, groups), has_known_prior):
+        by_step.append(covariance @ (members * weighted_shared))
+        by_covariance.append((covariance * (members * prior_precision.shared)) @ covariance)
+    pixel_step, pixel_covariance = -sum(by_step), covariance - sum(by_covariance)
+    return (
+        2.0 * np.stack([pixel_step, *by_step[:-1]]),
+        2.0 * np.stack([pixel_covariance, *by_covariance[:-1]]),
     )
 
 
@@ -161,12 +192,10 @@ def _scaled_f_statistic(
     # Kenward and Roger's A1 = sum_jk W_jk tr(F_j) tr(F_k) and A2 = sum_jk W_jk tr(F_j F_k), with
     # F_j = C^-1 dC/dj the relative derivatives of the covariance C without its correction, and
     # W = `log_excess_covariance`.
-    unadjusted = np.asarray(covariance - correction.added_covariance)
-    relative_derivatives = np.linalg.solve(
-        unadjusted[None], np.asarray(correction.covariance_derivatives)
-    )
+    unadjusted = np.asarray(covariance) - correction.added_covariance
+    relative_derivatives = np.linalg.solve(unadjusted[None], correction.covariance_derivatives)
     traces = np.trace(relative_derivatives, axis1=1, axis2=2)
-    log_excess_covariance = np.asarray(correction.log_excess_covariance)
+    log_excess_covariance = correction.log_excess_covariance
     a1 = float(traces @ log_excess_covariance @ traces)
     a2 = float(
         np.einsum("jk,jab,kba->", log_excess_covariance, relative_derivatives, relative_derivatives)

@@ -16,15 +16,17 @@ Reference: Patterson and Thompson, Recovery of inter-block information when bloc
 """
 
 import dataclasses
+from functools import cached_property
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax.scipy.linalg import cho_solve
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from ..engine import BlockArrow, Elimination, SchurCholesky, Step
+from ..array_namespace import AnyArray, AnyScalar, array_namespace
+from ..engine import BlockArrow, Step
+from .inverse_cholesky import inverse_cholesky_factor
 
 ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.
@@ -60,72 +62,49 @@ class LinearisedViews(eqx.Module):
 
     matrix: BlockArrow
     gradient: Step
-    residual_sum_of_squares: Float[Array, ""]
+    residual_sum_of_squares: AnyScalar
     offset_from_prior: Step
-    known_weight: Float[Array, "shared"]
-    group_index: Array
-    per_view_free: Bool[Array, "views 6"]
-    statistic_count: Float[Array, ""]
-    white_sigma: Float[Array, ""]
+    known_weight: Float[AnyArray, "shared"]
+    group_index: Int[AnyArray, "shared"]
+    per_view_free: Bool[AnyArray, "views 6"]
+    statistic_count: AnyScalar
+    white_sigma: AnyScalar
 
-    def with_field(
-        self,
-        field_jacobian: Float[Array, "views 6 coefficients"],
-        group_index: np.ndarray,
-        non_field_count: int,
-    ) -> "LinearisedViews":
-        """Return the same views with another robot error field, whose coefficients are still zero.
-
-        The pixels are not needed again, since the effect of a field on a view is a twist, and each
-        view's own six parameters are a twist as well.
-
-        Args:
-            field_jacobian: derivatives of the field, as its `jacobian` returns them.
-            group_index: group index of every coefficient.
-            non_field_count: number of shared parameters that do not belong to a field; they come
-                first.
-        """
-        # With T_v the derivative of a view's correction by the coefficients, the new columns are
-        # the view's own columns times T_v: sum_v B_v^T T_v, sum_v T_v^T D_v T_v, and D_v T_v in the
-        # border.
-        correction_jacobian, count = -field_jacobian, len(group_index)
-        matrix, border = self.matrix, self.matrix.border[:, :, :non_field_count]
-        field_border = matrix.per_view @ correction_jacobian
-        cross_block = jnp.einsum("vki,vkj->ij", border, correction_jacobian)
-        field_block = jnp.einsum("vki,vkj->ij", correction_jacobian, field_border)
-        field_gradient = jnp.einsum("vki,vk->i", correction_jacobian, self.gradient.per_view)
-        offset = self.offset_from_prior
+    def with_held(self, held: Bool[AnyArray, "shared"]) -> "LinearisedViews":
+        """Return the views with some shared parameters held at their prior means, and left out."""
+        # The change to the prior mean is d = -offset for the held parameters (index h):
+        #     g -> g + M_h d,   R -> R + 2 g_h^T d + d^T M_hh d
+        kept, matrix, gradient = ~held, self.matrix, self.gradient
+        change = -self.offset_from_prior.shared[held]
+        gradient_change = matrix.shared[:, held] @ change
         return dataclasses.replace(
             self,
-            matrix=BlockArrow(
-                jnp.block(
-                    [
-                        [matrix.shared[:non_field_count, :non_field_count], cross_block],
-                        [cross_block.T, field_block],
-                    ]
-                ),
-                jnp.concatenate([border, field_border], axis=2),
-                matrix.per_view,
+            matrix=eqx.tree_at(
+                lambda m: (m.shared, m.border),
+                matrix,
+                (matrix.shared[kept][:, kept], matrix.border[:, :, kept]),
             ),
             gradient=Step(
-                jnp.concatenate([self.gradient.shared[:non_field_count], field_gradient]),
-                self.gradient.per_view,
+                (gradient.shared + gradient_change)[kept],
+                gradient.per_view + matrix.border[:, :, held] @ change,
             ),
+            residual_sum_of_squares=self.residual_sum_of_squares
+            + (2.0 * gradient.shared + gradient_change)[held] @ change,
             offset_from_prior=Step(
-                jnp.pad(offset.shared[:non_field_count], (0, count)), offset.per_view
+                self.offset_from_prior.shared[kept], self.offset_from_prior.per_view
             ),
-            known_weight=jnp.pad(self.known_weight[:non_field_count], (0, count)),
-            group_index=jnp.concatenate(
-                [self.group_index[:non_field_count], jnp.asarray(group_index)]
-            ),
+            known_weight=self.known_weight[kept],
+            group_index=self.group_index[kept],
         )
 
-    def lower_bounds(self, component_count: int) -> Float[Array, "kinds"]:
+    def lower_bounds(self, component_count: int) -> Float[AnyArray, "kinds"]:
         """Return all lower bounds, in the order of `StandardDeviations.vector`."""
-        return jnp.full(component_count, ROBOT_SIGMA_FLOOR).at[0].set(self.white_sigma)
+        xp = array_namespace(self.white_sigma)
+        white_sigma = xp.reshape(xp.asarray(self.white_sigma), 1)
+        return xp.concatenate([white_sigma, xp.full(component_count - 1, ROBOT_SIGMA_FLOOR)])
 
 
-class StandardDeviations(eqx.Module):
+class StandardDeviations(NamedTuple):
     """The standard deviations of all errors, all positive.
 
     Their squares are the variance components.
@@ -138,25 +117,25 @@ class StandardDeviations(eqx.Module):
             `ROBOT_SIGMA_FLOOR` disables a group.
     """
 
-    pixel: Float[Array, ""]
-    translation: Float[Array, ""]
-    rotation: Float[Array, ""]
-    field: Float[Array, "groups"]
+    pixel: AnyScalar
+    translation: AnyScalar
+    rotation: AnyScalar
+    field: Float[AnyArray, "groups"]
 
     @property
-    def vector(self) -> Float[Array, "kinds"]:
+    def vector(self) -> Float[AnyArray, "kinds"]:
         """The standard deviations as a vector: pixel, translation, rotation, field."""
-        return jnp.concatenate(
-            [jnp.stack([self.pixel, self.translation, self.rotation]), self.field]
-        )
+        xp = array_namespace(self)
+        pixel_and_pose = xp.stack([self.pixel, self.translation, self.rotation])
+        return xp.concatenate([pixel_and_pose, self.field])
 
     @classmethod
-    def from_vector(cls, vector: Float[Array, "kinds"]) -> "StandardDeviations":
+    def from_vector(cls, vector: Float[AnyArray, "kinds"]) -> "StandardDeviations":
         """Create the standard deviations from a vector in the order of `vector`."""
         return cls(vector[0], vector[1], vector[2], vector[3:])
 
     def prior_weights(
-        self, group_index: Int[Array, "shared"], known_weight: Float[Array, "shared"]
+        self, group_index: Int[AnyArray, "shared"], known_weight: Float[AnyArray, "shared"]
     ) -> Step:
         """Return one over the prior standard deviation of every parameter.
 
@@ -166,14 +145,15 @@ class StandardDeviations(eqx.Module):
             group_index: group of each shared parameter, as in `LinearisedViews`.
             known_weight: weights of the parameters that belong to no group.
         """
+        xp = array_namespace(self)
         # Index -1 (no group) reads the one at the end, which `where` then discards.
-        field = jnp.concatenate([self.field, jnp.ones(1)])[group_index]
-        pose_sigmas = jnp.repeat(jnp.stack([self.translation, self.rotation]), 3)
-        return Step(jnp.where(group_index >= 0, 1.0 / field, known_weight), 1.0 / pose_sigmas[None])
+        field = xp.concatenate([self.field, xp.ones(1)])[group_index]
+        pose_sigmas = xp.repeat(xp.stack([self.translation, self.rotation]), 3)
+        return Step(xp.where(group_index >= 0, 1.0 / field, known_weight), 1.0 / pose_sigmas[None])
 
 
 @eqx.filter_custom_jvp
-def deviance(views: LinearisedViews, sigmas: StandardDeviations) -> Float[Array, ""]:
+def deviance(views: LinearisedViews, sigmas: StandardDeviations) -> AnyScalar:
     """Compute the deviance, -2 log of the restricted likelihood, up to a constant."""
     return marginalise(views, sigmas).deviance
 
@@ -182,7 +162,7 @@ def deviance(views: LinearisedViews, sigmas: StandardDeviations) -> Float[Array,
 def _deviance_jvp(
     primals: tuple[LinearisedViews, StandardDeviations],
     tangents: tuple[LinearisedViews, StandardDeviations],
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
+) -> tuple[AnyScalar, AnyScalar]:
     """Differentiate the deviance by the standard deviations in closed form.
 
     It takes half the work of differentiating through the factorisations.
@@ -206,28 +186,57 @@ def posterior_mode_step(views: LinearisedViews, sigmas: StandardDeviations) -> S
     return marginalise(views, sigmas).step
 
 
-class Marginalisation(eqx.Module):
+@dataclasses.dataclass(frozen=True)
+class Marginalisation:
     """The result of marginalising all fitted parameters, with the parts that its derivatives need.
+
+    The covariances are computed where they are first asked for: a deviance alone needs none.
 
     Attributes:
         deviance: -2 log of the restricted likelihood, up to a constant; see `deviance`.
         step: step from the linearisation to the most probable parameters.
         prior_precision: prior precision of each shared parameter and of each view's own.
-        elimination: elimination of the views' own parameters from the posterior's information
-            matrix.
-        factor: Cholesky factor of the reduced information matrix.
+        whitened_border: border block of each view times `per_view_whitening`.
+        per_view_whitening: inverse Cholesky factor of each view's own block of the posterior's
+            information matrix.
+        shared_whitening: inverse Cholesky factor of the shared parameters' information matrix, with
+            the views' own parameters marginalised.
     """
 
-    deviance: Float[Array, ""]
+    deviance: AnyScalar
     step: Step
     prior_precision: Step
-    elimination: Elimination
-    factor: Float[Array, "shared shared"]
+    whitened_border: Float[AnyArray, "views 6 shared"]
+    per_view_whitening: Float[AnyArray, "views 6 6"]
+    shared_whitening: Float[AnyArray, "shared shared"]
 
-    @property
-    def shared_covariance(self) -> Float[Array, "shared shared"]:
+    # With A the information matrix, D_v a view's own block, B_v its border and K_v the gain, the
+    # blocks of A^-1 are C (shared), -K_v C, and D_v^-1 + K_v C K_v^T.
+    @cached_property
+    def shared_covariance(self) -> Float[AnyArray, "shared shared"]:
         """The covariance of the shared parameters, with the views' own parameters marginalised."""
-        return cho_solve((self.factor, False), jnp.eye(len(self.factor)))
+        return self.shared_whitening.T @ self.shared_whitening
+
+    @cached_property
+    def gain(self) -> Float[AnyArray, "views 6 shared"]:
+        """The inverse of each view's own block times its border block, `K_v = D_v^-1 B_v`."""
+        return self.per_view_whitening.swapaxes(1, 2) @ self.whitened_border
+
+    @cached_property
+    def gain_covariance(self) -> Float[AnyArray, "views 6 shared"]:
+        """The covariance of each view's own parameters with the shared ones, times -1."""
+        # One product of two matrices, rather than one for each view.
+        return (rows_of_views(self.gain) @ self.shared_covariance).reshape(self.gain.shape)
+
+    @cached_property
+    def per_view_inverse(self) -> Float[AnyArray, "views 6 6"]:
+        """The covariance of each view's own parameters for known shared parameters."""
+        return self.per_view_whitening.swapaxes(1, 2) @ self.per_view_whitening
+
+    @cached_property
+    def per_view_covariance(self) -> Float[AnyArray, "views 6 6"]:
+        """The covariance of each view's own parameters."""
+        return self.per_view_inverse + self.gain_covariance @ self.gain.swapaxes(1, 2)
 
 
 def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginalisation:
@@ -240,55 +249,60 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
     # deviance = -n log p + p R + o^T W o + h^T s + log det A - log det W
     #
     # with W in the last determinant only for priors of unknown standard deviation.
+    xp = array_namespace(views, sigmas)
     has_unknown_sigma = views.group_index >= 0
+    matrix, offset = views.matrix, views.offset_from_prior
     weights = sigmas.prior_weights(views.group_index, views.known_weight)
     prior_precision = Step(
-        weights.shared**2, jnp.where(views.per_view_free, weights.per_view**2, 0.0)
+        weights.shared**2, xp.where(views.per_view_free, weights.per_view**2, 0.0)
     )
-    pixel_precision, matrix = sigmas.pixel**-2, views.matrix
+    pixel_precision = sigmas.pixel**-2
 
     shared = pixel_precision * matrix.shared
-    shared = shared + jnp.diag(prior_precision.shared + RELATIVE_RIDGE * jnp.diagonal(shared))
+    shared = shared + xp.diag(prior_precision.shared + RELATIVE_RIDGE * xp.diagonal(shared))
     # A fixed correction has a zero column; the one keeps its equation solvable.
-    diagonal = jnp.where(views.per_view_free, prior_precision.per_view, 1.0)
-    per_view = pixel_precision * matrix.per_view + jnp.eye(6)[None] * diagonal[:, None]
-    information = BlockArrow(shared, pixel_precision * matrix.border, per_view)
-    posterior_gradient = jax.tree.map(
-        lambda g, w, off: pixel_precision * g + w * off,
-        views.gradient,
-        prior_precision,
-        views.offset_from_prior,
+    diagonal = xp.where(views.per_view_free, prior_precision.per_view, 1.0)
+    per_view = pixel_precision * matrix.per_view + xp.eye(6)[None] * diagonal[:, None]
+    shared_gradient = (
+        pixel_precision * views.gradient.shared + prior_precision.shared * offset.shared
     )
-    solver = SchurCholesky()
-    state = solver.init(information, {})
-    step = jax.tree.map(jnp.negative, solver.compute(state, posterior_gradient, {})[0])
+    per_view_gradient = (
+        pixel_precision * views.gradient.per_view + prior_precision.per_view * offset.per_view
+    )
 
-    prior_penalty = _total(
-        jax.tree.map(lambda w, off: w * off**2, prior_precision, views.offset_from_prior)
+    # With D_v a view's own block, B_v its border, F_v D_v F_v^T = 1 and E_v = F_v B_v, the Schur
+    # complement is S = A_shared - sum_v E_v^T E_v; with F S F^T = 1, the whitened gradients are
+    # c_v = F_v h_v and c = F (h_shared - sum_v E_v^T c_v), and h^T A^-1 h = |c|^2 + sum_v |c_v|^2.
+    per_view_whitening = inverse_cholesky_factor(per_view)
+    whitened_border = (pixel_precision * per_view_whitening) @ matrix.border
+    border_rows = rows_of_views(whitened_border)
+    shared_whitening = inverse_cholesky_factor(shared - border_rows.T @ border_rows)
+    per_view_rhs = _times_vectors(per_view_whitening, per_view_gradient)
+    shared_rhs = shared_whitening @ (shared_gradient - border_rows.T @ per_view_rhs.reshape(-1))
+    shared_step = xp.negative(shared_whitening.T @ shared_rhs)
+    per_view_step = _times_vectors(
+        per_view_whitening.swapaxes(1, 2), per_view_rhs + whitened_border @ shared_step
     )
-    gradient_step_product = _total(jax.tree.map(jnp.multiply, posterior_gradient, step))
-    log_determinant = _log_determinant(state.factor) + _log_determinant(
-        state.elimination.per_view_factor
+    step = Step(shared_step, xp.negative(per_view_step))
+
+    penalty = prior_precision.shared @ offset.shared**2 + xp.sum(
+        prior_precision.per_view * offset.per_view**2
     )
-    prior_log_determinant = jnp.sum(
-        jnp.where(has_unknown_sigma, jnp.log(prior_precision.shared), 0.0)
-    )
-    log_precision = jnp.broadcast_to(jnp.log(weights.per_view**2), views.per_view_free.shape)
-    prior_log_determinant = prior_log_determinant + jnp.sum(
-        jnp.where(views.per_view_free, log_precision, 0.0)
-    )
+    gradient_step_product = -(shared_rhs @ shared_rhs + xp.sum(per_view_rhs**2))
+    log_determinant = _log_determinant(shared_whitening) + _log_determinant(per_view_whitening)
+    log_prior_determinant = xp.sum(
+        xp.log(xp.where(has_unknown_sigma, prior_precision.shared, 1.0))
+    ) + xp.sum(xp.where(views.per_view_free, xp.log(weights.per_view**2), 0.0))
     value = (
-        -views.statistic_count * jnp.log(pixel_precision)
+        -views.statistic_count * xp.log(pixel_precision)
         + pixel_precision * views.residual_sum_of_squares
-        + prior_penalty
+        + penalty
         + gradient_step_product
+        + log_determinant
+        - log_prior_determinant
     )
     return Marginalisation(
-        value + log_determinant - prior_log_determinant,
-        step,
-        prior_precision,
-        state.elimination,
-        state.factor,
+        value, step, prior_precision, whitened_border, per_view_whitening, shared_whitening
     )
 
 
@@ -301,65 +315,83 @@ def gradient(
     """
     # dD / d log w_j = w_j E[(o_j + s_j)^2] - 1 for the precision w_j of a prior, where the
     # posterior expectation is (o_j + s_j)^2 + C_jj with C = A^-1.
-    prior_precision, covariance = marginal.prior_precision, marginal.shared_covariance
-    per_view_covariance = marginal.elimination.per_view_covariance(covariance)
-    variance = Step(jnp.diagonal(covariance), jnp.diagonal(per_view_covariance, axis1=1, axis2=2))
-    expected_square = jax.tree.map(
-        lambda off, s, v: (off + s) ** 2 + v, views.offset_from_prior, marginal.step, variance
-    )
+    xp = array_namespace(marginal.shared_whitening)
+    prior_precision, step, pixel_gradient = marginal.prior_precision, marginal.step, views.gradient
+    offset = views.offset_from_prior
+    shared_offset, per_view_offset = offset.shared + step.shared, offset.per_view + step.per_view
+    shared_variance = xp.diagonal(marginal.shared_covariance)
+    per_view_variance = xp.diagonal(marginal.per_view_covariance, axis1=1, axis2=2)
     # Parameters without a prior of unknown standard deviation, and fixed ones, do not contribute.
-    weighted_square = jax.tree.map(jnp.multiply, prior_precision, expected_square)
-    shared = jnp.where(views.group_index >= 0, weighted_square.shared - 1.0, 0.0)
-    per_view = jnp.where(views.per_view_free, weighted_square.per_view - 1.0, 0.0)
+    shared = xp.where(
+        views.group_index >= 0,
+        prior_precision.shared * (shared_offset**2 + shared_variance) - 1.0,
+        0.0,
+    )
+    per_view = xp.where(
+        views.per_view_free,
+        prior_precision.per_view * (per_view_offset**2 + per_view_variance) - 1.0,
+        0.0,
+    )
 
     # dD / d log p = p (R + 2 g.s + s.M s) + tr(p M C) - n, in the notation of `marginalise`, with
     # p M s = -p g - W (o + s) at the best step, and tr(p M C) = parameter_count - tr(W C), the
     # effective number of parameters that the pixels determine.
     pixel_precision = sigmas.pixel**-2
-    parameter_count = jnp.sum(views.per_view_free.astype(float)) + len(marginal.factor)
-    effective_parameters = parameter_count - _total(
-        jax.tree.map(jnp.multiply, prior_precision, variance)
+    effective_parameters = (
+        xp.sum(views.per_view_free, dtype=float)
+        + len(shared)
+        - prior_precision.shared @ shared_variance
+        - xp.sum(prior_precision.per_view * per_view_variance)
     )
-    step_terms = jax.tree.map(
-        lambda g, w, off, s: (pixel_precision * g - w * (off + s)) * s,
-        views.gradient,
-        prior_precision,
-        views.offset_from_prior,
-        marginal.step,
+    shared_terms = pixel_precision * pixel_gradient.shared - prior_precision.shared * shared_offset
+    per_view_terms = (
+        pixel_precision * pixel_gradient.per_view - prior_precision.per_view * per_view_offset
     )
     by_log_precision = (
         pixel_precision * views.residual_sum_of_squares
-        + _total(step_terms)
+        + shared_terms @ step.shared
+        + xp.sum(per_view_terms * step.per_view)
         + effective_parameters
         - views.statistic_count
     )
     # Precision w = 1 / sigma^2: d log w / d sigma = -2 / sigma.
     return StandardDeviations(
         -2.0 * by_log_precision / sigmas.pixel,
-        -2.0 * jnp.sum(per_view[:, :3]) / sigmas.translation,
-        -2.0 * jnp.sum(per_view[:, 3:]) / sigmas.rotation,
+        -2.0 * xp.sum(per_view[:, :3]) / sigmas.translation,
+        -2.0 * xp.sum(per_view[:, 3:]) / sigmas.rotation,
         -2.0 * (group_indicator(views, len(sigmas.field)) @ shared) / sigmas.field,
     )
 
 
-def _total(parts: Step) -> Float[Array, ""]:
-    """Sum all components."""
-    return jnp.sum(parts.shared) + jnp.sum(parts.per_view)
+def rows_of_views(
+    blocks: Float[AnyArray, "views own columns"],
+) -> Float[AnyArray, "rows columns"]:
+    """Return the blocks of all views one below the other, as a single matrix."""
+    return blocks.reshape(blocks.shape[0] * blocks.shape[1], blocks.shape[2])
 
 
-def _log_determinant(factor: Float[Array, "*batch n n"]) -> Float[Array, ""]:
-    """Compute the log-determinant of matrices from their Cholesky factors."""
-    return 2.0 * jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
+def _times_vectors(
+    matrices: Float[AnyArray, "views 6 6"], vectors: Float[AnyArray, "views 6"]
+) -> Float[AnyArray, "views 6"]:
+    """Multiply the matrix of every view by the vector of that view."""
+    return (matrices @ vectors[..., None])[..., 0]
 
 
-def counts(views: LinearisedViews, groups: int) -> Float[Array, "kinds"]:
+def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalar:
+    """Compute the log-determinant of matrices from their inverse Cholesky factors."""
+    xp = array_namespace(whitening)
+    return -2.0 * xp.sum(xp.log(xp.diagonal(whitening, axis1=-2, axis2=-1)))
+
+
+def counts(views: LinearisedViews, groups: int) -> Float[AnyArray, "kinds"]:
     """Count the random numbers of each kind, in the order of `StandardDeviations.vector`."""
-    per_view_free = views.per_view_free.astype(float)
-    field = jnp.sum(group_indicator(views, groups), axis=1)
-    robot = jnp.stack([jnp.sum(per_view_free[:, :3]), jnp.sum(per_view_free[:, 3:])])
-    return jnp.concatenate([views.statistic_count[None], robot, field])
+    xp = array_namespace(views.per_view_free)
+    robot = xp.sum(views.per_view_free.reshape(-1, 2, 3), axis=(0, 2), dtype=float)
+    field = xp.sum(group_indicator(views, groups), axis=1)
+    return xp.concatenate([xp.reshape(xp.asarray(views.statistic_count), 1), robot, field])
 
 
-def group_indicator(views: LinearisedViews, groups: int) -> Float[Array, "groups shared"]:
+def group_indicator(views: LinearisedViews, groups: int) -> Float[AnyArray, "groups shared"]:
     """Return one where a shared parameter belongs to a group of unknown sigma, zero elsewhere."""
-    return (views.group_index[None] == jnp.arange(groups)[:, None]).astype(float)
+    xp = array_namespace(views.group_index)
+    return (views.group_index[None] == xp.arange(groups)[:, None]).astype(float)

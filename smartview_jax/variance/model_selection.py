@@ -1,7 +1,7 @@
 """Compare models of the robot error on a set of views, and average them by their probability.
 
 Every model is a set of groups of one basis that contains them all, so that all are compared on the
-same statistics by the same program. The standard deviations of a model's errors are those that
+same statistics. The standard deviations of a model's errors are those that
 maximise their posterior; the integral of the posterior about the maximum, by Laplace's method, is
 the evidence of the model,
 
@@ -16,15 +16,14 @@ models' own (a model without a group counts as zero there).
 Reference: Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging: a tutorial, 1999.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
 
-from ..compilation import compiled_optimised
 from ..dataset import Dataset
 from ..robot_errors import (
     AbstractField,
@@ -137,7 +136,7 @@ def readable_poses(data: Dataset) -> SE3:
     """Return the reported poses without placeholders for unreadable ones."""
     masked = {view for view, _ in data.masked_views}
     is_readable = np.array([view not in masked for view in data.view_ids])
-    return SE3(data.base_from_tool.wxyz_xyz[is_readable])
+    return jax.tree.map(lambda numbers: np.asarray(numbers)[is_readable], data.base_from_tool)
 
 
 def candidate_models(requested: FieldChoice, basis: AbstractField | None) -> dict[str, Candidate]:
@@ -193,7 +192,7 @@ def fit_candidates(
         for name, model in models.items():
             model_groups = model.groups | ({TARGET_SCALE} if free_scale else set())
             active = np.array([True, True, *(group in model_groups for group in groups)])
-            maximum = compiled_maximise(views, initial, jnp.asarray(active), prior)
+            maximum = maximise(views, initial, active, prior)
             log_weight = float(
                 log_evidence(maximum, active, prior) + model.log_odds + scale_log_odds
             )
@@ -209,10 +208,10 @@ def log_evidence(
     # log Z = -D / 2 - log det(I / 2 pi) / 2 - sum_k log(s_k sqrt(2 pi)); the pixel sigma has no
     # such s_k, since its prior is exponential and the same for all models.
     is_fitted = np.concatenate([[True], active])
-    information = np.asarray(maximum.information)[np.ix_(is_fitted, is_fitted)] / (2.0 * np.pi)
+    information = maximum.information[np.ix_(is_fitted, is_fitted)] / (2.0 * np.pi)
     if not np.isfinite(information).all():
         return -np.inf
-    prior_widths = np.sqrt(2.0 * np.pi) * np.asarray(prior.log_std)[active]
+    prior_widths = np.sqrt(2.0 * np.pi) * prior.log_std[active]
     logarithm = np.linalg.slogdet(information)[1]
     return float(-0.5 * maximum.deviance - 0.5 * logarithm - np.sum(np.log(prior_widths)))
 
@@ -242,11 +241,9 @@ def average_standard_deviations(
     fitted: Mapping[ModelName, FittedCandidate], probabilities: Mapping[ModelName, float]
 ) -> StandardDeviations:
     """Return standard deviations whose squares are weighted averages of the models' variances."""
-    sigma_vectors = [np.asarray(fitted[name].maximum.sigmas.vector) for name in probabilities]
+    sigma_vectors = [fitted[name].maximum.sigmas.vector for name in probabilities]
     model_weights = np.array(list(probabilities.values()))
-    return StandardDeviations.from_vector(
-        jnp.asarray(np.sqrt(model_weights @ np.square(sigma_vectors)))
-    )
+    return StandardDeviations.from_vector(np.sqrt(model_weights @ np.square(sigma_vectors)))
 
 
 def smallest_sufficient_field(
@@ -268,26 +265,30 @@ def smallest_sufficient_field(
 
 
 def standard_deviation_prior(
-    prior: RobotPrior, field: AbstractField | None, with_scale: bool
+    prior: RobotPrior, field: AbstractField | None, group_names: Sequence[str]
 ) -> StandardDeviationPrior:
-    """Return the prior of a field's standard deviations, and of the target scale's if free."""
-    median, log_std = prior.medians(field), np.asarray(prior.log_stds(field))
-    if with_scale:
+    """Return the prior of the standard deviations of reported poses and of some groups.
+
+    Args:
+        prior: prior of the robot's errors.
+        field: field that has the groups.
+        group_names: names of the groups, with `TARGET_SCALE` last where the scale is one of them.
+    """
+    field_names = [] if field is None else [name for name, _ in field.groups]
+    indices = [0, 1, *(2 + field_names.index(name) for name in group_names if name in field_names)]
+    median, log_std = prior.medians(field)[indices], np.asarray(prior.log_stds(field))[indices]
+    if TARGET_SCALE in group_names:
         # The standard deviation of the scale is known, not estimated: a log-normal prior with a
         # negligible spread holds it.
         median, log_std = np.append(median, prior.wrong_target_scale_std), np.append(log_std, 0.01)
-    return StandardDeviationPrior(
-        jnp.asarray(median), jnp.asarray(log_std), jnp.asarray(PIXEL_SIGMA_PRIOR_RATE)
-    )
+    return StandardDeviationPrior(median, log_std, PIXEL_SIGMA_PRIOR_RATE)
 
 
 def initial_standard_deviations(
     prior: StandardDeviationPrior, white_sigma: float
 ) -> StandardDeviations:
     """Return the prior's medians, and an effective pixel sigma a little above the white one."""
-    return StandardDeviations.from_vector(
-        jnp.concatenate([jnp.asarray([1.1 * white_sigma]), prior.median])
-    )
+    return StandardDeviations.from_vector(np.concatenate([[1.1 * white_sigma], prior.median]))
 
 
 def _split_basis(basis: AbstractField) -> tuple[AbstractField, AbstractField | None]:
@@ -300,6 +301,3 @@ def _split_basis(basis: AbstractField) -> tuple[AbstractField, AbstractField | N
 def _group_names(field: AbstractField) -> frozenset[str]:
     """Return the names of a field's groups."""
     return frozenset(name for name, _ in field.groups)
-
-
-compiled_maximise = compiled_optimised(maximise)

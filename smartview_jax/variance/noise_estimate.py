@@ -58,6 +58,8 @@ class NoiseEstimate(NamedTuple):
         name: name of the most probable model.
         noise: standard deviations of all errors in the averaged model.
         field: robot error field; None where the views do not call for one.
+        encompassing_field: field that contains those of all models; the fit is made with it, with
+            the groups held at zero that `field` does not have.
         calibration: the calibration at the end of the estimation.
         candidates: all models of the robot error that were tried.
         target_scale: evidence on the target's size; None where its scale was not in question.
@@ -77,6 +79,7 @@ class NoiseEstimate(NamedTuple):
     name: str
     noise: Noise
     field: AbstractField | None
+    encompassing_field: AbstractField | None
     calibration: Calibration
     candidates: tuple[CandidateResult, ...]
     target_scale: TargetScaleEvidence | None

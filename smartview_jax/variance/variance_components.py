@@ -1,20 +1,20 @@
 """Estimate the noise model of a joint fit from the data: the standard deviation of every error."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool
 
 from ..calibration import Calibration
-from ..compilation import compiled
 from ..dataset import Dataset
 from ..engine import (
     POSE_CORRECTIONS,
     ROBOT_ERROR,
     BuiltProblem,
+    FittedChain,
     Noise,
     Prior,
     Step,
@@ -53,7 +53,7 @@ from .noise_estimate import (
     NoiseEstimate,
     TargetScaleEvidence,
 )
-from .view_statistics import ViewStatistics, with_free_poses, with_prior_sigmas
+from .view_statistics import ViewStatistics, chain_at, with_free_poses, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
 """Largest number of linearisations, each at the fit with the last standard deviations."""
@@ -102,19 +102,6 @@ def estimate_noise(
                 f"prior on {path!r}: its size is what noise='estimated' finds; give a Noise instead"
             )
 
-    def build_with(basis: AbstractField | None, free_scale: bool) -> BuiltProblem:
-        """Build the problem with all standard deviations one; their values are set later."""
-        unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
-        return build_problem(
-            data,
-            start,
-            noise=unit,
-            field=basis,
-            fixed=fixed,
-            free=(*free, *((TARGET_SCALE,) if free_scale else ())),
-            priors=priors,
-        )
-
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
     field_is_fixed = ROBOT_ERROR in fixed
     if field_is_fixed:
@@ -129,9 +116,18 @@ def estimate_noise(
         *(priors or ()),
     )
     models = candidate_models(field, None if field_is_fixed else basis)
-    first = _compare_models(
-        build_with(basis, test_scale), data, field, basis, models, prior, test_scale
+    # All standard deviations are one; their values are set later.
+    unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
+    built = build_problem(
+        data,
+        start,
+        noise=unit,
+        field=basis,
+        fixed=fixed,
+        free=(*free, *((TARGET_SCALE,) if test_scale else ())),
+        priors=priors,
     )
+    first = _compare_models(built, data, field, basis, models, prior, test_scale)
 
     # Second pass: only the models with more than negligible probability, on the smallest field that
     # contains them, alternating between the fit and the standard deviations.
@@ -149,24 +145,39 @@ def estimate_noise(
         if field_is_fixed
         else smallest_sufficient_field(basis, models, set(field_probabilities))
     )
-    built = build_with(fitted_field, free_scale)
+    # The problem keeps the field that contains all models, and holds the rest of it at zero: all
+    # fits of a calibration are then solved by one compiled program.
+    fitted_groups = () if fitted_field is None else tuple(name for name, _ in fitted_field.groups)
+    held = {
+        name
+        for name in first.built.shared_names
+        if (name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[1] not in fitted_groups)
+        or (name == TARGET_SCALE and test_scale and not free_scale)
+    }
+    built = first.built.holding(held)
     views = ViewStatistics(built, data.usable_views(), first.views.within_sum_of_squares)
     sigmas = average_standard_deviations(first.fitted, probabilities)
     predicted = _predicted_optimum(first.linearised, first.z, sigmas)
-    z, linearised, maximum, converged = _iterate_to_convergence(
+    chain, linearised, maximum, converged = _iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
         {name: models[name] for name in field_probabilities},
         first.views.select_groups(sigmas, views.group_names),
-        standard_deviation_prior(prior, fitted_field, False),
+        standard_deviation_prior(prior, fitted_field, views.group_names),
     )
-    calibration, _ = built.problem.calibration(z)
-    correction = jax.tree.map(np.asarray, _small_sample_correction(linearised, maximum))
+    error = chain.calibration.robot_error
+    correction = small_sample_correction(linearised, maximum)
     return NoiseEstimate(
         max(field_probabilities, key=lambda name: field_probabilities[name]),
-        _noise_from_sigmas(maximum.sigmas, views.white_sigma),
+        _averaged_noise(maximum.sigmas, views, fitted_field, prior),
         fitted_field,
-        calibration if fitted_field is not None else calibration.uncorrected,
+        basis,
+        dataclasses.replace(
+            chain.calibration,
+            robot_error=None
+            if fitted_field is None or error is None
+            else error.converted_to(fitted_field),
+        ),
         first.candidates,
         first.target_scale,
         None if fitted_field is None else _mount_displacement(built, linearised, maximum.sigmas),
@@ -225,10 +236,11 @@ def _compare_models(
     Raises:
         ValueError: no model can be linearised.
     """
-    solution, equations = solve(with_free_poses(built.problem))
+    problem = with_free_poses(built.problem)
+    solution, equations = solve(problem)
     views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
-    sigma_prior = standard_deviation_prior(prior, basis, test_scale)
-    linearised = views.linearise(solution.z)
+    sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
+    linearised = views.linearised_at_fit(problem, solution.z, equations)
     fitted = fit_candidates(
         linearised,
         models,
@@ -267,7 +279,7 @@ def _iterate_to_convergence(
     models: Mapping[str, Candidate],
     sigmas: StandardDeviations,
     prior: StandardDeviationPrior,
-) -> tuple[Step, LinearisedViews, LikelihoodMaximum, bool]:
+) -> tuple[FittedChain, LinearisedViews, LikelihoodMaximum, bool]:
     """Alternate between the fit and the averaged standard deviations, until these converge.
 
     Args:
@@ -278,43 +290,42 @@ def _iterate_to_convergence(
         prior: prior of the standard deviations of the field's groups.
 
     Returns:
-        The step of the fit, the views linearised there, the maximum of the likelihood, and whether
+        The chain of the fit, the views linearised there, the maximum of the likelihood, and whether
         the standard deviations converged.
     """
-    iterations, converged = 0, False
-    z, accepted = initial, views.linearise(initial)
+    iterations, chain, accepted = 0, None, None
     while True:
-        refitted = solve(
-            with_prior_sigmas(views.problem, sigmas, views.group_index), start=initial
-        )[0].z
-        linearised, iterations = views.linearise(refitted), iterations + 1
+        problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
+        solution, equations = solve(problem, start=initial)
+        linearised = views.linearised_at_fit(problem, solution.z, equations)
+        iterations += 1
         fitted = fit_candidates(linearised, models, views.group_names, sigmas, prior, 0.0)
         if not fitted:
             # No model has a finite weight, for example where pictures and poses do not belong
             # together: return the last good result.
-            return z, accepted, _maximum_at(accepted, sigmas, prior), False
-        z, accepted = refitted, linearised
+            if chain is None or accepted is None:
+                chain, accepted = chain_at(views.problem, initial), views.linearise(initial)
+            return chain, accepted, _maximum_at(accepted, sigmas, prior), False
+        chain, accepted = solution.chain, linearised
         previous, kept = sigmas, drop_negligible(posterior_probabilities(fitted))
         sigmas = average_standard_deviations(fitted, kept)
-        change = np.abs(np.asarray(sigmas.vector - previous.vector))
-        converged = (
-            change <= SIGMA_TOLERANCE * np.asarray(previous.vector) + 10.0 * ROBOT_SIGMA_FLOOR
-        ).all()
+        change = np.abs(sigmas.vector - previous.vector)
+        tolerance = SIGMA_TOLERANCE * previous.vector + 10.0 * ROBOT_SIGMA_FLOOR
+        converged = bool((change <= tolerance).all())
         if converged or iterations == MAX_LINEARISATIONS:
-            return z, accepted, _maximum_at(accepted, sigmas, prior), bool(converged)
-        initial = _predicted_optimum(accepted, z, sigmas)
+            return chain, accepted, _maximum_at(accepted, sigmas, prior), converged
+        initial = _predicted_optimum(accepted, solution.z, sigmas)
 
 
 def _predicted_optimum(views: LinearisedViews, z: Step, sigmas: StandardDeviations) -> Step:
     """Compute the most probable parameters for given standard deviations, to first order."""
-    return jax.tree.map(jnp.add, z, _posterior_mode_step(views, sigmas))
+    return jax.tree.map(np.add, z, posterior_mode_step(views, sigmas))
 
 
 def _transfer_step(z: Step, names: tuple[str, ...], target_names: tuple[str, ...]) -> Step:
     """Convert a step to the parameters of another problem; parameters that it adds are zero."""
-    components = dict(zip(names, np.asarray(z.shared), strict=True))
-    shared = np.array([components.get(name, 0.0) for name in target_names])
-    return Step(jnp.asarray(shared), z.per_view)
+    components = dict(zip(names, z.shared, strict=True))
+    return z._replace(shared=np.array([components.get(name, 0.0) for name in target_names]))
 
 
 def _candidate_results(
@@ -323,12 +334,12 @@ def _candidate_results(
     white_sigma: float,
 ) -> tuple[CandidateResult, ...]:
     """Return all models tried, with probabilities and likelihood ratios to white noise alone."""
-    white_noise_deviance = float(fitted[ModelName(WHITE_NOISE, False)].maximum.deviance)
+    white_noise_deviance = fitted[ModelName(WHITE_NOISE, False)].maximum.deviance
     return tuple(
         CandidateResult(
             name,
             model_probabilities.get(name, 0.0),
-            white_noise_deviance - float(candidate.maximum.deviance),
+            white_noise_deviance - candidate.maximum.deviance,
             _noise_from_sigmas(candidate.maximum.sigmas, white_sigma, candidate.active),
         )
         for name, candidate in fitted.items()
@@ -347,12 +358,12 @@ def _target_scale_evidence(
         name: probability for name, probability in model_probabilities.items() if name.free_scale
     }
     best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
-    step, std = _shared_step_and_std(views, fitted[best].maximum.sigmas)
+    marginal = marginalise(views, fitted[best].maximum.sigmas)
     index = built.shared_names.index(TARGET_SCALE)
-    scale = built.problem.parameters.start.target_scale + z.shared[index] + step[index]
-    return TargetScaleEvidence(
-        sum(free_scale_probabilities.values()), float(scale), float(std[index])
-    )
+    scale_at_start = np.asarray(built.problem.parameters.start.target_scale)
+    scale = scale_at_start + np.asarray(z.shared)[index] + marginal.step.shared[index]
+    std = np.sqrt(marginal.shared_covariance[index, index])
+    return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
 
 
 def _mount_displacement(
@@ -364,42 +375,44 @@ def _mount_displacement(
     if len(indices) != 6:
         return None
     # A field with standard deviations of `ROBOT_SIGMA_FLOOR` is held at zero.
-    white_sigmas = StandardDeviations.from_vector(sigmas.vector.at[3:].set(ROBOT_SIGMA_FLOOR))
+    white_sigmas = sigmas._replace(field=np.full_like(sigmas.field, ROBOT_SIGMA_FLOOR))
     with_field, without_field = (
-        _posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)
+        posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)
     )
-    return tuple(map(float, np.asarray(with_field - without_field)[indices]))
+    return tuple(map(float, (with_field - without_field)[indices]))
 
 
-@compiled
 def _maximum_at(
     views: LinearisedViews, sigmas: StandardDeviations, prior: StandardDeviationPrior
 ) -> LikelihoodMaximum:
     """Return the result of a search for the maximum that ends at these standard deviations."""
     marginal = marginalise(views, sigmas)
-    information = fisher_information(views, marginal, len(sigmas.field))
-    information = information + jnp.diag(jnp.pad(prior.log_std**-2, (1, 0)))
-    return LikelihoodMaximum(sigmas, marginal.deviance, jnp.zeros(()), information, jnp.array(0))
+    information = np.asarray(fisher_information(views, marginal, len(sigmas.field)))
+    information = information + np.diag(np.pad(prior.log_std**-2, (1, 0)))
+    return LikelihoodMaximum(sigmas, float(marginal.deviance), 0.0, information, 0)
 
 
-@compiled
-def _shared_step_and_std(
-    views: LinearisedViews, sigmas: StandardDeviations
-) -> tuple[Float[Array, "shared"], Float[Array, "shared"]]:
-    """Compute the best step of the shared parameters, and their standard deviations."""
-    marginal = marginalise(views, sigmas)
-    return marginal.step.shared, jnp.sqrt(jnp.diagonal(marginal.shared_covariance))
-
-
-_posterior_mode_step = compiled(posterior_mode_step)
-_small_sample_correction = compiled(small_sample_correction)
+def _averaged_noise(
+    sigmas: StandardDeviations,
+    views: ViewStatistics,
+    field: AbstractField | None,
+    prior: RobotPrior,
+) -> Noise:
+    """Return the noise of the averaged model; of groups that are held, the prior's medians."""
+    noise = _noise_from_sigmas(sigmas, views.white_sigma)
+    fitted = dict(zip(views.group_names, noise.field, strict=True))
+    names = () if field is None else tuple(name for name, _ in field.groups)
+    values = (
+        fitted.get(name, float(median))
+        for name, median in zip(names, prior.medians(field)[2:], strict=True)
+    )
+    return dataclasses.replace(noise, field=tuple(values))
 
 
 def _noise_from_sigmas(
     sigmas: StandardDeviations, white_sigma: float, active: Bool[np.ndarray, "robot"] | None = None
 ) -> Noise:
     """Convert to a `Noise`; with `active`, only the active groups of the field are kept."""
-    field = np.asarray(sigmas.field)
-    field = field if active is None else field[active[2:]]
+    field = sigmas.field if active is None else sigmas.field[active[2:]]
     pixel_and_pose = (float(sigmas.pixel), float(sigmas.translation), float(sigmas.rotation))
     return Noise(*pixel_and_pose, field=tuple(map(float, field)), white_pixel=white_sigma)

@@ -4,22 +4,33 @@ The statistics are the best free pose of each view, and the camera of the fit wi
 `likelihood.py`. They change with the linearisation only, not with the standard deviations.
 """
 
-import equinox as eqx
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Int
+import dataclasses
 
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from ..array_namespace import to_device
 from ..compilation import compiled
 from ..engine import (
     ROBOT_ERROR,
     SIGMA_FLOOR,
     BuiltProblem,
+    FittedChain,
     JointProblem,
     NormalEquations,
     Step,
 )
-from .likelihood import ROBOT_SIGMA_FLOOR, LinearisedViews, StandardDeviations
+from .likelihood import LinearisedViews, StandardDeviations
 from .model_selection import TARGET_SCALE
+
+HOLDING_SIGMA = 1e-6
+"""Prior standard deviation, in m, rad or no unit, that holds the chain while all poses are free.
+
+Any would do, since free poses explain whatever the chain leaves, and no view pulls on it. But the
+prior is subtracted again from the normal equations, and must not cost these significant digits.
+"""
 
 
 class ViewStatistics:
@@ -44,45 +55,85 @@ class ViewStatistics:
         within_sum_of_squares: float,
         scale_is_group=False,
     ):
-        problem, group_index = built.problem, _group_index(built, scale_is_group)
-        camera_count = sum(k < problem.parameters.layout.camera.stop for k in problem.free)
-        self.problem, self.group_index = problem, jnp.asarray(group_index)
-        self.within_sum_of_squares = within_sum_of_squares
-        error = problem.parameters.start.robot_error
-        field_groups = () if error is None else tuple(name for name, _ in error.field.groups)
-        self.group_names = (*field_groups, TARGET_SCALE) if scale_is_group else field_groups
-        self.statistic_count = camera_count + int(
-            np.asarray(problem.per_view_free)[usable_views].sum()
-        )
+        problem, self.group_index = built.problem, _group_index(built, scale_is_group)
+        self.free = np.asarray(problem.free)
+        camera_count = int(np.sum(self.free < problem.parameters.layout.camera.stop))
+        self.problem, self.within_sum_of_squares = problem, within_sum_of_squares
+        self.per_view_free = np.asarray(problem.per_view_free)
+        self.group_names = _group_names(built, scale_is_group)
+        self.statistic_count = camera_count + int(self.per_view_free[usable_views].sum())
         visible_count = int(np.asarray(problem.observations.visible).sum())
         # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
         # poses).
         white = np.sqrt(within_sum_of_squares / max(2 * visible_count - self.statistic_count, 1))
         self.white_sigma = max(float(white), SIGMA_FLOOR)
-        free_weight = np.asarray(problem.prior_weight.shared)[list(problem.free)]
-        self.known_weight = jnp.asarray(np.where(group_index < 0, free_weight, 0.0))
+        free_weight = np.asarray(problem.prior_weight.shared)[self.free]
+        self.known_weight = np.where(self.group_index < 0, free_weight, 0.0)
+        shared, per_view = jax.tree.map(np.asarray, _offset_at_start(problem))
+        self._offset_at_start = Step(shared[self.free], per_view)
 
     def linearise(self, z: Step) -> LinearisedViews:
-        """Linearise the problem at a step."""
-        equations, offset = _equations_and_offset(self.problem, z)
+        """Linearise the problem at a step, by another pass over the pixels."""
+        return self._with_equations(_equations_without_priors(self.problem, z), z)
+
+    def linearised_at_fit(
+        self, fitted: JointProblem, z: Step, equations: NormalEquations
+    ) -> LinearisedViews:
+        """Return the views linearised at the result of a fit, without another pass over the pixels.
+
+        Args:
+            fitted: the problem with the pixel sigma and the priors of the fit.
+            z: step of the fit.
+            equations: its normal equations, with these priors.
+        """
+        equations, weight = jax.tree.map(np.asarray, (equations, fitted.prior_weight))
+        offset = self._offset_from_prior(z)
+        # A prior adds w^2 o^2 / 2 to the cost, w^2 o to the gradient and w^2 to the diagonal; to
+        # that of a correction that is held the fit adds a one, which keeps its equation solvable.
+        shared = weight.shared[self.free] ** 2
+        per_view = np.where(self.per_view_free, weight.per_view**2, 0.0)
+        diagonal = np.where(self.per_view_free, per_view, 1.0)
+        penalty = shared @ offset.shared**2 + np.sum(per_view * offset.per_view**2)
+        gradient, matrix = equations.gradient, equations.matrix
+        without_priors = eqx.tree_at(
+            lambda e: (e.cost, *e.gradient, e.matrix.shared, e.matrix.per_view),
+            equations,
+            (
+                equations.cost - 0.5 * penalty,
+                gradient.shared - shared * offset.shared,
+                gradient.per_view - per_view * offset.per_view,
+                matrix.shared - np.diag(shared),
+                matrix.per_view - np.eye(6) * diagonal[:, None],
+            ),
+        )
+        # From the pixel sigma of the fit to one of 1 px.
+        pixel_variance = np.square(fitted.pixel_sigma)
+        return self._with_equations(jax.tree.map(lambda x: pixel_variance * x, without_priors), z)
+
+    def _offset_from_prior(self, z: Step) -> Step:
+        """Return the differences of the free parameters from their prior means at a step."""
+        return jax.tree.map(np.add, self._offset_at_start, z)
+
+    def _with_equations(self, equations: NormalEquations, z: Step) -> LinearisedViews:
+        """Return the views with the normal equations of the observations alone at a step."""
+        equations = jax.tree.map(np.asarray, equations)
         return LinearisedViews(
             matrix=equations.matrix,
             gradient=equations.gradient,
-            residual_sum_of_squares=2.0 * equations.cost - self.within_sum_of_squares,
-            offset_from_prior=offset,
+            residual_sum_of_squares=float(2.0 * equations.cost - self.within_sum_of_squares),
+            offset_from_prior=self._offset_from_prior(z),
             known_weight=self.known_weight,
             group_index=self.group_index,
-            per_view_free=self.problem.per_view_free,
-            statistic_count=jnp.asarray(float(self.statistic_count)),
-            white_sigma=jnp.asarray(self.white_sigma),
+            per_view_free=self.per_view_free,
+            statistic_count=float(self.statistic_count),
+            white_sigma=self.white_sigma,
         )
 
     def select_groups(
         self, sigmas: StandardDeviations, names: tuple[str, ...]
     ) -> StandardDeviations:
         """Return the standard deviations with the groups selected and ordered by name."""
-        indices = [3 + self.group_names.index(name) for name in names]
-        return StandardDeviations.from_vector(sigmas.vector[jnp.array([0, 1, 2, *indices])])
+        return sigmas._replace(field=sigmas.field[[self.group_names.index(name) for name in names]])
 
 
 def with_free_poses(problem: JointProblem) -> JointProblem:
@@ -90,43 +141,50 @@ def with_free_poses(problem: JointProblem) -> JointProblem:
 
     Only arrays differ, so that the same compiled program is used.
     """
-    # The shared parameters except the camera's get priors so narrow that they are held, and the
-    # corrections of the views get none.
-    weight, free = problem.prior_weight, np.array(problem.free, dtype=int)
-    fixed_indices = free[free >= problem.parameters.layout.camera.stop]
-    return eqx.tree_at(
-        lambda p: p.prior_weight,
-        problem,
-        Step(
-            weight.shared.at[fixed_indices].set(1.0 / ROBOT_SIGMA_FLOOR),
-            jnp.zeros_like(weight.per_view),
-        ),
-    )
+    # The shared parameters except the camera's get priors that hold them, and the corrections of
+    # the views get none.
+    shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
+    shared[free[free >= problem.parameters.layout.camera.stop]] = 1.0 / HOLDING_SIGMA
+    per_view = np.zeros(problem.per_view_free.shape)
+    weight = Step(to_device(shared), to_device(per_view))
+    return dataclasses.replace(problem, prior_weight=weight)
 
 
-@compiled
 def with_prior_sigmas(
-    problem: JointProblem, sigmas: StandardDeviations, group_index: Array
+    problem: JointProblem, sigmas: StandardDeviations, group_index: Int[np.ndarray, "free"]
 ) -> JointProblem:
     """Return the problem with priors of the given standard deviations."""
-    free_indices, shared = problem.free_indices, problem.prior_weight.shared
-    weights = sigmas.prior_weights(group_index, shared[free_indices])
-    per_view = jnp.broadcast_to(weights.per_view, problem.per_view_free.shape)
-    weight = Step(shared.at[free_indices].set(weights.shared), per_view)
-    return eqx.tree_at(lambda p: (p.pixel_sigma, p.prior_weight), problem, (sigmas.pixel, weight))
-
-
-@compiled
-def _equations_and_offset(problem: JointProblem, z: Step) -> tuple[NormalEquations, Step]:
-    """Return the normal equations of the observations, and the differences from the prior means."""
-    offset = problem.offset_from_prior(problem.unscaled_step(z))
-    return problem.normal_equations_without_priors(z), Step(
-        offset.shared[problem.free_indices], offset.per_view
+    shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
+    weights = sigmas.prior_weights(group_index, shared[free])
+    shared[free] = weights.shared
+    per_view = np.tile(weights.per_view, (len(problem.per_view_free), 1))
+    return dataclasses.replace(
+        problem,
+        pixel_sigma=to_device(sigmas.pixel),
+        prior_weight=Step(to_device(shared), to_device(per_view)),
     )
 
 
-def _group_index(built: BuiltProblem, scale_is_group: bool) -> Int[np.ndarray, "free"]:
-    """Return the group of unknown standard deviation of each free shared parameter; -1 for none.
+@compiled
+def _offset_at_start(problem: JointProblem) -> Step:
+    """Return the differences of all parameters from their prior means at the start."""
+    return problem.offset_from_prior(problem.unscaled_step(problem.zero_step()))
+
+
+@compiled
+def chain_at(problem: JointProblem, z: Step) -> FittedChain:
+    """Return the chain of every view at a step."""
+    return problem.chain(z)
+
+
+@compiled
+def _equations_without_priors(problem: JointProblem, z: Step) -> NormalEquations:
+    """Return the normal equations of the observations alone at a step."""
+    return problem.normal_equations_without_priors(z)
+
+
+def _group_names(built: BuiltProblem, scale_is_group: bool) -> tuple[str, ...]:
+    """Return the names of the groups of unknown standard deviation that have free parameters.
 
     Args:
         built: problem with the names of its parameters.
@@ -134,12 +192,18 @@ def _group_index(built: BuiltProblem, scale_is_group: bool) -> Int[np.ndarray, "
     """
     error = built.problem.parameters.start.robot_error
     groups = () if error is None else error.field.groups
-    prefixes = [f"{ROBOT_ERROR}.{group}." for group, _ in groups]
-    prefixes += [TARGET_SCALE] if scale_is_group else []
-    return np.array(
-        [
-            next((k for k, prefix in enumerate(prefixes) if name.startswith(prefix)), -1)
-            for name in built.shared_names
-        ],
-        dtype=int,
-    )
+    free_groups = {name.split(".")[1] for name in built.shared_names if _is_field_name(name)}
+    names = tuple(name for name, _ in groups if name in free_groups)
+    return (*names, TARGET_SCALE) if scale_is_group else names
+
+
+def _group_index(built: BuiltProblem, scale_is_group: bool) -> Int[np.ndarray, "free"]:
+    """Return the group of unknown standard deviation of each free shared parameter; -1 for none."""
+    index = {name: k for k, name in enumerate(_group_names(built, scale_is_group))}
+    groups = [name.split(".")[1] if _is_field_name(name) else name for name in built.shared_names]
+    return np.array([index.get(group, -1) for group in groups], dtype=int)
+
+
+def _is_field_name(name: str) -> bool:
+    """Return whether a parameter is a coefficient of the robot error field."""
+    return name.startswith(f"{ROBOT_ERROR}.")

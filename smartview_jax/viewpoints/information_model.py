@@ -7,6 +7,7 @@ up. So candidates are linearised once, and the information of any set of them is
 of the sum is the Cramer-Rao bound, as computed by `cramer_rao`.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
@@ -103,7 +104,7 @@ class InformationModel(eqx.Module):
             sigma = jnp.asarray(float(noise))
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
         # Prior information is the square of the weight on each free parameter.
-        weight = problem.prior_weight.shared[np.array(problem.free, dtype=int)]
+        weight = problem.prior_weight.shared[problem.free]
         near_joints = None if arm is None else jnp.asarray(near, dtype=float)
         model = cls(problem, target, jnp.diag(weight**2), near_joints, built.shared_names)
         if previous_data is None:
@@ -208,23 +209,17 @@ class InformationModel(eqx.Module):
         def repeat_first(per_view: Array) -> Array:
             return jnp.broadcast_to(per_view[:1], (views, 6)) if len(per_view) else per_view
 
-        problem = self.problem
-        return eqx.tree_at(
-            lambda p: (
-                p.observations,
-                p.per_view_free,
-                p.prior_mean.per_view,
-                p.prior_weight.per_view,
-                p.scale.per_view,
-            ),
+        problem = self.problem.with_observations(observations)
+        mean, weight, scale = (
+            Step(step.shared, repeat_first(step.per_view))
+            for step in (problem.prior_mean, problem.prior_weight, problem.scale)
+        )
+        return dataclasses.replace(
             problem,
-            (
-                observations,
-                repeat_first(problem.per_view_free),
-                repeat_first(problem.prior_mean.per_view),
-                repeat_first(problem.prior_weight.per_view),
-                repeat_first(problem.scale.per_view),
-            ),
+            per_view_free=repeat_first(problem.per_view_free),
+            prior_mean=mean,
+            prior_weight=weight,
+            scale=scale,
         )
 
     def _zero_step(self, views: int) -> Step:

@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import (
     POSE_CODECS,
+    as_se3,
     oat_from_rotation,
     pose_codec,
     rotation_from_oat,
+    se3_from_matrices,
     se3_from_xyzoat,
     xyzoat,
     ypr_from_rotation,
@@ -57,6 +59,20 @@ def test_round_trip(name, units):
     np.testing.assert_allclose(back.as_matrix(), POSES.as_matrix(), atol=2e-7)
     # Away from the singularities to rounding.
     np.testing.assert_allclose(back.as_matrix()[:30], POSES.as_matrix()[:30], atol=1e-12)
+
+
+def test_matrices_become_transforms_as_by_jaxlie():
+    """Also those of few digits, and mirrored ones, which SciPy refuses or makes rigid."""
+    poses = np.tile(np.eye(4), (3 * len(MATRICES), 1, 1))
+    rotations = np.concatenate([MATRICES, np.round(MATRICES, 4), -MATRICES])
+    poses[:, :3, :3] = rotations
+    poses[:, :3, 3] = np.random.default_rng(1).normal(size=(len(poses), 3))
+    np.testing.assert_allclose(
+        se3_from_matrices(poses).wxyz_xyz, as_se3(poses).wxyz_xyz, rtol=0.0, atol=1e-15
+    )
+    one = se3_from_matrices(poses[0])
+    assert one.get_batch_axes() == ()
+    np.testing.assert_allclose(one.as_matrix(), poses[0], atol=1e-15)
 
 
 @given(st.tuples(*(st.floats(-3.0, 3.0),) * 6), st.sampled_from(sorted(POSE_CODECS)))

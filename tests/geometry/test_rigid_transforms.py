@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3, SO3
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import (
@@ -26,8 +27,16 @@ def test_exp_jacobian_is_the_derivative_of_exp(size):
     np.testing.assert_allclose(se3_left_jacobian(tangent), by_hand, atol=1e-9)
 
 
-def test_exp_jacobian_at_rest_is_the_identity():
-    np.testing.assert_allclose(se3_left_jacobian(jnp.zeros(6)), np.eye(6), atol=1e-15)
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.4999, 0.5001, 3.0, 7.0])
+def test_exp_jacobian_is_the_series_of_the_commutator(angle):
+    """The integral of exp(s ad) over s from 0 to 1 is a block of a matrix exponential."""
+    axis = np.array([0.6, -0.48, 0.64])
+    tangents = np.stack([np.r_[RNG.normal(size=3), sign * angle * axis] for sign in (1.0, -1.0)])
+    for tangent, found in zip(tangents, se3_left_jacobian(jnp.asarray(tangents)), strict=True):
+        v, w = (np.cross(part, np.eye(3), axisb=0).T for part in np.split(tangent, 2))
+        ad = np.block([[w, v], [np.zeros((3, 3)), w]])
+        block = np.block([[ad, np.eye(6)], [np.zeros((6, 12))]])
+        np.testing.assert_allclose(found, expm(block)[:6, 6:], atol=1e-13)
 
 
 def test_nearest_rotation_is_a_rotation_and_the_nearest():

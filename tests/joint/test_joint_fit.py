@@ -163,7 +163,9 @@ def test_the_optimum_is_differentiable_in_the_data(noisy):
 
     forward = jax.jacfwd(hand_eye)(jnp.zeros(2))
     reverse = jax.jacrev(hand_eye)(jnp.zeros(2))
-    np.testing.assert_allclose(forward, reverse, rtol=1e-6, atol=1e-12)
+    # The equations are ill-conditioned: small derivatives have the errors of the largest.
+    size = float(jnp.abs(reverse).max())
+    np.testing.assert_allclose(forward, reverse, rtol=1e-6, atol=1e-6 * size)
     for k in range(2):
         step = jnp.zeros(2).at[k].set(0.05)
         numeric = (hand_eye(step) - hand_eye(-step)) / 0.1

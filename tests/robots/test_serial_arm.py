@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from programs import programs_built
 from shared_data import shared_data
 
 from smartview_jax.robots import (
+    ARMS,
     SerialArm,
     arm_from_dict,
     arm_to_dict,
@@ -40,6 +42,20 @@ def by_matrices(arm, joints):
             ]
         pose = pose @ np.array([*link, [0.0, 0.0, 0.0, 1.0]])
     return pose @ np.asarray(arm.flange_from_tool.as_matrix())
+
+
+def test_an_arm_is_made_without_compiling_a_program():
+    with programs_built() as programs:
+        for arm in ARMS.values():
+            arm()
+    assert not programs
+
+
+def test_the_numbers_of_an_arm_are_copied():
+    lengths = np.ones(6)
+    arm = SerialArm(np.zeros(6), lengths, np.zeros(6), np.zeros(6))
+    lengths[:] = 0.0
+    np.testing.assert_array_equal(arm.d, np.ones(6))
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from jaxlie import SE3
 
+from smartview_jax.geometry import host_matrices
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import CLOSED_FORMS, frobenius_cost, solve_hand_eye
+from smartview_jax.staged.frobenius import frobenius_factor
 from smartview_jax.staged.hand_eye import PAPER_START
 
 VIEWS = 9
@@ -100,6 +102,38 @@ def test_eq_17_is_the_sum_it_says(noisy):
         if i != j
     )
     assert float(frobenius_cost(X, T, C, jnp.ones(VIEWS))) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("length_scale", [1.0, 0.05])
+def test_the_factor_of_eq_17_gives_its_cost(noisy, length_scale):
+    _, T, C = noisy
+    weights = np.random.default_rng(1).uniform(0.2, 2.0, VIEWS)
+    factor = frobenius_factor(host_matrices(T), host_matrices(C), weights, length_scale)
+    for tangent in np.random.default_rng(2).normal(size=(5, 6)):
+        X = SE3.exp(jnp.asarray(tangent))
+        R, t = host_matrices(X)[:3, :3], host_matrices(X)[:3, 3]
+        expected = float(frobenius_cost(X, T, C, jnp.asarray(weights), length_scale))
+        found = np.sum((factor @ np.concatenate([R.ravel(), t, [1.0]])) ** 2)
+        assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_factor_of_eq_17_resolves_the_cost_of_exact_poses(exact):
+    """A difference of large sums would leave about 1e-13 of the cost of a pair."""
+    scene, T, C = exact
+    found = solve_hand_eye(T, C)
+    assert max(search.final_cost for search in found.searches) / VIEWS**2 < 1e-28
+    assert distance(found.holder_from_world, scene.calibration.base_from_world) < 1e-13
+
+
+def test_poses_that_are_not_finite_give_no_transforms(noisy):
+    _, T, C = noisy
+    broken = SE3(C.wxyz_xyz.at[2].set(jnp.nan))
+    found = solve_hand_eye(T, broken)
+    assert not found.converged
+    assert np.isnan(np.asarray(found.camera_from_mount.wxyz_xyz)).all()
+    without = solve_hand_eye(T, broken, jnp.ones(VIEWS).at[2].set(0.0))
+    assert without.converged
+    assert without.hand_eye_difference[0] < 5e-3
 
 
 def test_bfgs_reaches_the_same_optimum_from_every_start(noisy):

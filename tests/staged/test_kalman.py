@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 from jaxlie import SE3
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from shared_data import shared_pairs
 
-from smartview_jax.cameras import Camera, Radial
+from smartview_jax.cameras import Camera, Fisheye, Radial, Weng
+from smartview_jax.geometry import transform_points
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
-from smartview_jax.staged import fit_staged, kalman_filter
-from smartview_jax.staged.kalman import _Measurement, _measurement_update, pixel_residuals
+from smartview_jax.staged import fit_staged, kalman_filter, kalman_pass, pixel_residuals
+from smartview_jax.staged.kalman_update import (
+    absorb_measurements,
+    standard_normal_state,
+    whole_covariance,
+    whole_mean_and_variances,
+)
 
 
 def scene_and_start(seed=0, **options):
@@ -29,34 +36,143 @@ def noisy():
     return scene, kalman_filter(scene.data.observations, camera, poses, pixel_sigma=0.15)
 
 
-def test_an_update_is_the_textbook_one():
-    """One measurement against the dense equations of a Kalman filter."""
+class Textbook:
+    """A Kalman filter with the dense equations of a textbook, for measurements with unit noise."""
+
+    def __init__(self, views, camera_size, gate=np.inf, dtype=np.longdouble):
+        self.mean = np.zeros(camera_size + 6 * views, dtype)
+        self.P = np.eye(camera_size + 6 * views, dtype=dtype)
+        self.counts = np.zeros(views, int)
+        self.camera_size, self.gate = camera_size, gate
+
+    def update(self, row, view):
+        """Update with the row `[H_e H_s -z]`, and say whether it passed the gate."""
+        H = np.zeros((2, len(self.mean)))
+        first = self.camera_size + 6 * view
+        H[:, first : first + 6], H[:, : self.camera_size] = row[:, :6], row[:, 6:-1]
+        predicted = H @ self.P @ H.T
+        S = predicted + np.eye(2)
+        innovation = -row[:, -1] - H @ self.mean
+        determined = np.trace(predicted) < 25.0 and self.counts[view] >= 4
+        inverse = np.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]])
+        inverse /= S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+        if determined and innovation @ inverse @ innovation > self.gate:
+            return False
+        K = self.P @ H.T @ inverse
+        self.mean = self.mean + K @ innovation
+        self.P = self.P - K @ H @ self.P
+        self.P = (self.P + self.P.T) / 2.0
+        self.counts[view] += 1
+        return True
+
+    def update_all(self, rows, used):
+        """Update point by point over all views; return the number of measurements gated out."""
+        gated = 0
+        for point, view in np.argwhere(used):
+            gated += not self.update(rows[point, view], view)
+        return gated
+
+
+def test_many_updates_with_a_gate_are_the_textbook_ones():
+    """Three views of 40 points, of which one in five is an outlier once the poses are known."""
     rng = np.random.default_rng(0)
-    camera_size, views, view = 5, 3, 1
-    n = camera_size + 6 * views
-    root = rng.normal(size=(n, n))
-    P, mean = root @ root.T + np.eye(n), rng.normal(size=n)
-    H_camera, H_pose = rng.normal(size=(2, camera_size)), rng.normal(size=(2, 6))
-    z, sigma = rng.normal(size=2), 0.3
-    H = np.zeros((2, n))
-    H[:, :camera_size], H[:, camera_size + 6 : camera_size + 12] = H_camera, H_pose
-    S = H @ P @ H.T + sigma**2 * np.eye(2)
-    K = P @ H.T @ np.linalg.inv(S)
-    measurement = _Measurement(
-        jnp.asarray(z),
-        jnp.asarray(H_camera),
-        jnp.asarray(H_pose),
-        jnp.asarray(view),
-        jnp.array(True),
+    points, views, camera_size = 40, 3, 5
+    truth = rng.normal(size=camera_size + 6 * views)
+    H_e, H_s = rng.normal(size=(points, views, 2, 6)), rng.normal(size=(points, views, 2, 5))
+    poses = truth[camera_size:].reshape(views, 6)
+    z = 30.0 * (H_s @ truth[:camera_size] + np.einsum("nvij,vj->nvi", H_e, poses))
+    outliers = (rng.random((points, views)) < 0.2) & (np.arange(points) > 8)[:, None]
+    z = z + rng.normal(size=z.shape) + 50.0 * outliers[..., None]
+    rows = np.concatenate([30.0 * H_e, 30.0 * H_s, -z[..., None]], axis=-1)
+    used = rng.random((points, views)) < 0.9
+    gate = 15.0
+    textbook = Textbook(views, camera_size, gate)
+    gated = textbook.update_all(rows, used)
+    assert 10 < gated < 30
+    state = jax.jit(absorb_measurements)(
+        standard_normal_state(views, camera_size), rows, used, np.float64(gate)
     )
-    absorb = _measurement_update(jnp.asarray(sigma), jnp.asarray(jnp.inf), camera_size)
-    (found, covariance, seen), accepted = absorb(
-        (jnp.asarray(mean), jnp.asarray(P), jnp.zeros(views)), measurement
+    mean, variances = whole_mean_and_variances(state)
+    np.testing.assert_allclose(mean, textbook.mean, rtol=1e-9)
+    np.testing.assert_allclose(variances, np.diag(textbook.P), rtol=1e-9)
+    scale = rng.uniform(1.0, 9.0, size=camera_size)
+    maps = rng.normal(size=(views, 6, 6))
+    change_of_units = block_diag(np.diag(scale), *maps)
+    covariance = change_of_units @ textbook.P @ change_of_units.T
+    np.testing.assert_allclose(
+        whole_covariance(state, scale, maps), covariance, atol=1e-10 * np.abs(covariance).max()
     )
-    np.testing.assert_allclose(found, mean + K @ (z - H @ mean), rtol=1e-10)
-    np.testing.assert_allclose(covariance, (np.eye(n) - K @ H) @ P, atol=1e-10 * P.max())
-    np.testing.assert_array_equal(seen, [0.0, 1.0, 0.0])
-    assert bool(accepted)
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="no extended precision here")
+@pytest.mark.parametrize("hold_camera", [False, True])
+def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
+    """From the wide initial covariance, which costs the dense form nine digits."""
+    scene = random_scene(1, views=6, outlier_fraction=0.1)
+    camera, observations = scene.calibration.camera, scene.data.observations
+    poses = scene.calibration.camera_from_world(scene.base_from_tool)
+    calls, original = [], kalman_pass._linearised_pass
+
+    def recording(*arguments):
+        calls.append(arguments)
+        return original(*arguments)
+
+    monkeypatch.setattr(kalman_pass, "_linearised_pass", recording)
+    residuals = np.asarray(pixel_residuals(observations, camera, poses))
+    # Without the outliers among the first points of the views, before there is a gate.
+    early = np.asarray(scene.outliers) & (np.arange(scene.outliers.shape[1]) < 8)
+    inliers = np.asarray(observations.visible) & ~early
+    result = kalman_pass.run_pass(
+        observations, camera, poses, residuals, inliers, 0.15, 18.0, 1.0, hold_camera
+    )
+    ((*linearised, _, _, _, factor, pose_scale),) = calls
+    rows, scale = jax.jit(kalman_pass.scaled_measurements)(*linearised, factor, pose_scale)
+    n = len(scale)
+    textbook = Textbook(len(inliers), n, 18.0)
+    gated = textbook.update_all(np.asarray(rows).swapaxes(0, 1) / 0.15, inliers.T)
+    assert gated >= 0.9 * np.sum(np.asarray(scene.outliers) & inliers) > 20
+    std = np.sqrt(np.diag(textbook.P))
+    mean, variances = whole_mean_and_variances(result.distribution)
+    np.testing.assert_allclose(mean / std, textbook.mean / std, atol=1e-8)
+    np.testing.assert_allclose(np.sqrt(variances), std, rtol=1e-8)
+    numbers = np.array(jax.tree.leaves(camera)) + np.asarray(scale) * textbook.mean[:n]
+    np.testing.assert_allclose(jax.tree.leaves(result.camera), numbers.astype(float), rtol=1e-10)
+    if hold_camera:
+        # Exactly the camera that was given: no measurement has changed its initial covariance.
+        assert eqx.tree_equal(result.camera, camera, rtol=1e-15, atol=0.0)
+        held = result.covariance()[:n, :n] / np.outer(scale, scale)
+        np.testing.assert_allclose(held, np.eye(n), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "lens", [Radial(0.25), Weng(*np.full(5, 0.02)), Fisheye(*np.full(4, 0.02))], ids=str
+)
+def test_a_pass_has_the_derivatives_of_the_projection(lens):
+    """Those of automatic differentiation, for a step that acts about the centroids."""
+    camera = Camera(2150.0, 2120.0, 315.0, 243.0, lens, (640, 480))
+    numbers, rebuild = ravel_pytree(camera)
+    rng = np.random.default_rng(0)
+    in_camera = rng.normal(size=(2, 7, 3)) * 0.05 + [0.0, 0.0, 0.5]
+    centroids, pose_scale = in_camera.mean(axis=1), rng.uniform(1.0, 2.0, size=(2, 6))
+    unit = np.ones(())
+
+    @jax.jit
+    @jax.jacfwd
+    def by_step(step):
+        poses = SE3.exp(step[len(numbers) :].reshape(2, 6))
+        turned = transform_points(poses, jnp.asarray(in_camera - centroids[:, None]))
+        return rebuild(numbers + step[: len(numbers)]).project(turned + centroids[:, None])[0]
+
+    expected = np.asarray(by_step(jnp.zeros(len(numbers) + 12)))
+    rows, scale = jax.jit(kalman_pass.scaled_measurements)(
+        camera, in_camera, centroids, np.zeros((2, 7, 2)), unit, pose_scale
+    )
+    rows, scale, found = np.asarray(rows), np.asarray(scale), np.zeros_like(expected)
+    found[..., : len(numbers)] = rows[..., 6:-1] / scale
+    for view in range(2):
+        columns = slice(len(numbers) + 6 * view, len(numbers) + 6 * view + 6)
+        found[view, ..., columns] = rows[view, ..., :6] / pose_scale[view]
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
 def test_without_noise_it_finds_the_truth():
@@ -167,3 +283,14 @@ def test_real_data_agree_with_opencv():
     assert float(found.rms) == pytest.approx(rms, rel=0.01)
     assert float(found.camera.alpha_u) == pytest.approx(K[0, 0], rel=1e-3)
     assert float(found.camera.v0) == pytest.approx(K[1, 2], abs=0.5)
+
+
+def test_it_compiles_two_programs(caplog):
+    """Both serve a known camera too; every operation on the host is NumPy's."""
+    scene, camera, poses = scene_and_start(7, points=paper_points((0.0,))[:41])
+    start = jax.tree.map(np.asarray, (scene.data.observations, camera, poses))
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        kalman_filter(*start)
+        kalman_filter(*start, hold_camera=True)
+    compiled = [r.getMessage() for r in caplog.records if "XLA compilation" in r.getMessage()]
+    assert len(compiled) == 2, compiled

@@ -4,11 +4,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from linear_world import CAMERA, GROUP, MOUNT, SHARED, TRUTH, drawn, linear_world, linearised
+from linear_world import (
+    CAMERA,
+    GROUP,
+    MOUNT,
+    SHARED,
+    TRUTH,
+    VIEWS,
+    drawn,
+    linear_world,
+    linearised,
+    with_held,
+)
 
 from smartview_jax.variance.fisher_scoring import maximise
 from smartview_jax.variance.kenward_roger import p_value, small_sample_correction
-from smartview_jax.variance.likelihood import marginalise
+from smartview_jax.variance.likelihood import StandardDeviations, marginalise
 
 FITTED = np.flatnonzero(GROUP < 0)
 
@@ -18,15 +29,15 @@ def world():
     return linear_world()
 
 
-@jax.jit
 def found_and_doubted(views, active):
+    views = jax.tree.map(np.asarray, views)
     found = maximise(views, TRUTH, active)
     at = marginalise(views, found.sigmas)
     return at.step.shared, at.shared_covariance, small_sample_correction(views, found)
 
 
 def of_fitted(step, covariance, doubted):
-    doubted = jax.tree.map(np.asarray, doubted).subset(FITTED)
+    doubted = doubted.subset(FITTED)
     whole = np.asarray(covariance)[np.ix_(FITTED, FITTED)] + doubted.added_covariance
     return np.asarray(step)[FITTED], whole, doubted
 
@@ -70,6 +81,27 @@ def test_a_size_at_its_least_moves_nothing(world):
     assert (doubted.degrees_of_freedom > 1e6).all()
     offset = np.sqrt(np.diagonal(whole))
     assert p_value(offset, whole, doubted) == pytest.approx(p_value(offset, whole), rel=1e-4)
+
+
+def test_derivatives_are_those_of_automatic_differentiation(world):
+    """Away from where the prior means are, with a known prior and some of the views' own held."""
+    at = np.random.default_rng(8).normal(size=SHARED + 6 * VIEWS)
+    free = jnp.asarray(np.random.default_rng(9).random((VIEWS, 6)) < 0.7)
+    views = with_held(linearised(world, drawn(world, 5), at), free)
+    views = eqx.tree_at(lambda v: v.known_weight, views, views.known_weight.at[1].set(0.4))
+    found = maximise(views, TRUTH, jnp.ones(4, dtype=bool))
+
+    def by_log_sigma(logarithms):
+        marginal = marginalise(views, StandardDeviations.from_vector(jnp.exp(logarithms)))
+        return marginal.step.shared, marginal.shared_covariance
+
+    by_step, by_covariance = jax.jacfwd(by_log_sigma)(jnp.log(found.sigmas.vector))
+    doubted = small_sample_correction(views, found)
+    # Lower bounds are negligible here: the logarithm of the excess is that of the deviation.
+    expected = jnp.moveaxis(by_covariance, -1, 0)
+    np.testing.assert_allclose(doubted.covariance_derivatives, expected, rtol=1e-7, atol=1e-11)
+    expected = 2.0 * by_step @ doubted.log_excess_covariance @ by_step.T
+    np.testing.assert_allclose(doubted.added_covariance, expected, rtol=1e-7, atol=1e-11)
 
 
 def test_stated_chances_are_true(world):

@@ -20,7 +20,13 @@ from linear_world import (
 )
 from scipy.stats import multivariate_normal
 
-from smartview_jax.variance.likelihood import deviance, posterior_mode_step
+from smartview_jax.variance.fisher_scoring import fisher_information
+from smartview_jax.variance.likelihood import (
+    deviance,
+    gradient,
+    marginalise,
+    posterior_mode_step,
+)
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +104,40 @@ def test_it_is_differentiable_by_the_observations_and_twice_by_the_sizes(world):
     ahead, behind = (slope(moved(TRUTH, 1, s)).translation for s in (1e-6, -1e-6))
     expected = (ahead - behind) / (2e-6 * TRUTH.translation)
     np.testing.assert_allclose(curved, expected, rtol=1e-5)
+
+
+def test_numpy_and_jax_find_the_same(world):
+    """NumPy arrays are left to NumPy: a JAX array would be one from a program that was compiled."""
+    at = np.random.default_rng(8).normal(size=SHARED + 6 * VIEWS)
+    free = jnp.asarray(np.random.default_rng(9).random((VIEWS, 6)) < 0.7)
+    traced = with_held(linearised(world, drawn(world, 5), at), free)
+    host = jax.tree.map(np.asarray, traced)
+    for sizes in OTHERS:
+        both = []
+        for views, size in ((host, jax.tree.map(np.asarray, sizes)), (traced, sizes)):
+            marginal = marginalise(views, size)
+            found = (
+                marginal.deviance,
+                marginal.step,
+                marginal.shared_covariance,
+                gradient(views, size, marginal).vector,
+                fisher_information(views, marginal, 2),
+            )
+            both.append(jax.tree.leaves(found))
+        assert not any(isinstance(leaf, jax.Array) for leaf in both[0])
+        for mine, other in zip(*both, strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-8, atol=1e-11)
+
+
+def test_held_parameters_are_the_limit_of_a_narrow_prior(world):
+    """Away from where the prior means are, so that the parameters have to move there."""
+    at = np.random.default_rng(8).normal(size=SHARED + 6 * VIEWS)
+    views = jax.tree.map(np.asarray, linearised(world, drawn(world, 5), at))
+    fewer = views.with_held(GROUP == 1)
+    for sizes in (TRUTH, *OTHERS):
+        narrow = sizes._replace(field=sizes.field.at[1].set(1e-5))
+        found, expected = marginalise(fewer, sizes), marginalise(views, narrow)
+        np.testing.assert_allclose(found.deviance, expected.deviance, rtol=1e-6)
+        np.testing.assert_allclose(
+            found.step.shared, expected.step.shared[GROUP != 1], rtol=1e-6, atol=1e-7
+        )

@@ -1,0 +1,40 @@
+"""Run the same formulas on NumPy arrays at once, and on JAX arrays where they are differentiated.
+
+NumPy evaluates a formula on small arrays in less time than it takes to compile a program for it.
+The same functions remain differentiable and batchable with JAX.
+"""
+
+from types import ModuleType
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+AnyArray: TypeAlias = Array | np.ndarray
+"""An array of JAX or of NumPy."""
+
+AnyScalar: TypeAlias = Float[AnyArray, ""] | float
+"""A number: an array of JAX or NumPy without axes, or a `float`, which NumPy's scalars are."""
+
+
+def array_namespace(*trees: Any) -> ModuleType:
+    """Return `jax.numpy` if any array in the arguments is one of JAX, otherwise `numpy`."""
+    is_jax = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees))
+    return jnp if is_jax else np
+
+
+def to_device(array: AnyArray | float | list[float]) -> Array:
+    """Return a NumPy array as one of JAX; `jnp.asarray` compiles a program for every new shape."""
+    return jax.device_put(np.asarray(array))
+
+
+def as_float_array(value: ArrayLike) -> Float[Array, "..."]:
+    """Return a number or an array of any kind as a JAX array of double precision.
+
+    Nothing is compiled for numbers and NumPy arrays.
+    """
+    if isinstance(value, jax.Array):
+        return jnp.asarray(value, dtype=float)
+    return jax.device_put(np.asarray(value, dtype=float))

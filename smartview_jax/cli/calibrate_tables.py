@@ -1,0 +1,63 @@
+"""Print the tables of `smartview calibrate`: errors, rejections and the error budget."""
+
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from ..report import (
+    budget_rows,
+    rejections,
+    remarks,
+    result_summary,
+    scale_hypothesis_rows,
+    table_rows,
+)
+
+if TYPE_CHECKING:
+    from ..calibration_pipeline import CalibrationFit
+    from ..dataset import Dataset
+    from ..evaluation import ErrorBudget
+    from ..report import ErrorSummary
+
+
+def print_budget(budget: "ErrorBudget") -> None:
+    """Print the error budget, and the scale hypotheses if there are any."""
+    table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
+    for name, px, _ in budget_rows(budget):
+        table.add_row(name, px)
+    console = Console()
+    console.print(table)
+    if budget.scale_hypotheses:
+        names = ("or one number", "its size", "gains", "beside the field", "unseen regions")
+        table = Table(*names, box=box.SIMPLE_HEAD)
+        for row in scale_hypothesis_rows(budget):
+            table.add_row(*row)
+        console.print(table)
+    console.print(budget.summary, highlight=False)
+
+
+def print_result(rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset") -> None:
+    """Print the table of errors, the summary, undetermined directions, remarks and rejections."""
+    table = Table()
+    table.add_column("")
+    for row in rows:
+        table.add_column(row.name, justify="right")
+    for texts in table_rows(rows):
+        table.add_row(*texts)
+    console = Console()
+    console.print(table)
+    console.print(result_summary(rows, fit))
+    for direction in fit.joint.observability.null_directions:
+        console.print(f"not determined: {direction.description}")
+    for row in rows:
+        for remark in remarks(row.name, row.registration_errors, row.held_out_report):
+            console.print(remark, highlight=False)
+    rejected = rejections(fit, data)
+    if rejected:
+        console.print("rejected:")
+    for view, reason in rejected[:12]:
+        console.print(f"  view {view}: {reason}", highlight=False)
+    if len(rejected) > 12:
+        console.print(f"  and {len(rejected) - 12} more, in the report")

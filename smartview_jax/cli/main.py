@@ -1,0 +1,42 @@
+"""Put the subcommands together to the `smartview` command."""
+
+from typing import Annotated
+
+import typer
+
+from .calibrate import calibrate
+from .compare import compare
+from .export import export
+from .schema import schema
+from .viewpoint import viewpoint
+
+app = typer.Typer(
+    help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
+)
+
+
+def _version(requested: bool) -> bool:
+    """Print the version and exit, if that was requested."""
+    if requested:
+        from .. import __version__
+
+        typer.echo(f"smartview_jax {__version__}")
+        raise typer.Exit
+    return requested
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Calibrate cameras on robot arms.
+
+    What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
+    names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
+    """
+
+
+for _subcommand in (calibrate, compare, export, schema, viewpoint):
+    app.command()(_subcommand)

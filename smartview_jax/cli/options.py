@@ -1,0 +1,44 @@
+"""Define the arguments and options that several subcommands share."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class BadViews(StrEnum):
+    """The treatments of a view whose picture or pose is invalid."""
+
+    RAISE = "raise"
+    MASK = "mask"
+
+
+class NoiseModel(StrEnum):
+    """The assumptions of the joint fit on errors of the robot's reported poses."""
+
+    ESTIMATED = "estimated"
+    TRUSTED = "trusted"
+
+
+DatasetArgument = Annotated[
+    Path | None, typer.Argument(help="Data-set folder; the sample of the package if not given.")
+]
+LensOption = Annotated[
+    str, typer.Option(help="pinhole, radial, weng, opencv4, opencv5, opencv8 or fisheye.")
+]
+NoiseOption = Annotated[
+    NoiseModel,
+    typer.Option(help="Find the sizes of all errors, or take the robot's poses as exact."),
+]
+BadViewsOption = Annotated[
+    BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
+]
+BaseFromWorldOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Where the target stands, roughly, for a pattern that looks the same when turned: "
+        "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world if the camera stands)."
+    ),
+]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]

@@ -1,0 +1,24 @@
+"""Define `smartview schema`, which prints the JSON schemas of files for editors."""
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+
+class SchemaName(StrEnum):
+    """The files that have a JSON schema."""
+
+    DATASET = "dataset"
+    CALIBRATION = "calibration"
+
+
+def schema(of: Annotated[SchemaName, typer.Argument(help="Of which file.")]) -> None:
+    """Print the JSON schema of dataset.yaml or calibration.yaml, for editors.
+
+    Editors with a YAML language server check a file that begins with the line
+    `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved beside it.
+    """
+    from ..schemas.json_schema import json_schema
+
+    typer.echo(json_schema(of.value), nl=False)

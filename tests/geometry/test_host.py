@@ -1,0 +1,47 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax.geometry import (
+    host_logarithms,
+    host_matrices,
+    host_nearest_rotation,
+    host_transforms,
+    nearest_rotation,
+)
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.3, 3.1])
+def test_host_functions_agree_with_jaxlie(size):
+    axis = RNG.normal(size=(2, 3))
+    tangents = np.concatenate(
+        [RNG.normal(size=(2, 3)), size * axis / np.linalg.norm(axis, axis=1, keepdims=True)], axis=1
+    )
+    poses = SE3.exp(jnp.asarray(tangents))
+    matrices = host_matrices(poses)
+    np.testing.assert_allclose(matrices, poses.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(host_logarithms(matrices), tangents, atol=1e-13)
+    np.testing.assert_allclose(host_transforms(matrices).as_matrix(), matrices, atol=1e-14)
+
+
+def test_poses_that_are_not_finite_stay_marked_and_spoil_no_others():
+    numbers = np.tile([1.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3], (3, 1))
+    numbers[1, 5] = np.nan
+    matrices = host_matrices(SE3(jnp.asarray(numbers)))
+    missing = [[False], [True], [False]]
+    for found in (
+        host_transforms(matrices).wxyz_xyz,
+        host_logarithms(matrices),
+        host_nearest_rotation(matrices[:, :3, :3]).reshape(3, 9),
+    ):
+        np.testing.assert_array_equal(np.isnan(found), np.broadcast_to(missing, found.shape))
+
+
+def test_the_nearest_rotation_on_the_host_is_that_of_jax():
+    matrices = RNG.normal(size=(4, 3, 3))
+    found = host_nearest_rotation(matrices)
+    for matrix, rotation in zip(matrices, found, strict=True):
+        np.testing.assert_allclose(rotation, nearest_rotation(jnp.asarray(matrix)), atol=1e-13)

@@ -1,0 +1,146 @@
+"""Compiled programs are kept between processes, by settings of JAX that the user left alone."""
+
+import os
+import subprocess
+import sys
+import warnings
+
+import jax
+import numpy as np
+import pytest
+
+from smartview_jax import compilation_cache
+from smartview_jax.compilation import compiled
+
+SETTINGS = {
+    "jax_enable_compilation_cache": True,
+    "jax_compilation_cache_dir": None,
+    "jax_persistent_cache_min_compile_time_secs": 1.0,
+}
+"""What JAX has by itself."""
+
+VARIABLES = ("JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS")
+
+
+@pytest.fixture
+def settings(tmp_path, monkeypatch):
+    """Switches the cache on in a process where JAX is as it comes, or has the given settings."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    before = {name: getattr(jax.config, name) for name in SETTINGS}
+
+    def switch_on(**given):
+        for name, value in {**SETTINGS, **given}.items():
+            jax.config.update(name, value)
+        compilation_cache.keep_compiled_programs.__wrapped__()
+        return jax.config.jax_compilation_cache_dir, (
+            jax.config.jax_persistent_cache_min_compile_time_secs
+        )
+
+    yield switch_on
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+def test_by_default_all_programs_are_kept_in_one_folder(settings, tmp_path):
+    assert settings() == (str(tmp_path / "smartview_jax"), 0.0)
+    assert (tmp_path / "smartview_jax").stat().st_mode & 0o777 == 0o700
+
+
+def test_settings_of_the_user_stay(settings, tmp_path, monkeypatch):
+    mine = str(tmp_path / "mine")
+    folder, shortest = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+    )
+    assert settings(**{folder: mine}) == (mine, 0.0)
+    assert settings(**{folder: mine, shortest: 0.2}) == (mine, 0.2)
+    assert settings(**{shortest: 5.0})[1] == 5.0
+    assert settings(**{folder: ""}) == ("", 1.0)
+    assert settings(jax_enable_compilation_cache=False) == (None, 1.0)
+    # The same number as JAX's own, but said by the user.
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "1")
+    assert settings()[1] == 1.0
+
+
+def test_without_a_home_nothing_is_kept(settings, monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr("pathlib.Path.home", homeless)
+    assert settings() == (None, 1.0)
+
+
+@pytest.mark.parametrize("chosen", [False, True])
+def test_a_folder_that_cannot_be_written_is_no_error_and_no_warning(settings, tmp_path, chosen):
+    (tmp_path / "smartview_jax").write_text("a file, not a folder")
+    with warnings.catch_warnings(action="error"):
+        folder, shortest = settings(
+            jax_compilation_cache_dir=str(tmp_path / "smartview_jax") if chosen else None
+        )
+    if chosen:
+        assert shortest == float("inf")
+    else:
+        assert (folder, shortest) == (None, 1.0)
+
+
+def test_a_read_only_folder_is_read(settings, tmp_path, monkeypatch):
+    """As it may be where somebody else made it; root, who runs some tests, can write anywhere."""
+    (tmp_path / "smartview_jax").mkdir()
+
+    def refused(**_):
+        raise PermissionError("read-only")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    assert settings() == (str(tmp_path / "smartview_jax"), float("inf"))
+
+
+def test_what_was_not_read_for_longest_is_removed(settings, tmp_path, monkeypatch):
+    folder = tmp_path / "smartview_jax"
+    folder.mkdir()
+    for day, name in enumerate(("old-cache", "middle-cache", "new-cache", "mine.txt")):
+        (folder / name).write_bytes(b"x" * 100)
+        os.utime(folder / name, (86400.0 * day, 0.0))
+    settings()
+    assert len(list(folder.iterdir())) == 4
+    monkeypatch.setattr(compilation_cache, "MAX_BYTES", 250)
+    settings(jax_compilation_cache_dir=str(folder))
+    assert len(list(folder.iterdir())) == 4, "a folder of the user's was emptied"
+    settings()
+    assert {path.name for path in folder.iterdir()} == {"middle-cache", "new-cache", "mine.txt"}
+
+
+def test_the_first_program_switches_the_cache_on(monkeypatch):
+    calls = []
+    monkeypatch.setattr("smartview_jax.compilation.keep_compiled_programs", lambda: calls.append(1))
+    program = compiled(lambda x: x + 1.0)
+    assert not calls
+    program(np.zeros(3))
+    assert calls
+
+
+SCRIPT = """
+import jax, numpy as np
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
+from smartview_jax.compilation import compiled
+compiled(lambda x: x * 2.0 + 1.0)(np.arange(3.0))
+print(hits.count("/jax/compilation_cache/cache_hits"))
+"""
+
+
+def test_a_second_process_reads_what_the_first_compiled(tmp_path):
+    """A script, not the command; and a program that takes a hundredth of a second to compile."""
+    environment = {name: value for name, value in os.environ.items() if "JAX" not in name}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+    found = [
+        subprocess.run(
+            [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True
+        )
+        for _ in range(2)
+    ]
+    assert [one.stdout for one in found] == ["0\n", "1\n"], found[-1].stderr
+    assert list((tmp_path / "smartview_jax").glob("*-cache"))
+    assert not found[0].stderr

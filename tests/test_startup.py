@@ -1,0 +1,115 @@
+"""What is imported, and when: the command and the package start without JAX."""
+
+import importlib
+import os
+import subprocess
+import sys
+
+import pytest
+
+import smartview_jax as sv
+
+SLOW = {"jax", "matplotlib", "cv2", "scipy"}
+"""Packages that take a tenth of a second or more to import; typer itself may import pydantic."""
+
+COMMAND = """
+import atexit, sys
+atexit.register(lambda: print(*(set({slow}) & set(sys.modules)), file=sys.stderr))
+from smartview_jax.cli import app
+app({words})
+"""
+
+
+def run(code):
+    # A user's process, without this one's settings of JAX.
+    environment = {name: value for name, value in os.environ.items() if "JAX" not in name}
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--help"], 0, "Calibrate cameras on robot arms"),
+        (["calibrate", "--help"], 0, "calibration.yaml"),
+        (["--version"], 0, sv.__version__),
+        (["calibrate", "--lenz", "weng"], 2, "No such option"),
+        (["calibrat"], 2, "No such command"),
+    ],
+)
+def test_what_needs_no_data_loads_nothing_slow(words, code, said):
+    done = run(COMMAND.format(slow=SLOW, words=words))
+    assert done.returncode == code, done.stderr
+    assert said in done.stdout + done.stderr
+    assert done.stderr.splitlines()[-1] == ""
+
+
+def test_the_package_alone_loads_nothing_slow():
+    done = run(f"import sys, smartview_jax\nprint(set({SLOW}) & set(sys.modules))")
+    assert done.stdout == "set()\n"
+
+
+def test_every_public_name_is_listed_and_there():
+    """What the stub says, which type checkers and editors read, is what is found."""
+    assert {"Camera", "Dataset", "calibrate", "load_dataset", "io", "robots"} <= set(dir(sv))
+    assert set(sv.__all__) <= set(dir(sv))
+    for name in dir(sv):
+        assert getattr(sv, name) is not None
+    with pytest.raises(AttributeError, match="never"):
+        _ = sv.never
+
+
+def test_a_public_name_is_that_of_its_room():
+    assert sv.Camera is importlib.import_module("smartview_jax.cameras").Camera
+    assert sv.cameras is importlib.import_module("smartview_jax.cameras")
+    assert sv.held_out is importlib.import_module("smartview_jax.evaluation").held_out
+
+
+MADE_64_BIT = "assert jnp.zeros(1).dtype == 'float64'"
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        "import smartview_jax, jax.numpy as jnp",
+        "import jax.numpy as jnp, smartview_jax",
+        "import smartview_jax, equinox, jax.numpy as jnp",
+        "from smartview_jax.cameras import Camera; import jax.numpy as jnp",
+        "import smartview_jax.engine, jax.numpy as jnp",
+    ],
+)
+def test_every_array_of_the_user_has_64_bits(first):
+    done = run(f"{first}\n{MADE_64_BIT}")
+    assert done.returncode == 0, done.stderr
+
+
+def test_other_programs_do_not_inherit_the_64_bits():
+    child = "import jax.numpy as jnp; raise SystemExit(jnp.zeros(1).dtype == 'float64')"
+    start = f"subprocess.run([sys.executable, '-c', {child!r}]).returncode"
+    assert run(f"import subprocess, sys, smartview_jax\nsys.exit({start})").returncode == 0
+
+
+def test_a_default_calibration_has_few_programs_to_compile():
+    """A count, not a time: every program costs a newcomer a part of the first answer's seconds."""
+    done = run(
+        """
+import jax, smartview_jax as sv
+from smartview_jax.io import sample_folder
+built = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda event, *_, **__: built.append(event) if event.endswith("backend_compile_duration") else 0
+)
+data = sv.load_dataset(sample_folder())
+assert not built, "reading the data compiles nothing"
+fit = sv.calibrate(data)
+first = len(built)
+assert fit.result.converged
+sv.calibrate(data)
+print(first, len(built) - first)
+"""
+    )
+    assert done.returncode == 0, done.stderr
+    first, again = map(int, done.stdout.split())
+    assert 10 < first <= 45
+    assert again == 0
