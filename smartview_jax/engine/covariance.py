@@ -100,8 +100,8 @@ def variance_factor(
     # sum |r|^2 / (2 n - p), with n visible points and p free parameters without a prior.
     shared = xp.asarray(weight.shared)[xp.asarray(problem.free)] == 0.0
     per_view = xp.asarray(problem.per_view_free) & (xp.asarray(weight.per_view) == 0.0)
-    free = xp.sum(shared) + xp.sum(per_view)
-    return xp.sum(squared_residuals) / xp.maximum(2.0 * xp.sum(visible) - free, 1.0)
+    free, seen = (xp.sum(shared) + xp.sum(per_view)).astype(float), xp.sum(visible).astype(float)
+    return xp.sum(squared_residuals) / xp.maximum(2.0 * seen - free, 1.0)
 
 
 def robust_variance(

@@ -117,7 +117,19 @@ def test_the_errors_found_are_in_the_units_people_use():
         SmallSampleCorrection(*(np.zeros(0) for _ in SmallSampleCorrection._fields)),
     )
     estimate = NoiseEstimate(
-        "position", noise, field, bent, tried, None, None, False, sizes, (), none, RobotPrior()
+        "position",
+        noise,
+        field,
+        field,
+        bent,
+        tried,
+        None,
+        None,
+        False,
+        sizes,
+        (),
+        none,
+        RobotPrior(),
     )
     trusting = fit_joint(scene.data, scene.calibration, noise="trusted")
     assert error_model_rows(trusting, scene.data) == []
