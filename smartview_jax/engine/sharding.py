@@ -82,11 +82,9 @@ def shard(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     extra = -len(problem.observations.visible) % len(devices)
     # Arrays of the views are split along their first axis; all others are replicated, P().
     arrays, rest = eqx.partition(problem, eqx.is_array)
-    arrays = eqx.tree_at(_view_arrays, arrays, _pad_views(_view_arrays(arrays), extra))
-    specs = jax.tree.map(lambda _: P(), arrays)
-    specs = eqx.tree_at(
-        _view_arrays,
-        specs,
+    arrays = _with_view_arrays(arrays, _pad_views(_view_arrays(arrays), extra))
+    specs = _with_view_arrays(
+        jax.tree.map(lambda _: P(), arrays),
         jax.tree.map(lambda x: P(VIEW_AXIS) if len(x) else P(), _view_arrays(arrays)),
     )
 
@@ -112,6 +110,12 @@ def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
         problem.prior_weight.per_view,
         problem.scale.per_view,
     )
+
+
+def _with_view_arrays(problem: JointProblem, arrays: tuple[Any, ...]) -> JointProblem:
+    """Replace the arrays that `_view_arrays` returns."""
+    # Without a robot error field, `prepared_poses` is None.
+    return eqx.tree_at(_view_arrays, problem, arrays, is_leaf=lambda x: x is None)
 
 
 def pad_with_last(arrays: Any, copies: int) -> Any:

@@ -20,7 +20,7 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
-from ..array_namespace import AnyArray, to_device
+from ..array_namespace import to_device
 from ..compilation import compiled
 from .losses import Cauchy
 from .parameters import Step
@@ -301,12 +301,7 @@ def solve(
     else:
         # Padding would make the residuals' Jacobian singular, which not every solver allows for.
         problem = _with_jacobi_scale(problem)
-    # z is in units of `problem.scale`, a start that is passed in is in the parameters' own units.
-    initial = (
-        problem.zero_step()
-        if start is None
-        else jax.tree.map(_host_quotient, _padded_step(start, problem), problem.scale)
-    )
+    initial = problem.zero_step() if start is None else _padded_step(start, problem)
     z, steps, recorded_costs, equations, predicted_decrease, chain = _minimise_and_evaluate(
         problem, solver, maximum_steps, initial
     )
@@ -365,11 +360,6 @@ def _without_padding(equations: NormalEquations, count: int) -> NormalEquations:
     )
 
 
-def _host_quotient(numerator: AnyArray, denominator: AnyArray) -> Array:
-    """Return a quotient of arrays, computed on the host: a JAX operation would be compiled."""
-    return to_device(np.asarray(numerator) / np.asarray(denominator))
-
-
 @compiled
 def _with_jacobi_scale(problem: JointProblem) -> JointProblem:
     """Return the problem in units that suit solvers that treat all parameters alike."""
@@ -422,8 +412,10 @@ def _minimise_and_evaluate(
     maximum_steps: int,
     start: Step,
 ) -> tuple[Step, Array, Array, NormalEquations, Array, FittedChain]:
-    """Minimise as `minimise` does, and return the chain of every view at the result too."""
-    outputs = minimise(problem, solver, maximum_steps, start)
+    """Minimise from a step in the parameters' own units, and return the chain at the end too."""
+    outputs = minimise(
+        problem, solver, maximum_steps, jax.tree.map(jnp.divide, start, problem.scale)
+    )
     # `minimise` returns a step in the parameters' own units.
     chain = problem.chain(jax.tree.map(jnp.divide, outputs[0], problem.scale))
     if problem.mesh is not None:
