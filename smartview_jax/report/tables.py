@@ -33,12 +33,12 @@ class ErrorSummary(NamedTuple):
 
     Attributes:
         name: name of the method.
-        registration_errors: registration errors on all views that were not rejected.
+        reprojection_errors: reprojection errors on all views that were not rejected.
         held_out_report: held-out errors; None where they were not computed.
     """
 
     name: str
-    registration_errors: ReprojectionErrors
+    reprojection_errors: ReprojectionErrors
     held_out_report: HeldOutReport | None
 
     @property
@@ -66,8 +66,8 @@ def error_summaries(
 
 
 MEASURE_NAMES = (
-    "registration error, mean +- std",
-    "registration error, RMS",
+    "reprojection error, mean +- std",
+    "reprojection error, RMS",
     "held-out error, RMS",
     "  its 95 % interval over views",
     "  at the target",
@@ -81,8 +81,8 @@ MEASURE_NAMES = (
 def summary_column(summary: ErrorSummary) -> list[str]:
     """Return one column of the table of results: a text for each of `MEASURE_NAMES`."""
     texts = [
-        f"{summary.registration_errors.mean:.2f} +- {summary.registration_errors.std:.2f} px",
-        f"{summary.registration_errors.rms:.2f} px",
+        f"{summary.reprojection_errors.mean:.2f} +- {summary.reprojection_errors.std:.2f} px",
+        f"{summary.reprojection_errors.rms:.2f} px",
     ]
     held_out_report = summary.held_out_report
     if held_out_report is None:
@@ -142,14 +142,14 @@ def comparison_row(row: MethodResult) -> list[str]:
 
 def remarks(
     name: str,
-    registration_errors: ReprojectionErrors | None,
+    fitted_errors: ReprojectionErrors | None,
     held_out_report: HeldOutReport | None,
     failure: str | None = None,
 ) -> list[str]:
     """Return remarks on the numbers of a table: failed fits, and points that are left out."""
     lines = [] if failure is None else [f"{name}: {failure}"]
-    if registration_errors is not None and registration_errors.unpredicted_count:
-        count = registration_errors.unpredicted_count
+    if fitted_errors is not None and fitted_errors.unpredicted_count:
+        count = fitted_errors.unpredicted_count
         lines.append(f"{name}: {count} points seen cannot be predicted at all")
     if held_out_report is None:
         return lines
@@ -255,7 +255,7 @@ MODEL_DESCRIPTIONS = {
     "white": "each pose by itself",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
-    "implied_arm": "those of a six-axis arm, which the poses imply",
+    "six_axis_arm": "those of a six-axis arm, which the poses imply",
     "joint_offsets": "zeros of the joints",
     "dh": "zeros of the joints, lengths and twists of the links",
 }
@@ -394,7 +394,7 @@ def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows[:2]
-    rms = [staged.registration_errors.rms, joint.registration_errors.rms]
+    rms = [staged.reprojection_errors.rms, joint.reprojection_errors.rms]
     evaluated_on = "on the views it was fitted to"
     if staged.held_out is not None and joint.held_out is not None:
         held_out_rms = [staged.held_out.errors.rms, joint.held_out.errors.rms]
@@ -415,8 +415,8 @@ def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:
         text += ": the rest comes from the robot's poses, the target's size or too few views."
     else:
         text += "."
-    views = len(joint.registration_errors.rms_per_view)
-    used = int(np.isfinite(joint.registration_errors.rms_per_view).sum())
+    views = len(joint.reprojection_errors.rms_per_view)
+    used = int(np.isfinite(joint.reprojection_errors.rms_per_view).sum())
     rejected_count = count_rejected(rejected_by(fit) or ()).views
     if rejected_count:
         verb = "is" if rejected_count == 1 else "are"

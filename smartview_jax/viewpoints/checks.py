@@ -15,7 +15,8 @@ from .reachability import is_singular, status_message
 
 CHECK_MESSAGES = {
     "reach": "the arm does not get there",
-    "absurd": "the tool is {:.4g} m from the base: no arm is that long; millimetres as metres?",
+    "tool_distance": "the tool is {:.4g} m from the base: no arm is that long; "
+    "millimetres as metres?",
     "side": "the camera is {:.3f} m behind the target's plane: on the side that was not seen",
     "tool_side": "the tool is {:.3f} m behind the target's plane: through what the target lies on",
     "viewed_region": "the camera is {:.1f} times as far from the middle of the calibrated views as "
@@ -33,7 +34,7 @@ CHECK_MESSAGES = {
 For a known arm, its own message about reach and singularity is used instead.
 """
 
-SAFETY_CHECKS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
+SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region", "known_region")
 """The names of the checks that a robot must pass to move, unless a person overrides them."""
 
 
@@ -186,7 +187,7 @@ def check_views(
         record("far_focus", farthest, farthest <= limits.focus_range[1])
     error = calibration.robot_error
     max_coordinate = jnp.max(jnp.abs(command.base_from_tool.translation()), axis=-1)
-    record("absurd", max_coordinate, max_coordinate <= MAX_TOOL_COORDINATE)
+    record("tool_distance", max_coordinate, max_coordinate <= MAX_TOOL_COORDINATE)
     if calibration.region is not None:
         _check_viewed_region(calibration, command, camera_from_world, limits, record)
     if limits.clearance_plane is not None:

@@ -163,16 +163,16 @@ def test_a_view_that_was_rejected_does_not_count(moved_view):
     rows = error_summaries(fit, data)
     without = data.mask_views([6])
     for row, part in zip(rows, (fit.staged, fit.joint), strict=True):
-        assert row.registration_errors.rms == pytest.approx(
+        assert row.reprojection_errors.rms == pytest.approx(
             reprojection_errors(part.calibration, without).rms
         )
-        assert row.registration_errors.rms < 0.2 * reprojection_errors(part.calibration, data).rms
+        assert row.reprojection_errors.rms < 0.2 * reprojection_errors(part.calibration, data).rms
     text = result_summary(rows, fit)
-    assert f"{rows[1].registration_errors.rms:.2f} px RMS on the views it was fitted to" in text
+    assert f"{rows[1].reprojection_errors.rms:.2f} px RMS on the views it was fitted to" in text
     assert "Of 12 views 1 is rejected and not counted." in text
     assert "reliable" not in text
     budget = error_budget(data, fit.joint)
-    assert budget.total_rms == pytest.approx(rows[1].registration_errors.rms)
+    assert budget.total_rms == pytest.approx(rows[1].reprojection_errors.rms)
 
 
 def test_few_views_are_called_few(moved_view):
@@ -208,8 +208,8 @@ def test_remarks_are_on_every_measure():
 
 
 def test_what_folds_and_halves_took_the_error_for_is_counted():
-    assert model_counts_text(["pose", "implied_arm", "implied_arm"]).endswith(
-        "implied_arm 2, pose 1"
+    assert model_counts_text(["pose", "six_axis_arm", "six_axis_arm"]).endswith(
+        "six_axis_arm 2, pose 1"
     )
     assert model_counts_text([]) == ""
     assert _model_with_description("pose") == "pose (smooth, linear in the tool's pose)"
