@@ -138,9 +138,8 @@ def camera_poses_3d(data: Dataset, calibration: Calibration) -> Figure:
     """Draw the cameras and the target in the target's frame, m; cameras of unused views are red."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
-    world_from_camera = calibration.camera_from_world(data.command).inverse()
-    centres = np.asarray(world_from_camera.translation())
-    rotations = np.asarray(world_from_camera.rotation().as_matrix())
+    world_from_camera = np.linalg.inv(calibration.camera_from_world_matrices(data.command))
+    centres, rotations = world_from_camera[:, :3, 3], world_from_camera[:, :3, :3]
     visible = np.asarray(data.visible)
     target = np.asarray(data.points)[visible]
     # Every target point once, although most views show it; equal to a micrometre is the same point.

@@ -24,6 +24,7 @@ from ..evaluation import (
     reprojection_errors,
     without_rejected_views,
 )
+from ..geometry import host_logarithms, host_matrices
 from ..joint import JointFit
 from ..robot_errors import nominal_arm
 
@@ -344,9 +345,10 @@ def _parameter_values(calibration: Calibration) -> dict[str, float]:
     }
     transforms = (calibration.camera_from_mount, calibration.holder_from_world)
     for name, transform in zip(calibration.transform_names, transforms, strict=True):
-        rotation_vector = np.asarray(transform.rotation().log())
-        translation = np.asarray(transform.translation())
-        for part, numbers in (("translation", translation), ("rotation", rotation_vector)):
+        matrix = host_matrices(transform)
+        # The last three numbers of a transform's logarithm are its rotation vector.
+        rotation_vector = host_logarithms(matrix)[3:]
+        for part, numbers in (("translation", matrix[:3, 3]), ("rotation", rotation_vector)):
             values |= {
                 f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
             }

@@ -7,6 +7,7 @@ from typing import Literal
 import jax
 import numpy as np
 
+from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import (
@@ -162,6 +163,7 @@ def _held_names(
     }
 
 
+@on_one_blas_thread
 def _iterate_to_convergence(
     views: ViewStatistics,
     initial: Step,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import as_float_array
 from ..calibration import Calibration
 from ..geometry import transform_points
 from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
@@ -38,11 +39,6 @@ SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region",
 """The names of the checks that a robot must pass to move, unless a person overrides them."""
 
 
-def _as_float_array(value: object) -> Float[Array, "..."]:
-    """Return a value as an array of floats."""
-    return jnp.asarray(value, dtype=float)
-
-
 class ClearancePlane(eqx.Module):
     """A plane in the base frame from which camera and tool must keep a distance.
 
@@ -56,10 +52,10 @@ class ClearancePlane(eqx.Module):
         camera_clearance, tool_clearance: smallest allowed heights above the plane, m.
     """
 
-    point: Float[Array, "3"] = eqx.field(converter=_as_float_array, default=(0.0, 0.0, 0.0))
-    normal: Float[Array, "3"] = eqx.field(converter=_as_float_array, default=(0.0, 0.0, 1.0))
-    camera_clearance: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.05)
-    tool_clearance: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.05)
+    point: Float[Array, "3"] = eqx.field(converter=as_float_array, default=(0.0, 0.0, 0.0))
+    normal: Float[Array, "3"] = eqx.field(converter=as_float_array, default=(0.0, 0.0, 1.0))
+    camera_clearance: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.05)
+    tool_clearance: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.05)
 
     def height(self, position: Float[Array, "*views 3"]) -> Float[Array, "*views"]:
         """Return the height above the plane of positions in the base frame, m."""
@@ -82,12 +78,12 @@ class Limits(eqx.Module):
             views that the calibration was fitted to; 1 is the distance of the farthest of these.
     """
 
-    border_margin: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.0)
-    min_visible_fraction: Float[Array, ""] = eqx.field(converter=_as_float_array, default=1.0)
-    focus_range: Float[Array, "2"] = eqx.field(converter=_as_float_array, default=(0.0, np.inf))
+    border_margin: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    min_visible_fraction: Float[Array, ""] = eqx.field(converter=as_float_array, default=1.0)
+    focus_range: Float[Array, "2"] = eqx.field(converter=as_float_array, default=(0.0, np.inf))
     clearance_plane: ClearancePlane | None = None
-    max_error_field_extent: Float[Array, ""] = eqx.field(converter=_as_float_array, default=1.5)
-    max_viewed_region_extent: Float[Array, ""] = eqx.field(converter=_as_float_array, default=2.0)
+    max_error_field_extent: Float[Array, ""] = eqx.field(converter=as_float_array, default=1.5)
+    max_viewed_region_extent: Float[Array, ""] = eqx.field(converter=as_float_array, default=2.0)
 
 
 class Checks(eqx.Module):
