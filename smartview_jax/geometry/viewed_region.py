@@ -135,8 +135,8 @@ def region_from_dict(content: dict[str, Any]) -> ViewedRegion:
     return ViewedRegion(
         side=_SIDES[content["side"]],
         plane_z=content["plane"],
-        centroid=np.array(content["middle"]),
+        centroid=content["middle"],
         radius=content["reach"],
-        distance_range=np.array(content["distance"]),
+        distance_range=content["distance"],
         min_tool_height=np.inf if min_tool_height is None else min_tool_height,
     )
