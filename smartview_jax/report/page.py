@@ -166,8 +166,8 @@ def _fit_facts(
         ("pixel sigma", f"{float(fit.staged.step2.pixel_sigma):.3f} px of u and of v (Step 2)"),
         ("staged", fit.staged.result.message),
         (
-            "Step 3, two ways",
-            f"the hand-eye transforms differ by {1e3 * step3.hand_eye_difference[0]:.2f} mm and "
+            "Step 3",
+            f"the hand-eye transforms found through either unknown differ by {1e3 * step3.hand_eye_difference[0]:.2f} mm and "
             f"{np.rad2deg(step3.hand_eye_difference[1]):.3f} deg",
         ),
         ("joint", fit.joint.result.message),

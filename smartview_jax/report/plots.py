@@ -112,7 +112,7 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
     axes.set_aspect("equal")
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    axes.set_title(f"arrows are {magnification:.0f} times too long", fontsize=10)
+    axes.set_title(f"arrows enlarged {magnification:.0f} times", fontsize=10)
     return figure
 
 

@@ -214,7 +214,7 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         return []
     probabilities = ", ".join(
         f"{candidate.name} {candidate.probability:.2f}"
-        for candidate in estimate.candidates
+        for candidate in sorted(estimate.candidates, key=lambda one: -one.probability)
         if candidate.probability >= 0.005
     )
     within_view_text = (
@@ -231,9 +231,9 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
             f"{_model_with_description(estimate.name)}; probabilities: {probabilities}",
         ),
         (
-            "sizes of errors",
+            "standard deviations",
             f"pixels {noise.pixel:.3f} px{relative_std_texts[0]}{within_view_text}; "
-            f"poses, each by itself, "
+            f"poses, white noise, "
             f"{1e3 * noise.translation:.3f} mm{relative_std_texts[1]} and "
             f"{np.rad2deg(noise.rotation):.4f} deg{relative_std_texts[2]}",
         ),
@@ -248,12 +248,12 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
             )
         )
     if not estimate.converged:
-        lines.append(("sizes of errors", "still changing when the search ended: take with care"))
+        lines.append(("standard deviations", "the search ended before they converged: take care"))
     return lines
 
 
 MODEL_DESCRIPTIONS = {
-    "white": "each pose by itself",
+    "white": "of every pose independently",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
     "six_axis_arm": "those of a six-axis arm, which the poses imply",

@@ -334,9 +334,7 @@ def _rejections(
     # Points of unusable views are not listed one by one; the reason for the view covers them.
     rejected_views = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
     rejected_points = [
-        Rejection(
-            data.view_ids[view], int(point), "its residual in Step 2 is beyond the chi-square gate"
-        )
+        Rejection(data.view_ids[view], int(point), "beyond the chi-square gate of Step 2")
         for view, point in np.argwhere(np.asarray(data.visible) & ~inliers)
         if view not in unusable
     ]

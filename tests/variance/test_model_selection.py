@@ -132,7 +132,7 @@ WHITE, POSE = ModelName("white", False), ModelName("pose", False)
 
 
 def test_a_model_is_named_by_its_field_and_by_a_free_scale():
-    assert [str(WHITE), str(POSE._replace(free_scale=True))] == ["white", "pose, target_scale"]
+    assert [str(WHITE), str(POSE._replace(free_scale=True))] == ["white", "pose with target_scale"]
 
 
 def test_sizes_are_averaged_by_their_variances():
