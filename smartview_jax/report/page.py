@@ -167,7 +167,8 @@ def _fit_facts(
         ("staged", fit.staged.result.message),
         (
             "Step 3",
-            f"the hand-eye transforms found through either unknown differ by {1e3 * step3.hand_eye_difference[0]:.2f} mm and "
+            f"the hand-eye transforms found through either unknown differ by "
+            f"{1e3 * step3.hand_eye_difference[0]:.2f} mm and "
             f"{np.rad2deg(step3.hand_eye_difference[1]):.3f} deg",
         ),
         ("joint", fit.joint.result.message),

@@ -136,13 +136,13 @@ def test_the_errors_found_are_in_the_units_people_use():
     joint = dataclasses.replace(trusting, noise=noise, noise_estimate=estimate, calibration=bent)
     lines = error_model_rows(joint, scene.data)
     assert lines[0][1].startswith("position (smooth, linear in the tool's position); ")
-    assert lines[0][1].endswith("probabilities: white 0.10, position 0.90")
+    assert lines[0][1].endswith("probabilities: position 0.90, white 0.10")
     assert "0.400 px +- 10% (within a view 0.100)" in lines[1][1]
     assert "0.100 mm +- 20% and 0.0200 deg" in lines[1][1]
     # The scene was made without any error: taking the field away leaves nothing.
     assert lines[2][0] == "without the correction"
     assert "0.00 px RMS" in lines[2][1]
-    assert "still changing" in lines[3][1]
+    assert "before they converged" in lines[3][1]
 
 
 @pytest.fixture(scope="module")
