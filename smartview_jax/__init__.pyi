@@ -12,6 +12,7 @@ from . import fit_result as fit_result
 from . import geometry as geometry
 from . import io as io
 from . import joint as joint
+from . import modeling as modeling
 from . import report as report
 from . import robot_errors as robot_errors
 from . import robots as robots

@@ -29,7 +29,7 @@ FLOORS = """
 
 NO_OPENCV = """
     compilation geometry cameras targets robots robot_errors calibration dataset staged engine
-    variance joint arm_identification viewpoints
+    variance joint arm_identification viewpoints modeling
 """.split()
 
 NO_FACE = {"schemas"}
