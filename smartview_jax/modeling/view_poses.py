@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..geometry import check_rigid, host_matrices, host_transforms
+from ..geometry import PoseLike, check_rigid, host_matrices, host_transforms
 from ..robots import Command, CommandLike
 
 PADDED_VIEWS = 4
@@ -38,6 +38,13 @@ def as_checked_command(poses: CommandLike) -> Command:
             "poses: " + "; ".join(f"{view}: {text}" for view, text in problems.items())
         )
     return Command(host_transforms(matrices))
+
+
+def single_pose(pose: PoseLike) -> PoseLike:
+    """Return one pose as a batch of one."""
+    if isinstance(pose, SE3):
+        return SE3(pose.wxyz_xyz.reshape(1, 7))
+    return np.asarray(pose, dtype=float).reshape(1, 4, 4)
 
 
 def padded_views(command: Command) -> Command:
