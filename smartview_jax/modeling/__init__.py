@@ -1,5 +1,8 @@
-"""Model objects: wireframes with surfaces, grasps and symmetry."""
+"""Model objects from several calibrated views: geometry, triangulation, surfaces and grasps."""
 
+from .epipolar import EpipolarCurve as EpipolarCurve
+from .epipolar import epipolar_curve as epipolar_curve
+from .epipolar import epipolar_curves as epipolar_curves
 from .faces import PLANAR_TOLERANCE as PLANAR_TOLERANCE
 from .faces import Face as Face
 from .faces import FacePlane as FacePlane
@@ -15,5 +18,8 @@ from .grasp_frames import turned as turned
 from .grasp_frames import width_between_fingers as width_between_fingers
 from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
+from .point_estimation import PointStatus as PointStatus
 from .symmetry import Symmetry as Symmetry
 from .symmetry import find_symmetry as find_symmetry
+from .triangulation import TriangulatedPoints as TriangulatedPoints
+from .triangulation import triangulate_points as triangulate_points

@@ -74,7 +74,7 @@ def grasp_on_face(
         position: a point, moved along the normal onto the face, m; by default the mean of the
             face's corners.
         opening_direction: turned into the plane of the face; by default across the longest edge.
-        opening: distance between the open fingers, m; by default 1.2 times the object's width there.
+        opening: distance between the open fingers, m; by default 1.2 times the width there.
         depth: of the fingertips below the face, m.
         name: for people.
 
