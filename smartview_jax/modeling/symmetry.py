@@ -81,10 +81,11 @@ def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symme
     tree = KDTree(centred)
     accepted: list[np.ndarray] = [np.eye(3)]
     for rotation in _candidate_rotations(centred, tolerance):
-        distances, targets = tree.query(centred @ rotation.T)
+        distances, nearest = tree.query(centred @ rotation.T)
+        targets = np.asarray(nearest, int)
         # A rotation is not near one that was accepted already if some vertex goes elsewhere.
         known = any(np.abs(centred @ (rotation - one).T).max() < tolerance for one in accepted)
-        if not known and distances.max() <= tolerance and _keeps_structure(model, targets):
+        if not known and np.max(distances) <= tolerance and _keeps_structure(model, targets):
             accepted.append(_nearest_rotation(centred, centred[targets]))
     rotations = np.stack(accepted)
     return Symmetry(rotations, centre, _revolution_axis(rotations))
