@@ -16,6 +16,9 @@ from .grasp_frames import Grasp as Grasp
 from .grasp_frames import grasp_on_face as grasp_on_face
 from .grasp_frames import turned as turned
 from .grasp_frames import width_between_fingers as width_between_fingers
+from .line_jacobians import Lines as Lines
+from .line_triangulation import TriangulatedLines as TriangulatedLines
+from .line_triangulation import triangulate_lines as triangulate_lines
 from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
 from .point_estimation import PointStatus as PointStatus

@@ -43,6 +43,7 @@ class PointStatus(IntEnum):
     DEGENERATE_BASELINE = 2
     BEHIND_CAMERA = 3
     NOT_CONVERGED = 4
+    EPIPOLAR_PLANE = 5
 
     @property
     def message(self) -> str:
@@ -58,6 +59,8 @@ _MESSAGES = {
     PointStatus.BEHIND_CAMERA: "its rays meet behind a camera that sees it, or outside its "
     "lens: the correspondence or a pose is wrong",
     PointStatus.NOT_CONVERGED: "the least-squares estimate did not converge",
+    PointStatus.EPIPOLAR_PLANE: "it lies in the epipolar plane of its views within its errors: "
+    "any line of that plane explains them, and a view from outside it is needed",
 }
 
 
