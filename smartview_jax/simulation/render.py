@@ -21,6 +21,7 @@ from ..geometry import PoseLike, as_se3
 from ..io import write_dataset_folder
 from ..targets import AbstractTarget, StackedTarget
 from .patterns import printed_pattern
+from .sensor import sensor_picture
 
 DARK_LEVEL, LIGHT_LEVEL, BACKGROUND_LEVEL = 40.0, 215.0, 120.0
 """Grey levels of the print, of the paper, and of everything other than the board's front."""
@@ -68,13 +69,9 @@ def render(
     grey_level = np.where(dark.reshape(in_front.shape), DARK_LEVEL, LIGHT_LEVEL)
     picture = np.where(in_front, grey_level, BACKGROUND_LEVEL)
     width, rows = calibration.camera.image_size
-    # Average over the samples of each pixel, then blur, then add noise: the order of optics and
-    # sensor.
-    picture = picture.reshape(rows, samples, width, samples).mean(axis=(1, 3))
-    if blur > 0.0:
-        picture = cv2.GaussianBlur(picture, (0, 0), blur)
-    picture = picture + noise * np.random.default_rng(seed).standard_normal(picture.shape)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    # The mean over the samples of each pixel is the light that the pixel collects.
+    brightness = picture.reshape(rows, samples, width, samples).mean(axis=(1, 3))
+    return sensor_picture(brightness, blur=blur, noise=noise, seed=seed)
 
 
 def _sample_plane(

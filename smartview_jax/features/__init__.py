@@ -1,0 +1,6 @@
+"""Find straight segments, corners and edges in pictures of objects."""
+
+from .edge_maps import edge_map as edge_map
+from .edge_points import EdgePoints as EdgePoints
+from .features import Features as Features
+from .features import find as find
