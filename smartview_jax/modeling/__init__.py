@@ -21,8 +21,11 @@ from .line_triangulation import TriangulatedLines as TriangulatedLines
 from .line_triangulation import triangulate_lines as triangulate_lines
 from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
+from .pixel_jacobians import PixelJacobians as PixelJacobians
+from .pixel_jacobians import pixel_jacobians as pixel_jacobians
 from .point_estimation import PointStatus as PointStatus
 from .symmetry import Symmetry as Symmetry
 from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points
+from .view_poses import SeenViews as SeenViews
