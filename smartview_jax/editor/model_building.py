@@ -113,7 +113,7 @@ def problems_of(document: Document, estimates: Estimates) -> dict[tuple[str, int
         if missing:
             found["edges", edge] = f"point {missing[0]} has no position"
     for face, drawn in document.faces.items():
-        reason = _face_problem(drawn.loop, estimates)
+        reason = face_problem(drawn.loop, estimates)
         if reason:
             found["faces", face] = reason
     for grasp, placed in document.grasps.items():
@@ -123,7 +123,7 @@ def problems_of(document: Document, estimates: Estimates) -> dict[tuple[str, int
     return found
 
 
-def _face_problem(loop: Sequence[int], estimates: Estimates) -> str:
+def face_problem(loop: Sequence[int], estimates: Estimates) -> str:
     """Return what is wrong with a face, in words that name points by id; empty if nothing is."""
     missing = [p for p in loop if estimates[p].failure]
     if missing:
@@ -141,7 +141,7 @@ def _grasp_problem(document: Document, estimates: Estimates, grasp: PlacedGrasp)
     """Return why a grasp cannot be made; empty if it can."""
     # Only the faces matter, and of those only the ones that are whole.
     faces = {
-        k: face for k, face in document.faces.items() if not _face_problem(face.loop, estimates)
+        k: face for k, face in document.faces.items() if not face_problem(face.loop, estimates)
     }
     points = sorted({p for face in faces.values() for p in face.loop})
     number = {point: k for k, point in enumerate(points)}
@@ -173,7 +173,7 @@ def checked_loop(
         document.existing("points", point)
     if len(points) < 3:
         raise ValueError(f"a face goes around 3 or more points; found {list(points)}")
-    reason = _face_problem(points, estimates)
+    reason = face_problem(points, estimates)
     if reason:
         raise ValueError(f"face {list(points)}: {reason}")
     plane = face_plane(_positions(points, estimates), Face(tuple(range(len(points)))))

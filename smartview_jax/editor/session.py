@@ -169,11 +169,11 @@ class ModelSession:
         if change.get("do") == "click":
             clicks[change.get("view")] = change.get("pixel")
         for view, pixel in clicks.items():
-            self._check_pixel(view, pixel)
+            self.checked_pixel(view, pixel)
         for part in change.get("changes") or ():
             self._check_clicks(part)
 
-    def _check_pixel(self, view: Any, pixel: Any) -> tuple[float, float]:
+    def checked_pixel(self, view: Any, pixel: Any) -> tuple[float, float]:
         """Return a pixel of a view, or raise an error that names both."""
         if view not in self.pictures:
             raise ValueError(f"there is no view {view!r}; the views are {', '.join(self.names)}")
@@ -198,7 +198,7 @@ class ModelSession:
             pixel: u and v, px.
             point: the point that this is a further click of; None for a new point.
         """
-        u, v = self._check_pixel(view, pixel)
+        u, v = self.checked_pixel(view, pixel)
         if point is None:
             number = self.document.next_id
             self.change({"do": "add_point", "clicks": {view: [u, v]}})
@@ -287,7 +287,7 @@ class ModelSession:
 
     def curves(self, view: str, pixel: Sequence[float]) -> dict[str, EpipolarCurve]:
         """Return the epipolar curves of a pixel in all other views, by the view's name."""
-        return self.geometry.curves(view, self._check_pixel(view, pixel))
+        return self.geometry.curves(view, self.checked_pixel(view, pixel))
 
     def features(self, view: str) -> Features:
         """Return the corners and segments found in a view's picture, which clicks snap to."""

@@ -152,6 +152,14 @@ class ViewGeometry:
         )
         return {self.names[k]: curve for k, curve in zip(others, found, strict=True)}
 
+    def ray(
+        self, view: str, pixel: tuple[float, float]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Return the camera's centre and the unit direction of a pixel's ray in the world."""
+        curves = self.curves(view, pixel)
+        curve = next(iter(curves.values()))
+        return curve.origin, curve.direction
+
     def pixels_of(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:

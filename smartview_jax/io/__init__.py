@@ -32,6 +32,8 @@ from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import sample_folder as sample_folder
 from .urdf import load_urdf as load_urdf
+from .view_pictures import ViewPictures as ViewPictures
+from .view_pictures import load_view_pictures as load_view_pictures
 from .viewpoints import Viewpoints as Viewpoints
 from .viewpoints import pose_columns as pose_columns
 from .viewpoints import read_viewpoints as read_viewpoints

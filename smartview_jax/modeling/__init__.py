@@ -11,6 +11,7 @@ from .faces import face_array as face_array
 from .faces import face_plane as face_plane
 from .faces import open_edges as open_edges
 from .faces import oriented_outward as oriented_outward
+from .faces import points_in_loops as points_in_loops
 from .faces import signed_volume as signed_volume
 from .grasp_frames import Grasp as Grasp
 from .grasp_frames import grasp_on_face as grasp_on_face

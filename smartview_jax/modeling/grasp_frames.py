@@ -74,7 +74,8 @@ def grasp_on_face(
         position: a point, moved along the normal onto the face, m; by default the mean of the
             face's corners.
         opening_direction: turned into the plane of the face; by default across the longest edge.
-        opening: distance between the open fingers, m; by default 1.2 times the width there.
+        opening: distance between the open fingers, m; by default 1.2 times the width there,
+            or the extent of the face where the model is open and has no width.
         depth: of the fingertips below the face, m.
         name: for people.
 
@@ -89,7 +90,7 @@ def grasp_on_face(
     point = point - plane.normal * (plane.normal @ (point - plane.origin))
     loops = [plane.coordinates(model.vertices[list(loop)]) for loop in model.faces[face].loops]
     if not points_in_loops(plane.coordinates(point[None]), loops)[0]:
-        raise ValueError(f"grasp {name!r}: its position is not on face {face}")
+        raise ValueError(f"its position is not on face {face}")
     frame = _tool_axes(
         plane.normal, plane.axes[1] if opening_direction is None else opening_direction
     )
@@ -98,16 +99,13 @@ def grasp_on_face(
     object_from_tool[:3, 3] = point - depth * plane.normal
     width = width_between_fingers(model, object_from_tool)
     if opening is None:
-        if width is None:
-            raise ValueError(
-                f"grasp {name!r}: give its opening, because the model is open where the fingers "
-                "would close and its width there is not known"
-            )
-        opening = 1.2 * width
+        # Where the model is open its width is not known; the face's own extent stands for it.
+        corners = model.vertices[model.faces[face].indices]
+        opening = 1.2 * (float(np.ptp(corners @ frame[:, 0])) if width is None else width)
     room = opening - (0.0 if width is None else width)
     if not (opening > 0.0 and room > 0.0 and depth >= 0.0):
         raise ValueError(
-            f"grasp {name!r}: an opening of {1e3 * opening:.3g} mm at a depth of "
+            f"an opening of {1e3 * opening:.3g} mm at a depth of "
             f"{1e3 * depth:.3g} mm; the object is {1e3 * (width or 0.0):.3g} mm wide there"
         )
     return Grasp(name, face, object_from_tool, float(opening), float(depth), 0.5 * float(room))
