@@ -22,14 +22,14 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # are now, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
     array_namespace double_precision version compilation_cache compilation files deprecation
-    fit_result schemas geometry cameras targets robots robot_errors calibration dataset detection io
-    simulation staged engine variance joint arm_identification calibration_pipeline evaluation
-    viewpoints features modeling localization grasping report editor interrupts cli
+    fit_result schemas geometry cameras targets robots robot_errors calibration dataset detection
+    staged engine variance joint arm_identification calibration_pipeline evaluation viewpoints
+    features modeling io simulation localization grasping report editor interrupts cli
 """.split()
 
 NO_OPENCV = """
     compilation geometry cameras targets robots robot_errors calibration dataset staged engine
-    variance joint arm_identification viewpoints
+    variance joint arm_identification viewpoints modeling
 """.split()
 
 NO_FACE = {"schemas"}

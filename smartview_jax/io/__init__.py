@@ -16,6 +16,15 @@ from .load import load_dataset as load_dataset
 from .matrix_rows import import_matrix_rows as import_matrix_rows
 from .matrix_rows import read_matrix_rows as read_matrix_rows
 from .matrix_rows import write_matrix_rows as write_matrix_rows
+from .meshes import face_triangles as face_triangles
+from .meshes import model_from_triangles as model_from_triangles
+from .meshes import read_mesh as read_mesh
+from .meshes import to_trimesh as to_trimesh
+from .meshes import write_mesh as write_mesh
+from .object_models import load_object_model as load_object_model
+from .object_models import object_model_from_dict as object_model_from_dict
+from .object_models import object_model_to_dict as object_model_to_dict
+from .object_models import save_object_model as save_object_model
 from .opencv_camera import read_opencv_camera as read_opencv_camera
 from .pictures import dataset_from_pictures as dataset_from_pictures
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
