@@ -1,5 +1,6 @@
 """Measure objects in several calibrated views: points, straight lines, and what binds them."""
 
+from .constraint_verdicts import ConstraintVerdict as ConstraintVerdict
 from .constraints import AbstractConstraint as AbstractConstraint
 from .constraints import Edge as Edge
 from .constraints import EqualLength as EqualLength
@@ -18,8 +19,7 @@ from .line_triangulation import TriangulatedLines as TriangulatedLines
 from .line_triangulation import triangulate_lines as triangulate_lines
 from .picture_equations import ModelObservations as ModelObservations
 from .point_estimation import PointStatus as PointStatus
-from .refinement import ConstraintVerdict as ConstraintVerdict
-from .refinement import RefinedFeatures as RefinedFeatures
+from .refined_features import RefinedFeatures as RefinedFeatures
 from .refinement import refine as refine
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.linalg import expm
 
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
 from ..engine import AbstractLoss
+from ..geometry import host_exponentials
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty, camera_parameter_count
 from .constrained_system import FeatureBlocks
@@ -266,15 +266,9 @@ def _displaced(
     # exp(Ad d) acts on the left of camera_from_world; `view_jacobian` has the adjoints in it.
     change = uncertainty.view_jacobian @ offsets
     twists, camera_step = change[:, -6:], change[0, : camera_parameter_count(views)]
-    generators = np.zeros((len(twists), 4, 4))
-    x, y, z = twists[:, 3:].T
-    generators[:, 0, 1], generators[:, 1, 0] = -z, z
-    generators[:, 2, 0], generators[:, 0, 2] = -y, y
-    generators[:, 1, 2], generators[:, 2, 1] = -x, x
-    generators[:, :3, 3] = twists[:, :3]
     return (
         views._replace(camera=_displaced_camera(views.camera, camera_step)),
-        expm(generators) @ views.camera_from_world,
+        host_exponentials(twists) @ views.camera_from_world,
     )
 
 

@@ -5,55 +5,43 @@ request the poses of the views, or the whole calibration, are free under their p
 many features say together improves them. Every constraint is then judged by the chi-square that
 releasing it would save: one that contradicts the pictures costs more than chance explains.
 
-Reference: Nocedal and Wright, Numerical optimization, 2006, section 18.1 (Lagrange-Newton); Rao,
-Large sample tests of statistical hypotheses, 1948 (the score test of a constraint).
+Reference: Nocedal and Wright, Numerical optimization, 2006, section 18.1 (Lagrange-Newton).
 """
 
-import itertools
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.special import chdtrc
 
 from ..engine import AbstractLoss, Noise
 from ..evaluation import CalibrationEstimate
-from ..fit_result import FitCode, FitResult
+from ..fit_result import FitResult
 from .calibration_uncertainty import CalibrationUncertainty
-from .constrained_system import EXACT_VARIANCE, ConstrainedSystem, Factorisation, FeatureBlocks
+from .constrained_system import Factorisation
+from .constraint_verdicts import constraint_verdicts
 from .constraints import AbstractConstraint, Shape, check_constraints
 from .line_jacobians import Lines
 from .line_triangulation import triangulate_lines, world_rays
-from .picture_equations import (
-    CheckedObservations,
-    ModelObservations,
-    PictureEquations,
-    picture_equations,
-)
+from .picture_equations import CheckedObservations, ModelObservations, picture_equations
 from .point_estimation import MAX_RELATIVE_STD, PointStatus
+from .refined_features import RefinedFeatures
+from .refinement_problem import (
+    RefinementEquations,
+    RefinementProblem,
+    RefinementState,
+    linearise,
+    minimise,
+)
 from .triangulation import solve_points
 
 Freedom: TypeAlias = Literal["nothing", "poses", "calibration"]
 """Estimated besides the features: nothing, the views' own noise, or all that is uncertain."""
 
-MAX_STEPS = 50
-"""Largest number of Gauss-Newton steps."""
-
-CONVERGED_STEP = 1e-8
-"""Squared step of a feature, in standard deviations that its pictures give, that ends the steps."""
-
-MERIT_VARIANCE, MERIT_SLACK = 1e-2, 0.1
-"""The variance of exact constraints over what the pictures leave them, by which steps are judged,
-and the rise of half the chi-square that is let pass: steps near the optimum are all taken."""
-
 WEAK_STD = 10.0
 """Standard deviation of a prior, over the distance, that keeps points finite that nothing measures.
 
 It is far above `MAX_RELATIVE_STD`, so that whatever only this prior holds is named."""
-
-VIOLATION = 1e-2
-"""Largest violation of an exact constraint, in standard deviations that the pictures leave it."""
 
 FALSE_ALARM = 0.01
 """Probability that any constraint is said to contradict the pictures when all are true."""
@@ -65,190 +53,6 @@ class HasVertices(Protocol):
 
     @property
     def vertices(self) -> Float[np.ndarray, "points 3"]: ...
-
-
-class ConstraintVerdict(NamedTuple):
-    """The agreement of a constraint with the pictures and with the other constraints.
-
-    Attributes:
-        constraint: the constraint.
-        residuals: its numbers at the solution, m or rad; zero if it holds exactly.
-        cost: chi-square that releasing it alone would save.
-        degrees_of_freedom: number of independent numbers that it fixes; zero where the others imply
-            it.
-        p_value: probability of such a cost if the constraint is true.
-        contradicts: whether it is to be doubted, at the false-alarm probability of the call.
-        violated: whether it is exact and does not hold, because others contradict it.
-    """
-
-    constraint: AbstractConstraint
-    residuals: Float[np.ndarray, "numbers"]
-    cost: float
-    degrees_of_freedom: int
-    p_value: float
-    contradicts: bool
-    violated: bool
-
-    def __str__(self) -> str:
-        if self.violated:
-            return f"{self.constraint} cannot hold together with the other exact constraints"
-        return (
-            f"{self.constraint} costs {self.cost:.1f} (chi-square of {self.degrees_of_freedom}), "
-            f"p = {self.p_value:.2g}"
-        )
-
-
-class RefinedFeatures(NamedTuple):
-    """Refined points and lines, with their errors by cause.
-
-    Attributes:
-        points: in the world, m; NaN where `status` is not OK.
-        lines: refined lines; NaN likewise.
-        status: a `PointStatus` for each point.
-        line_status: a `PointStatus` for each line.
-        residuals: measured minus predicted pixels, NaN where not visible.
-        line_residuals: distances of segments' ends from their lines, px; NaN where not visible.
-        picture_covariance: covariance of each point due to the pictures, the constraints and
-            what was free, m^2.
-        line_covariance: likewise of each line's four numbers.
-        calibration_jacobian: derivatives of each point by the numbers that were not free.
-        calibration_covariance: covariance of these numbers.
-        calibration_names: names of these numbers.
-        number_offsets: estimated offsets of the numbers that were free, by name.
-        verdicts: one for each constraint, in order.
-        constraints_p_value: probability of the cost of all constraints together if they are true.
-        result: whether it converged.
-        posterior: the factorised equations, from which covariances between features come.
-        weak: indices of points that are determined by constraints or not at all.
-    """
-
-    points: Float[np.ndarray, "points 3"]
-    lines: Lines
-    status: np.ndarray
-    line_status: np.ndarray
-    residuals: Float[np.ndarray, "views points 2"]
-    line_residuals: Float[np.ndarray, "views lines 2"]
-    picture_covariance: Float[np.ndarray, "points 3 3"]
-    line_covariance: Float[np.ndarray, "lines 4 4"]
-    calibration_jacobian: Float[np.ndarray, "points 3 numbers"]
-    calibration_covariance: Float[np.ndarray, "numbers numbers"]
-    calibration_names: tuple[str, ...]
-    number_offsets: dict[str, float]
-    verdicts: tuple[ConstraintVerdict, ...]
-    constraints_p_value: float
-    result: FitResult
-    posterior: Factorisation
-    weak: np.ndarray
-
-    @property
-    def vertices(self) -> Float[np.ndarray, "points 3"]:
-        """The points, by the name that models use."""
-        return self.points
-
-    @property
-    def ok(self) -> Bool[np.ndarray, "points"]:
-        """Whether each point is determined."""
-        return self.status == PointStatus.OK
-
-    @property
-    def failures(self) -> dict[int, str]:
-        """The reason, in words, of every point that is not determined, by its index."""
-        return {int(k): PointStatus(self.status[k]).message for k in np.flatnonzero(~self.ok)}
-
-    @property
-    def contradictions(self) -> tuple[ConstraintVerdict, ...]:
-        """The constraints to be doubted, the most expensive first."""
-        doubted = [one for one in self.verdicts if one.contradicts or one.violated]
-        return tuple(sorted(doubted, key=lambda one: (one.violated, one.cost), reverse=True))
-
-    @property
-    def rms(self) -> float:
-        """The root mean square reprojection error of the points, px."""
-        squared = np.sum(self.residuals**2, axis=-1)
-        return float(np.sqrt(np.nanmean(squared))) if np.isfinite(squared).any() else float("nan")
-
-    def covariance(self) -> Float[np.ndarray, "points 3 3"]:
-        """Return the covariance of each point due to all causes, m^2."""
-        J = self.calibration_jacobian
-        return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
-
-    def joint_covariance(
-        self, points: Sequence[int] | None = None
-    ) -> Float[np.ndarray, "coordinates coordinates"]:
-        """Return the covariance of the coordinates of some points, or of all, m^2."""
-        chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
-        rows = (
-            np.concatenate([self._rows(int(k)) for k in chosen])
-            if len(chosen)
-            else np.zeros(0, int)
-        )
-        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), -1)
-        return self.posterior.covariance(rows) + J @ self.calibration_covariance @ J.T
-
-    def _rows(self, point: int) -> np.ndarray:
-        """Return the rows of a point's coordinates among the unknowns of the posterior."""
-        if point in self.weak:
-            place = int(np.flatnonzero(self.weak == point)[0])
-            first = self.posterior.features.size + self.posterior.border_size
-            return first - 3 * (len(self.weak) - place) + np.arange(3)
-        return 3 * point + np.arange(3)
-
-
-class _Problem(NamedTuple):
-    """The fixed parts of a refinement.
-
-    Attributes:
-        observed: observations.
-        uncertainty: numbers of the calibration.
-        roots: combinations of the numbers with unit prior variance.
-        free: which of these are estimated.
-        constraints: the constraints.
-        planes: index of each constraint's own plane; -1 for none.
-        weak: indices of points in the border.
-        start: points at the start, the mean of the weak prior.
-        weak_sigma: its standard deviation, m.
-        loss: robust loss.
-    """
-
-    observed: CheckedObservations
-    uncertainty: CalibrationUncertainty
-    roots: Float[np.ndarray, "numbers combinations"]
-    free: Bool[np.ndarray, "combinations"]
-    constraints: tuple[AbstractConstraint, ...]
-    planes: tuple[int, ...]
-    weak: np.ndarray
-    start: Float[np.ndarray, "points 3"]
-    weak_sigma: float
-    loss: AbstractLoss | None
-
-
-class _State(NamedTuple):
-    """A point of the search: the shape, and the combinations of the numbers, all of them."""
-
-    shape: Shape
-    combinations: Float[np.ndarray, "combinations"]
-
-
-class _Equations(NamedTuple):
-    """The linearised problem at a state.
-
-    Attributes:
-        pictures: the part of the pictures.
-        system: the matrix.
-        feature_right: right-hand side of the features.
-        reduced_right: right-hand side of border and constraints.
-        values: the constraints' numbers.
-        rows: the rows of each constraint.
-        cost: half the squares of pictures and priors.
-    """
-
-    pictures: PictureEquations
-    system: ConstrainedSystem
-    feature_right: np.ndarray
-    reduced_right: np.ndarray
-    values: np.ndarray
-    rows: tuple[slice, ...]
-    cost: float
 
 
 def refine(
@@ -302,11 +106,11 @@ def refine(
         "calibration": index >= 0,
     }[free]
     distance = _typical_distance(observed, points)
-    problem = _Problem(
+    problem = RefinementProblem(
         observed, uncertainty, roots, chosen, tuple(constraints), planes, weak, points,
         WEAK_STD * distance, loss,
     )  # fmt: skip
-    state, result = _minimise(problem, _State(shape, np.zeros(len(chosen))))
+    state, result = minimise(problem, RefinementState(shape, np.zeros(len(chosen))))
     return _summarise(problem, state, result, line_status, distance, false_alarm)
 
 
@@ -416,161 +220,16 @@ def _typical_distance(
     return float(np.median(np.linalg.norm(offsets, axis=-1))) if len(points) else 1.0
 
 
-def _linearise(
-    problem: _Problem, state: _State, free: Bool[np.ndarray, "combinations"]
-) -> _Equations:
-    """Return the linear equations at a state, for some of the combinations."""
-    shape, weak = state.shape, problem.weak
-    pictures = picture_equations(
-        problem.observed,
-        shape,
-        problem.uncertainty,
-        problem.roots @ state.combinations,
-        problem.roots[:, free],
-        problem.loss,
-    )
-    numbers, planes = int(free.sum()), len(shape.normals)
-    border_size = numbers + 3 * planes + 3 * len(weak)
-    first_weak = numbers + 3 * planes
-    rows = pictures.features.size
-    border = np.zeros((border_size, border_size))
-    border[:numbers, :numbers] = pictures.numbers + np.eye(numbers)
-    gradient = np.zeros(border_size)
-    gradient[:numbers] = pictures.number_gradient + state.combinations[free]
-    blocks = FeatureBlocks(pictures.features.points.copy(), pictures.features.lines.copy())
-    coupling = np.zeros((rows, border_size))
-    coupling[:, :numbers] = pictures.coupling
-    feature_gradient = pictures.feature_gradient.copy()
-    # Lines that no view sees any more, and points that move to the border, are idle here.
-    blocks.lines[~problem.observed.segments_visible.any(axis=0)] = np.eye(4)
-    prior = 1.0 / problem.weak_sigma**2
-    for k, point in enumerate(weak):
-        place, own = (
-            slice(first_weak + 3 * k, first_weak + 3 * k + 3),
-            slice(3 * point, 3 * point + 3),
-        )
-        border[place, place] = blocks.points[point] + prior * np.eye(3)
-        border[place, :numbers] = coupling[own, :numbers]
-        border[:numbers, place] = coupling[own, :numbers].T
-        gradient[place] = feature_gradient[own] + prior * (
-            shape.points[point] - problem.start[point]
-        )
-        blocks.points[point], coupling[own], feature_gradient[own] = np.eye(3), 0.0, 0.0
-
-    evaluations = [
-        one.evaluate(shape, plane)
-        for one, plane in zip(problem.constraints, problem.planes, strict=True)
-    ]
-    sizes = [len(one.values) for one in evaluations]
-    ends = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    A, C = np.zeros((ends[-1], rows)), np.zeros((ends[-1], border_size))
-    variance, values = np.zeros(ends[-1]), np.zeros(ends[-1])
-    weak_place = {int(point): first_weak + 3 * k for k, point in enumerate(weak)}
-    first_line = 3 * len(shape.points)
-    slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
-    for where, constraint, one in zip(slices, problem.constraints, evaluations, strict=True):
-        values[where] = one.values
-        variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
-        for (kind, k), jacobian in one.jacobians.items():
-            width = jacobian.shape[1]
-            if kind == "plane":
-                C[where, numbers + 3 * k : numbers + 3 * k + width] += jacobian
-            elif kind == "point" and k in weak_place:
-                C[where, weak_place[k] : weak_place[k] + width] += jacobian
-            else:
-                first = 3 * k if kind == "point" else first_line + 4 * k
-                A[where, first : first + width] += jacobian
-    weak_offset = shape.points[weak] - problem.start[weak]
-    cost = (
-        pictures.cost
-        + 0.5 * float(np.sum(state.combinations**2))
-        + 0.5 * prior * float(np.sum(weak_offset**2))
-    )
-    return _Equations(
-        pictures,
-        ConstrainedSystem(blocks, coupling, border, A, C, variance),
-        -feature_gradient,
-        -np.concatenate([gradient, values]),
-        values,
-        slices,
-        cost,
-    )
-
-
-def _minimise(problem: _Problem, start: _State) -> tuple[_State, FitResult]:
-    """Take damped Gauss-Newton steps until all features stay where they are."""
-    state, damping = start, 0.0
-    at = _linearise(problem, state, problem.free)
-    if not np.isfinite(at.cost):
-        return state, FitResult(FitCode.DIVERGED, "a point starts behind a camera that sees it")
-    for _ in range(MAX_STEPS):
-        factors = at.system.factorised(damping)
-        step, rest = factors.solve(at.feature_right, at.reduced_right)
-        trial = _moved(problem, state, step, rest[: factors.border_size])
-        new = _linearise(problem, trial, problem.free)
-        small = _largest_step(at.system, step, rest) < CONVERGED_STEP
-        if small or _merit(new) <= _merit(at) + MERIT_SLACK:
-            state, at, damping = trial, new, 0.1 * damping if damping > 1e-6 else 0.0
-            if small and damping == 0.0:
-                return state, FitResult(FitCode.CONVERGED, "all features stay where they are")
-        else:
-            damping = max(10.0 * damping, 1e-4)
-            if damping > 1e8:
-                break
-    return state, FitResult(
-        FitCode.STOPPED_EARLY, "the steps did not settle: are the start and the constraints right?"
-    )
-
-
-def _merit(at: _Equations) -> float:
-    """Return the cost with the squares of all constraints; exact ones have a sigma for this."""
-    inverse = at.system.features.inverse()
-    variance = np.maximum(
-        at.system.constraint_variance, MERIT_VARIANCE * at.system.left_open(inverse)
-    )
-    return at.cost + 0.5 * float(np.sum(at.values**2 / variance))
-
-
-def _moved(problem: _Problem, state: _State, step: np.ndarray, border: np.ndarray) -> _State:
-    """Return the state after a step of the features and of the border."""
-    count, planes = len(state.shape.points), len(state.shape.normals)
-    numbers = int(problem.free.sum())
-    points = step[: 3 * count].reshape(count, 3).copy()
-    points[problem.weak] = border[numbers + 3 * planes :].reshape(-1, 3)
-    combinations = state.combinations.copy()
-    combinations[problem.free] += border[:numbers]
-    shape = state.shape.moved(
-        points,
-        step[3 * count :].reshape(-1, 4),
-        border[numbers : numbers + 3 * planes].reshape(planes, 3),
-    )
-    return _State(shape, combinations)
-
-
-def _largest_step(
-    system: ConstrainedSystem, step: Float[np.ndarray, "rows"], rest: Float[np.ndarray, "reduced"]
-) -> float:
-    """Return the largest squared step of a feature, in its standard deviations by the pictures."""
-    weighted = step * system.features.times(step)
-    split = 3 * len(system.features.points)
-    sizes = [
-        weighted[:split].reshape(-1, 3).sum(axis=1),
-        weighted[split:].reshape(-1, 4).sum(axis=1),
-    ]
-    border = rest[: len(system.border)] ** 2 * np.diagonal(system.border)
-    return float(np.max(np.concatenate([*sizes, border, [0.0]])))
-
-
 def _summarise(
-    problem: _Problem,
-    state: _State,
+    problem: RefinementProblem,
+    state: RefinementState,
     result: FitResult,
     line_status: np.ndarray,
     distance: float,
     false_alarm: float,
 ) -> RefinedFeatures:
     """Return the answer with covariances, verdicts and statuses."""
-    at = _linearise(problem, state, problem.free)
+    at = linearise(problem, state, problem.free)
     posterior = at.system.factorised()
     blocks = posterior.feature_blocks()
     weak = problem.weak
@@ -589,7 +248,7 @@ def _summarise(
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
     offsets = problem.roots[:, problem.free] @ state.combinations[problem.free]
-    verdicts, p_value = _verdicts(problem, state, false_alarm)
+    verdicts, p_value = constraint_verdicts(problem, state, false_alarm)
     free_names = set(problem.uncertainty.names) - set(names)
     return RefinedFeatures(
         np.where(ok[:, None], state.shape.points, np.nan),
@@ -621,9 +280,9 @@ def _summarise(
 
 
 def _calibration_part(
-    problem: _Problem,
-    state: _State,
-    at: _Equations,
+    problem: RefinementProblem,
+    state: RefinementState,
+    at: RefinementEquations,
     posterior: Factorisation,
     fixed: Bool[np.ndarray, "combinations"],
 ) -> tuple[
@@ -659,51 +318,3 @@ def _calibration_part(
     jacobian = features[: 3 * count].reshape(count, 3, -1).copy()
     jacobian[problem.weak] = rest[first : posterior.border_size].reshape(-1, 3, len(names))
     return names, covariance, jacobian
-
-
-def _verdicts(
-    problem: _Problem, state: _State, false_alarm: float
-) -> tuple[tuple[ConstraintVerdict, ...], float]:
-    """Return the verdict on every constraint, and the p-value of all of them together."""
-    if not problem.constraints:
-        return (), 1.0
-    # Everything uncertain is free here, whatever was free before: a calibration that is slightly
-    # off must not be taken for a wrong constraint.
-    at = _linearise(problem, state, np.ones(len(problem.free), dtype=bool))
-    factors = at.system.factorised()
-    _, rest = factors.solve(at.feature_right, at.reduced_right)
-    multipliers = rest[factors.border_size :]
-    information = -factors.reduced[factors.border_size :, factors.border_size :]
-    left_open = at.system.left_open(factors.features)
-    per_test = false_alarm / len(problem.constraints)
-    verdicts = []
-    for constraint, rows in zip(problem.constraints, at.rows, strict=True):
-        cost, freedom = _score(multipliers[rows], information[rows, rows], left_open[rows])
-        p_value = float(chdtrc(freedom, cost)) if freedom else 1.0
-        values = at.values[rows]
-        tolerance = VIOLATION * np.sqrt(left_open[rows])
-        violated = constraint.sigma is None and bool(np.any(np.abs(values) > tolerance))
-        verdicts.append(
-            ConstraintVerdict(
-                constraint, values, cost, freedom, p_value, p_value < per_test, violated
-            )
-        )
-    cost, freedom = _score(multipliers, information, left_open)
-    return tuple(verdicts), float(chdtrc(freedom, cost)) if freedom else 1.0
-
-
-def _score(
-    multipliers: Float[np.ndarray, "rows"],
-    information: Float[np.ndarray, "rows rows"],
-    left_open: Float[np.ndarray, "rows"],
-) -> tuple[float, int]:
-    """Return the chi-square that releasing some rows saves, and its degrees of freedom."""
-    # m^T (Cov m)^-1 m, with the covariance of the multipliers the block of the inverse matrix. In
-    # units of what the pictures leave open, it has eigenvalues of one and more for independent
-    # rows, zero for directions that an unknown plane takes up, and those of exact rows that follow
-    # from others are limited by `EXACT_VARIANCE` alone.
-    scale = np.sqrt(left_open)
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    used = (values > 1e-6) & (values < 1e-2 / EXACT_VARIANCE)
-    parts = vectors.T @ (multipliers * scale)
-    return float(np.sum(parts[used] ** 2 / values[used])), int(used.sum())
