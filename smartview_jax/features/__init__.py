@@ -7,3 +7,4 @@ from .edge_maps import edge_map as edge_map
 from .edge_points import EdgePoints as EdgePoints
 from .features import Features as Features
 from .features import find as find
+from .ideal_plane import IdealPlane as IdealPlane

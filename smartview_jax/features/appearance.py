@@ -112,7 +112,7 @@ def _sampled_patches(
     for start in range(0, len(samples), 30_000):
         part = samples[start : start + 30_000].astype(np.float32)
         levels[start : start + 30_000] = cv2.remap(
-            picture, part, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            picture, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
     # The centre of a patch counts more than its border, behind which other surfaces begin.
     weights = np.exp(-0.5 * (grid**2).sum(axis=1) / (0.7 * reach[-1]) ** 2)

@@ -1,5 +1,8 @@
 """Model objects from several calibrated views: geometry, triangulation, surfaces and grasps."""
 
+from .candidates import Candidates as Candidates
+from .candidates import direction_turn as direction_turn
+from .candidates import rank_candidates as rank_candidates
 from .constraint_verdicts import ConstraintVerdict as ConstraintVerdict
 from .constraints import AbstractConstraint as AbstractConstraint
 from .constraints import Edge as Edge
@@ -34,6 +37,8 @@ from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
 from .picture_equations import ModelObservations as ModelObservations
 from .point_estimation import PointStatus as PointStatus
+from .proposal import ModelProposal as ModelProposal
+from .proposal import propose_model as propose_model
 from .refined_features import RefinedFeatures as RefinedFeatures
 from .refinement import refine as refine
 from .symmetry import Symmetry as Symmetry
