@@ -9,6 +9,7 @@ from . import detection as detection
 from . import editor as editor
 from . import engine as engine
 from . import evaluation as evaluation
+from . import features as features
 from . import fit_result as fit_result
 from . import geometry as geometry
 from . import io as io

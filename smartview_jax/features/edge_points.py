@@ -122,8 +122,9 @@ def _connected_to(
     weak: Bool[np.ndarray, "rows columns"], certain: Bool[np.ndarray, "rows columns"]
 ) -> Bool[np.ndarray, "rows columns"]:
     """Return the weak points whose connected component has a certain point."""
-    labels = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)[1]
-    keep = np.zeros(labels.max() + 1, dtype=bool)
+    count, components = cv2.connectedComponents(weak.astype(np.uint8), connectivity=8)
+    labels = np.asarray(components, dtype=int)
+    keep = np.zeros(count, dtype=bool)
     keep[np.unique(labels[weak & certain])] = True
     keep[0] = False
     return keep[labels]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ..cameras import Camera
 from .corners import MAX_END_GAP, LineCorners, gradient_corners, line_corners
@@ -13,7 +13,7 @@ from .ideal_plane import IdealPlane
 from .picture_checks import grey_levels
 from .segments import Lines, find_lines
 
-SAME_CORNER_DISTANCE = 2.0
+SAME_CORNER_DISTANCE = 1.0
 """Distance from a corner of segments within which one of the gradient is the same, px."""
 
 END_SIGMA = 1.0
@@ -87,10 +87,13 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
     )
 
 
-def _is_inside(pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]) -> Bool[np.ndarray, "points"]:
+def _is_inside(
+    pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]
+) -> Bool[np.ndarray, "points"]:
     """Return which pixels are within the picture; NaN is not."""
     with np.errstate(invalid="ignore"):
-        return ((pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)).all(axis=1)
+        inside = (pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)
+    return np.asarray(inside.all(axis=1))
 
 
 def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarray, np.ndarray]:
@@ -161,4 +164,4 @@ def _far_from(
     """Return which pixels are not at one of the others."""
     if not len(others):
         return np.ones(len(pixels), dtype=bool)
-    return cKDTree(others).query(pixels)[0] > SAME_CORNER_DISTANCE
+    return KDTree(others).query(pixels)[0] > SAME_CORNER_DISTANCE

@@ -31,9 +31,7 @@ class IdealPlane:
         self._camera = camera
         self.focal_length = 0.5 * float(camera.alpha_u + camera.alpha_v)
 
-    def from_pixels(
-        self, pixels: Float[np.ndarray, "points 2"]
-    ) -> Float[np.ndarray, "points 2"]:
+    def from_pixels(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
         """Return ideal coordinates; NaN where the lens has no ray or it is not in front."""
         return self.focal_length * _in_batches(_to_normalised, self._camera, pixels)[0]
 
@@ -44,9 +42,7 @@ class IdealPlane:
         pixels, derivatives = _in_batches(_to_pixels, self._camera, ideal / self.focal_length)
         return pixels, derivatives / self.focal_length
 
-    def derivatives(
-        self, pixels: Float[np.ndarray, "points 2"]
-    ) -> Float[np.ndarray, "points 2 2"]:
+    def derivatives(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2 2"]:
         """Return the derivatives of ideal coordinates by pixels."""
         return self.focal_length * _in_batches(_to_normalised, self._camera, pixels)[1]
 

@@ -7,10 +7,10 @@ from jaxtyping import Float
 from ..cameras import Camera
 
 MIN_CONTRAST = 8.0
-"""Smallest difference, grey levels, between the brightest and the darkest hundredth of a picture."""
+"""Smallest difference, grey levels, between the darkest and the brightest hundredth of pixels."""
 
 MAX_WHITE_FRACTION, MAX_BLACK_FRACTION = 0.6, 0.98
-"""Largest fractions of pixels at 255 and at 0; objects often stand before black, rarely in white."""
+"""Largest fractions of pixels at 255 and at 0; objects may stand before black."""
 
 
 def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows columns"]:
@@ -26,7 +26,11 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
     """
     if not isinstance(picture, np.ndarray) or picture.size == 0:
         raise ValueError("picture: expected an array of grey levels, found nothing")
-    if picture.dtype != np.uint8 or picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)):
+    if (
+        picture.dtype != np.uint8
+        or picture.ndim not in (2, 3)
+        or picture.shape[2:] not in ((), (3,))
+    ):
         raise ValueError(
             f"picture: expected uint8 (h, w) or (h, w, 3), found {picture.dtype} {picture.shape}"
         )

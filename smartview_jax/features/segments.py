@@ -15,13 +15,16 @@ from jaxtyping import Bool, Float, Int
 from .edge_points import SMOOTHING, EdgePoints
 from .ideal_plane import IdealPlane
 
+GREY_LEVEL_BOUND = 1.0
+"""Error of a gradient, grey levels, that OpenCV's detector expects; its own 2 misses weak edges."""
+
 BAND_HALF_WIDTHS = (2.5, 1.5, 1.2)
 """Largest distances of edge points from the line, px, in the fits that follow one another."""
 
 MAX_GAP = 4.0
 """Largest distance between neighbouring points of one segment, px."""
 
-MIN_LENGTH = 10.0
+MIN_LENGTH = 8.0
 """Length of the shortest segment, px."""
 
 MIN_DENSITY = 0.6
@@ -105,7 +108,7 @@ def _proposals(
     grey: Float[np.ndarray, "rows columns"], plane: IdealPlane
 ) -> Float[np.ndarray, "proposals 2 2"]:
     """Return the ends of OpenCV's line segments in the ideal plane, the longest first."""
-    detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
+    detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, quant=GREY_LEVEL_BOUND)
     found = detector.detect(grey.astype(np.uint8))[0]
     if found is None:
         return np.zeros((0, 2, 2))
@@ -114,9 +117,7 @@ def _proposals(
     return ends[np.argsort(-np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))]
 
 
-def _ideal_normals(
-    edge_points: EdgePoints, plane: IdealPlane
-) -> Float[np.ndarray, "points 2"]:
+def _ideal_normals(edge_points: EdgePoints, plane: IdealPlane) -> Float[np.ndarray, "points 2"]:
     """Return the directions of the gradients in the ideal plane."""
     # A gradient is a covector: with J the derivative of ideal coordinates by pixels, J^-T g.
     inverse = plane.to_pixels(plane.from_pixels(edge_points.pixels))[1]
@@ -137,7 +138,7 @@ class _Search:
     def follow(self, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"]) -> None:
         """Fit a line to the points along a proposal and beyond its ends; keep it if it is one."""
         centre, direction = 0.5 * (start + end), end - start
-        half_length = 0.5 * np.linalg.norm(direction)
+        half_length = 0.5 * float(np.linalg.norm(direction))
         direction = direction / (2.0 * half_length)
         near = self._near(centre, direction, half_length)
         if len(near) < MIN_DENSITY * MIN_LENGTH:
@@ -158,7 +159,9 @@ class _Search:
         across = np.abs(offset @ np.array([-direction[1], direction[0]]))
         along = np.abs(offset @ direction)
         # A line that is extended by its own length may turn away by as much as it is wrong by now.
-        return np.nonzero(across < BAND_HALF_WIDTHS[0] + 0.03 * np.maximum(along - half_length, 0.0))[0]
+        return np.nonzero(
+            across < BAND_HALF_WIDTHS[0] + 0.03 * np.maximum(along - half_length, 0.0)
+        )[0]
 
     def _light_side(self, members: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return the normal of a proposal's direction that most of its gradients agree with."""
@@ -199,7 +202,9 @@ class _Search:
         along = self._points[run] @ np.array([-normal[1], normal[0]])
         first, last = along.min(), along.max()
         margin = min(END_MARGIN, 0.25 * (last - first))
-        return run[(along >= first + margin) & (along <= last - margin)]
+        middle = run[(along >= first + margin) & (along <= last - margin)]
+        # A short run may have points at its ends only.
+        return middle if len(middle) >= 2 else run
 
     def _keep(self, run: np.ndarray, centre: np.ndarray, normal: np.ndarray) -> None:
         """Store a line, if its points are many, straight and dense enough."""
@@ -236,10 +241,19 @@ class _Search:
 
     def lines(self) -> Lines:
         """Return all lines that were found."""
-        shapes = ((0, 2), (0, 2), (0, 2, 2), (0,), (0,), (0,))
-        if not self._found:
-            return Lines(*(np.zeros(shape) for shape in shapes), np.zeros(0, dtype=int))
-        return Lines(*(np.array(column) for column in zip(*self._found, strict=True)))
+        columns = zip(*self._found, strict=True)
+        centres, normals, ends, offsets, angles, rms, counts = (
+            [np.array(column) for column in columns] if self._found else [np.zeros(0)] * 7
+        )
+        return Lines(
+            centres.reshape(-1, 2),
+            normals.reshape(-1, 2),
+            ends.reshape(-1, 2, 2),
+            offsets,
+            angles,
+            rms,
+            counts.astype(int),
+        )
 
 
 def _total_least_squares(

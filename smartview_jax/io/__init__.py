@@ -25,11 +25,15 @@ from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict
 from .object_models import save_object_model as save_object_model
+from .object_views import ObjectViews as ObjectViews
+from .object_views import load_object_views as load_object_views
+from .object_views import write_object_views as write_object_views
 from .opencv_camera import read_opencv_camera as read_opencv_camera
 from .pictures import dataset_from_pictures as dataset_from_pictures
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .rough_pose import parse_rough_pose as parse_rough_pose
+from .sample import object_sample_folder as object_sample_folder
 from .sample import sample_folder as sample_folder
 from .urdf import load_urdf as load_urdf
 from .view_pictures import ViewPictures as ViewPictures

@@ -1,5 +1,19 @@
 """Model objects from several calibrated views: geometry, triangulation, surfaces and grasps."""
 
+from .candidates import Candidates as Candidates
+from .candidates import direction_turn as direction_turn
+from .candidates import rank_candidates as rank_candidates
+from .constraint_verdicts import ConstraintVerdict as ConstraintVerdict
+from .constraints import AbstractConstraint as AbstractConstraint
+from .constraints import Edge as Edge
+from .constraints import EqualLength as EqualLength
+from .constraints import KnownLength as KnownLength
+from .constraints import LineIndex as LineIndex
+from .constraints import OnPlane as OnPlane
+from .constraints import Parallel as Parallel
+from .constraints import RightAngle as RightAngle
+from .constraints import SamePlane as SamePlane
+from .constraints import Symmetric as Symmetric
 from .epipolar import EpipolarCurve as EpipolarCurve
 from .epipolar import epipolar_curve as epipolar_curve
 from .epipolar import epipolar_curves as epipolar_curves
@@ -22,9 +36,14 @@ from .line_triangulation import TriangulatedLines as TriangulatedLines
 from .line_triangulation import triangulate_lines as triangulate_lines
 from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
+from .picture_equations import ModelObservations as ModelObservations
 from .pixel_jacobians import PixelJacobians as PixelJacobians
 from .pixel_jacobians import pixel_jacobians as pixel_jacobians
 from .point_estimation import PointStatus as PointStatus
+from .proposal import ModelProposal as ModelProposal
+from .proposal import propose_model as propose_model
+from .refined_features import RefinedFeatures as RefinedFeatures
+from .refinement import refine as refine
 from .symmetry import Symmetry as Symmetry
 from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints

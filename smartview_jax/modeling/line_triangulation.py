@@ -114,7 +114,7 @@ def triangulate_lines(
     )
     _check_lengths(measured, seen)
     covariances = end_covariances(pixel_sigma, seen.shape)
-    rays, seen = _world_rays(views, measured, seen)
+    rays, seen = world_rays(views, measured, seen)
     start, enough = _plane_intersections(views, rays, seen)
     lines, information, failed = _refine(views, start, measured, covariances, seen, enough)
     status = _status(views, rays, lines, information, seen, enough, failed)
@@ -177,7 +177,7 @@ def _check_lengths(
         )
 
 
-def _world_rays(
+def world_rays(
     views: SeenViews,
     segments: Float[np.ndarray, "views lines 2 2"],
     seen: Bool[np.ndarray, "views lines"],

@@ -135,14 +135,15 @@ def checked_visibility(
         raise ValueError(
             f"pixels: expected {view_count} views as there are poses, found {len(pixels)}"
         )
-    finite = np.isfinite(pixels).reshape(*pixels.shape[:2], -1).all(axis=-1)
+    last = tuple(range(2, pixels.ndim))
+    finite = np.isfinite(pixels).all(axis=last)
     seen = finite if visible is None else np.asarray(visible, dtype=bool)
     if seen.shape != pixels.shape[:2]:
         raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {seen.shape}")
     # The centre of the first pixel is (0, 0): the picture's border is half a pixel further out.
     low, high = -0.5, np.array(image_size) - 0.5
     with np.errstate(invalid="ignore"):
-        inside = ((pixels >= low) & (pixels <= high)).reshape(*seen.shape, -1).all(axis=-1)
+        inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
     wrong = np.argwhere(seen & ~inside)
     if len(wrong):
         view, feature = wrong[0]

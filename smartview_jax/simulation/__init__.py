@@ -3,6 +3,11 @@
 from ..deprecation import deprecated_names as _deprecated_names
 from .arm_scenes import ArmScene as ArmScene
 from .arm_scenes import six_axis_scene as six_axis_scene
+from .object_example import ObjectExample as ObjectExample
+from .object_example import example_solid as example_solid
+from .object_example import object_example as object_example
+from .object_example import object_example_boards as object_example_boards
+from .object_example import write_object_example as write_object_example
 from .paper import RENDERED_PAPER_SETUP as RENDERED_PAPER_SETUP
 from .paper import PaperSetUp as PaperSetUp
 from .paper import paper_held_out as paper_held_out

@@ -130,6 +130,7 @@ def write_pictures(
     base_from_tool: PoseLike,
     target: AbstractTarget,
     reported_poses: PoseLike | None = None,
+    suffix: str = ".png",
     **options: Any,
 ) -> Path:
     """Write a data-set folder with a rendered picture for every robot pose and every height.
@@ -140,12 +141,13 @@ def write_pictures(
         base_from_tool: `(views)` true robot poses.
         target: target in the pictures.
         reported_poses: `(views)` poses that the robot reports; the true ones by default.
+        suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)
     height_count = len(target.heights) if isinstance(target, StackedTarget) else 1
     views = [str(k) for k in range(len(poses.wxyz_xyz))]
-    pattern = "images/{view}_{height}.png" if height_count > 1 else "images/{view}.png"
+    pattern = ("images/{view}_{height}" if height_count > 1 else "images/{view}") + suffix
     for k, view in enumerate(views):
         pose = SE3(poses.wxyz_xyz[k])
         for height_index in range(height_count):
@@ -158,7 +160,7 @@ def write_pictures(
                 **options,
             )
             path = folder / pattern.format(view=view, height=height_index)
-            write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
+            write_atomically(path, cv2.imencode(suffix, picture)[1].tobytes())
     write_dataset_folder(
         folder,
         views,
