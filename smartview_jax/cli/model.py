@@ -9,6 +9,8 @@ from .options import DebugOption
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..calibration import Calibration
 
 
@@ -35,16 +37,15 @@ def model(
     """
     with errors_reported(debug):
         from ..editor import ModelSession, serve
-        from ..io import load_view_pictures
 
-        views = load_view_pictures(dataset)
+        names, pictures, base_from_tool = _load_views(dataset)
         target = out or dataset / "object.json"
         try:
             with ModelSession(
                 _load_calibration(dataset, calibration),
-                views.base_from_tool,
-                views.pictures,
-                views.view_ids,
+                base_from_tool,
+                pictures,
+                names,
                 target,
             ) as session:
                 for note in session.notes:
@@ -53,6 +54,20 @@ def model(
         except ImportError as error:
             # An extra that is not installed is for the user to install, not a fault to trace.
             raise ValueError(str(error)) from error
+
+
+def _load_views(dataset: Path) -> "tuple[list[str], list[Path], np.ndarray]":
+    """Return names, pictures and reported poses of the views in a folder."""
+    from ..geometry import host_matrices
+    from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
+
+    # A data set of a board may have the pictures of the object in a folder of their own.
+    for folder in (dataset, dataset / "object"):
+        if (folder / OBJECT_VIEWS_FILE).is_file():
+            found = load_object_views(folder)
+            return list(found.view_ids), list(found.paths), host_matrices(found.base_from_tool)
+    views = load_view_pictures(dataset)
+    return views.view_ids, views.pictures, views.base_from_tool
 
 
 def _load_calibration(dataset: Path, calibration: Path | None) -> "Calibration":

@@ -21,7 +21,7 @@ Message = dict[str, Any]
 
 
 class Conversation:
-    """What one page has been shown of a session."""
+    """The exchange with one page, which knows what the page has been shown."""
 
     def __init__(self, session: ModelSession):
         """Begin a conversation in which nothing has been shown."""
@@ -203,6 +203,36 @@ class Conversation:
         words = f"; {len(left_out)} parts are not whole yet and left out" if left_out else ""
         return {**self.update(), "note": f"saved to {path}{words}"}
 
+    def propose(self) -> Message:
+        """Match all views by themselves, and offer the points and edges found."""
+        self._session.propose()
+        return self._offer()
+
+    def accept(self, points: list[int]) -> Message:
+        """Add proposed points to the model."""
+        self._session.accept(points)
+        return {**self.update(), **self._offer(), "type": "update"}
+
+    def reject(self, points: list[int]) -> Message:
+        """Take proposed points from the offer."""
+        self._session.reject(points)
+        return self._offer()
+
+    def _offer(self) -> Message:
+        """Return the points that are not decided yet, the best supported first."""
+        offer, names = self._session.proposals, self._session.names
+        points = [
+            {
+                "number": number,
+                "in": [point.clicks.get(name) for name in names],
+                "views": len(point.clicks),
+                "rms": round(point.rms, 2),
+            }
+            for number, point in offer.points.items()
+        ]
+        edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
+        return {"type": "proposals", "offer": {"points": points, "edges": edges}}
+
     def distance(self, a: int, b: int) -> Message:
         """Return the distance of two points with its standard deviation."""
         length, sigma = self._session.distance(a, b)
@@ -283,6 +313,9 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "redo": Conversation.redo,
     "save": Conversation.save,
     "distance": Conversation.distance,
+    "propose": Conversation.propose,
+    "accept": Conversation.accept,
+    "reject": Conversation.reject,
     "grasp_at": Conversation.grasp_at,
     "turn_grasp": Conversation.turn_grasp,
 }

@@ -63,7 +63,7 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
 
 
 class _Editor:
-    """What the requests of one server have in common."""
+    """The session that all requests of one server share, and who may ask for it."""
 
     def __init__(self, session: ModelSession, token: str, origins: set[str]):
         self._session, self._token, self._origins = session, token, origins

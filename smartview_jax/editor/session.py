@@ -23,11 +23,12 @@ from ..features import Features
 from ..features import find as find_features
 from ..geometry import check_rigid
 from ..io import save_object_model
-from ..modeling import EpipolarCurve, ObjectModel
+from ..modeling import EpipolarCurve, ObjectModel, propose_model
 from .document import Document, apply_change
 from .journal import Journal
 from .model_building import build_model, checked_loop, problems_of
 from .owner_lock import OwnerLock
+from .proposals import Proposals
 from .view_geometry import PointEstimate, ViewGeometry
 
 MIN_VIEWS = 2
@@ -49,6 +50,7 @@ class ModelSession:
         document: what the person has made.
         geometry: where points and curves are.
         notes: sentences on what happened when the session was opened.
+        proposals: points and edges that are offered and not decided yet.
     """
 
     def __init__(
@@ -96,6 +98,8 @@ class ModelSession:
         self._position = 0
         self._saved: Document | None = None
         self._features: dict[str, Features] = {}
+        self._covariance = covariance
+        self.proposals = Proposals(None, self.names, self.document)
         self._reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
         self.path = None if path is None else Path(path)
         self._lock: OwnerLock | None = None
@@ -295,6 +299,32 @@ class ModelSession:
             camera = self.calibration.camera
             self._features[view] = find_features(self.pictures[view], camera)
         return self._features[view]
+
+    def propose(self) -> Proposals:
+        """Match the corners of all views by themselves, and offer the points and edges found.
+
+        The offer is not part of the session's file; what is accepted of it is.
+        """
+        found = propose_model(
+            self.calibration,
+            self.geometry.base_from_tool,
+            list(self.pictures.values()),
+            self.geometry.common_depths,
+            features=[self.features(name) for name in self.names],
+            covariance=self._covariance,
+        )
+        self.proposals = Proposals(found, self.names, self.document)
+        return self.proposals
+
+    def accept(self, numbers: Sequence[int]) -> None:
+        """Add proposed points to the model, with the edges between what is there then."""
+        before = self.document
+        self.change(self.proposals.accepted(numbers, before))
+        self.proposals.decide(numbers, before)
+
+    def reject(self, numbers: Sequence[int]) -> None:
+        """Take proposed points from the offer."""
+        self.proposals.decide(numbers, None)
 
     def problems(self) -> dict[tuple[str, int], str]:
         """Return what is not part of the model yet and why, by kind and id."""

@@ -64,6 +64,7 @@ class ViewGeometry:
 
     Attributes:
         names: of the views.
+        base_from_tool: what the robot reported.
         camera_from_world: extrinsics of all views.
         centres: of the cameras in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.
@@ -78,10 +79,11 @@ class ViewGeometry:
         click_sigma: float = 0.5,
     ):
         """Compute the poses of the cameras; arguments as in `ModelSession`."""
-        self._calibration, self._poses = calibration, np.asarray(base_from_tool, dtype=float)
+        self._calibration = calibration
+        self.base_from_tool = np.asarray(base_from_tool, dtype=float)
         self.names, self._covariance = list(names), covariance
         self._click_sigma = click_sigma
-        self._seen = SeenViews.of(calibration, self._poses)
+        self._seen = SeenViews.of(calibration, self.base_from_tool)
         self._estimates: dict[tuple, PointEstimate] = {}
         self.camera_from_world = self._seen.camera_from_world
         self.centres = self._seen.centres
@@ -105,7 +107,7 @@ class ViewGeometry:
                 pixels[self.names.index(name), k] = pixel
         found = triangulate_points(
             self._calibration,
-            self._poses,
+            self.base_from_tool,
             pixels,
             covariance=self._covariance,
             pixel_sigma=self._click_sigma,
@@ -145,12 +147,18 @@ class ViewGeometry:
             return {}
         found = epipolar_curves(
             self._calibration,
-            self._poses[index],
+            self.base_from_tool[index],
             np.array(pixel, dtype=float),
-            self._poses[others],
+            self.base_from_tool[others],
             self.depth_range[index],
         )
         return {self.names[k]: curve for k, curve in zip(others, found, strict=True)}
+
+    @property
+    def common_depths(self) -> tuple[float, float]:
+        """The nearest and the farthest depth of all views, m."""
+        near, far = zip(*self.depth_range, strict=True)
+        return min(near), max(far)
 
     def ray(
         self, view: str, pixel: tuple[float, float]

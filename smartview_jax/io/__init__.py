@@ -25,6 +25,7 @@ from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict
 from .object_models import save_object_model as save_object_model
+from .object_views import OBJECT_VIEWS_FILE as OBJECT_VIEWS_FILE
 from .object_views import ObjectViews as ObjectViews
 from .object_views import load_object_views as load_object_views
 from .object_views import write_object_views as write_object_views

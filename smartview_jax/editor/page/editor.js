@@ -27,6 +27,7 @@ const KEYS = [
   ["1 … 9,  double click", "make a view large; again for all views"],
   ["wheel,  right drag", "zoom, pan"],
   ["0", "fit all pictures"],
+  ["A   X", "accept, reject the proposed point that is marked"],
   ["Alt click", "click without snapping to a corner"],
   ["?", "this help"],
 ];
@@ -39,7 +40,7 @@ class Editor {
     this.connection = connection;
     this.model = new Model();
     this.tool = "point"; this.active = null; this.selection = new Set(); this.chain = [];
-    this.curves = null; this.previews = new Map(); this.views = []; this.busy = Promise.resolve();
+    this.curves = null; this.previews = new Map(); this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
     this.build(root);
     connection.onUpdate = (message) => this.accept(message);
     connection.onState = (state) => this.connected(state);
@@ -63,10 +64,10 @@ class Editor {
     this.root = this.html(`<div class="sv" tabindex="0">
       <div class="sv-head"><input class="sv-name" placeholder="name of the object" aria-label="name of the object">
         <span class="grow"></span><span class="sv-kept">connecting</span>
-        <button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
+        <button data-do="propose" title="match all views and offer points">Propose all</button><button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
         <button data-do="save" class="sv-save" title="Ctrl S">Save</button><button data-do="help" title="?">?</button></div>
       <div class="sv-tools">${tools}</div><div class="sv-views"></div>
-      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><h3>Object</h3><div class="list"></div></div>
+      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object</h3><div class="list"></div></div>
       <div class="sv-foot"><span class="grow said"></span><span class="counts"></span></div>
       <div class="sv-help" hidden><div><h2>Keys</h2><table>${keys}</table></div></div>
       <div class="sv-veil"><span>connecting …</span></div></div>`);
@@ -166,6 +167,7 @@ class Editor {
 
   accept(message) {
     this.model.update(message);
+    if (message.offer) this.offer = message.offer;
     for (const key of this.selection) {
       const [kind, id] = key.split(":");
       if (!this.model[kind].has(+id)) this.selection.delete(key);
@@ -180,6 +182,7 @@ class Editor {
     this.space3d?.update();
     this.showStatus();
     this.showDetail();
+    this.showOffer();
     this.showList();
   }
 
@@ -209,6 +212,31 @@ class Editor {
     for (const input of box.querySelectorAll("[data-key]")) {
       input.onchange = () => this.change({ ...JSON.parse(input.dataset.ask), [input.dataset.key]: input.dataset.mm ? input.value / 1000 : input.value });
     }
+  }
+
+  // What Python proposes, one by one: the first of the offer is marked in all views.
+  showOffer() {
+    const { points, edges } = this.offer, box = this.find(".offer");
+    box.hidden = !points.length;
+    if (!points.length) return;
+    const [first] = points;
+    box.querySelector(".box").innerHTML = `<div class="big">${points.length} <small>points, ${edges.length} edges</small></div>
+      <span class="dim">marked: seen in ${first.views} views, ${first.rms.toFixed(2)} px</span>
+      <div class="sv-buttons"><button data-decide="accept">Accept <kbd>A</kbd></button><button data-decide="reject">Reject <kbd>X</kbd></button><button data-decide="all">Accept all</button></div>`;
+    for (const button of box.querySelectorAll("[data-decide]")) button.onclick = () => this.decide(button.dataset.decide);
+  }
+
+  async decide(how) {
+    const numbers = this.offer.points.map((point) => point.number);
+    if (!numbers.length) return;
+    await this.change({ do: how === "reject" ? "reject" : "accept", points: how === "all" ? numbers : numbers.slice(0, 1) });
+    if (how === "all") this.say(`${numbers.length} points accepted; undo takes them back together`);
+  }
+
+  async propose() {
+    this.say("matching the corners of all views …");
+    const answer = await this.change({ do: "propose" });
+    if (answer) this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
   }
 
   pointsDetail(id, point) {
@@ -442,6 +470,7 @@ class Editor {
     else if (control && name === "s") this.command("save");
     else if (control || event.altKey) return;
     else if (tool) this.use(tool);
+    else if ((name === "a" || name === "x") && this.offer.points.length) this.decide(name === "a" ? "accept" : "reject");
     else if (name === "?") this.command("help");
     else if (name === "escape" || name === "n") this.rest();
     else if (name === "enter" && this.chain.length > 2) this.closeFace();
@@ -469,6 +498,7 @@ class Editor {
 
   command(name) {
     if (name === "help") this.find(".sv-help").hidden = !this.find(".sv-help").hidden;
+    else if (name === "propose") this.propose();
     else { this.curves = null; this.change({ do: name }); }
   }
 }

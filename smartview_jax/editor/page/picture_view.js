@@ -6,7 +6,7 @@ import { nearestOnCurve } from "./model.js";
 
 const COLOURS = {
   point: "#2fd4bd", active: "#ffb224", edge: "#6fb3ff", curve: "#ff5fa8", bad: "#ff6b5e",
-  corner: "rgba(255,255,255,.42)", face: "rgba(167,139,250,.15)", graspable: "rgba(88,214,141,.20)",
+  offered: "#ffe27a", corner: "rgba(255,255,255,.42)", face: "rgba(167,139,250,.15)", graspable: "rgba(88,214,141,.20)",
   refused: "rgba(255,107,94,.16)",
 };
 const SNAP = 9;         // px of the screen
@@ -104,6 +104,7 @@ export class PictureView {
     }
     context.setLineDash([]);
     for (const [id, point] of model.points) this.drawPoint(context, id, point, selection.has(`points:${id}`), id === active);
+    this.drawOffer(context, this.owner.offer);
     for (const [id, grasp] of model.grasps) this.drawGrasp(context, this.owner.previews.get(id) ?? grasp, selection.has(`grasps:${id}`));
   }
 
@@ -114,6 +115,25 @@ export class PictureView {
       const [x, y] = this.toScreen(corner);
       context.fillRect(x - size / 2, y - size / 2, size, size);
     }
+  }
+
+  drawOffer(context, { points, edges }) {
+    const pixels = new Map(points.map((point) => [point.number, point.in[this.index]]));
+    context.strokeStyle = COLOURS.offered; context.lineWidth = 1.2; context.setLineDash([3, 3]);
+    for (const [a, b] of edges) {
+      if (!pixels.get(a) || !pixels.get(b)) continue;
+      this.path(context, [...pixels.get(a), ...pixels.get(b)]); context.stroke();
+    }
+    context.setLineDash([]);
+    points.forEach((point, k) => {
+      const pixel = point.in[this.index];
+      if (!pixel) return;
+      const [x, y] = this.toScreen(pixel), size = k ? 4 : 7;
+      context.lineWidth = k ? 1.3 : 2.2;
+      context.beginPath();
+      context.moveTo(x, y - size); context.lineTo(x + size, y); context.lineTo(x, y + size); context.lineTo(x - size, y); context.closePath();
+      context.stroke();
+    });
   }
 
   drawFaces(context, model, selection) {
