@@ -24,13 +24,13 @@ PACKAGE = Path(smartview_jax.__file__).parent
 FLOORS = """
     array_namespace blas_threads double_precision version compilation_cache compilation files
     deprecation fit_result schemas geometry cameras targets robots robot_errors calibration dataset
-    detection io simulation staged engine variance joint arm_identification calibration_pipeline
-    evaluation viewpoints features modeling localization grasping report editor interrupts cli
+    detection staged engine variance joint arm_identification calibration_pipeline evaluation
+    viewpoints features modeling io simulation localization grasping report editor interrupts cli
 """.split()
 
 NO_OPENCV = """
     compilation geometry cameras targets robots robot_errors calibration dataset staged engine
-    variance joint arm_identification viewpoints
+    variance joint arm_identification viewpoints modeling
 """.split()
 
 NO_FACE = {"schemas"}

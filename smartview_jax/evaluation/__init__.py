@@ -50,6 +50,7 @@ from .uncertainty import CalibrationEstimate as CalibrationEstimate
 from .uncertainty import ConsistencyStatistic as ConsistencyStatistic
 from .uncertainty import CramerRaoBound as CramerRaoBound
 from .uncertainty import covariance_of as covariance_of
+from .uncertainty import covariance_root as covariance_root
 from .uncertainty import coverage as coverage
 from .uncertainty import cramer_rao as cramer_rao
 from .uncertainty import mean_nees as mean_nees

@@ -79,3 +79,21 @@ def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarr
             [t - 0.5 * turned + factor * np.cross(w, turned), w], axis=1
         )
     return tangents
+
+
+def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
+    """Return the rigid 4x4 matrices of tangents as `SE3.exp` does, translation first."""
+    v, w = tangents[..., :3], tangents[..., 3:]
+    flat = w.reshape(-1, 3)
+    angle = np.linalg.norm(w, axis=-1, keepdims=True)
+    # t = V v = v + b w x v + c w x (w x v), with b = (1 - cos a) / a^2 and c = (a - sin a) / a^3
+    # for the angle a; near zero c is the start of its Taylor series.
+    b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    safe = np.where(angle > 1e-3, angle, 1.0)
+    c = np.where(angle > 1e-3, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0 - angle**2 / 120.0)
+    turned = np.cross(w, v)
+    matrices = np.zeros((*tangents.shape[:-1], 4, 4))
+    matrices[..., :3, :3] = Rotation.from_rotvec(flat).as_matrix().reshape(*w.shape, 3)
+    matrices[..., :3, 3] = v + b * turned + c * np.cross(w, turned)
+    matrices[..., 3, 3] = 1.0
+    return matrices

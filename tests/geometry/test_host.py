@@ -4,6 +4,7 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax.geometry import (
+    host_exponentials,
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
@@ -24,6 +25,7 @@ def test_host_functions_agree_with_jaxlie(size):
     matrices = host_matrices(poses)
     np.testing.assert_allclose(matrices, poses.as_matrix(), atol=1e-14)
     np.testing.assert_allclose(host_logarithms(matrices), tangents, atol=1e-13)
+    np.testing.assert_allclose(host_exponentials(tangents), matrices, atol=1e-14)
     np.testing.assert_allclose(host_transforms(matrices).as_matrix(), matrices, atol=1e-14)
 
 

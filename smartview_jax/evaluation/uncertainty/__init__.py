@@ -9,5 +9,6 @@ from .cramer_rao import CramerRaoBound as CramerRaoBound
 from .cramer_rao import cramer_rao as cramer_rao
 from .propagation import CalibrationEstimate as CalibrationEstimate
 from .propagation import covariance_of as covariance_of
+from .propagation import covariance_root as covariance_root
 from .propagation import std_of as std_of
 from .propagation import sum_of_squared_derivatives as sum_of_squared_derivatives

@@ -44,7 +44,7 @@ def std_of(
     Raises:
         ValueError: the data leave something entirely undetermined; the message names it.
     """
-    return jnp.sqrt(_variance(estimate.calibration, function, _covariance_root(estimate)))
+    return jnp.sqrt(_variance(estimate.calibration, function, covariance_root(estimate)))
 
 
 def covariance_of(
@@ -52,12 +52,19 @@ def covariance_of(
 ) -> Float[Array, "numbers numbers"]:
     """Return the covariance of the numbers in a vector that a function gives; see `std_of`."""
     # J P J^T = sum_k (J d_k) (J d_k)^T, with P = sum_k d_k d_k^T. The rows of `changes` are J d_k.
-    changes = _directional_derivatives(estimate.calibration, function, _covariance_root(estimate))
+    changes = _directional_derivatives(estimate.calibration, function, covariance_root(estimate))
     return changes.T @ changes
 
 
-def _covariance_root(estimate: CalibrationEstimate) -> Float[Array, "directions parameters"]:
-    """Return steps of one standard deviation along independent directions of the covariance."""
+def covariance_root(estimate: CalibrationEstimate) -> Float[Array, "directions parameters"]:
+    """Return steps of one standard deviation along independent directions of the covariance.
+
+    The columns are all parameters of the calibration, in the order of `engine.parameter_names`;
+    those that were not fitted are zero.
+
+    Raises:
+        ValueError: the data leave something entirely undetermined; the message names it.
+    """
     if estimate.observability.null_directions:
         descriptions = "; ".join(
             direction.description for direction in estimate.observability.null_directions

@@ -1,0 +1,96 @@
+"""Judge every constraint by the chi-square that releasing it would save.
+
+Reference: Rao, Large sample tests of statistical hypotheses, 1948 (the score test).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import chdtrc
+
+from .constrained_system import EXACT_VARIANCE
+from .constraints import AbstractConstraint
+from .refinement_problem import RefinementProblem, RefinementState, linearise
+
+VIOLATION = 1e-2
+"""Largest violation of an exact constraint, in standard deviations that the pictures leave it."""
+
+
+class ConstraintVerdict(NamedTuple):
+    """The agreement of a constraint with the pictures and with the other constraints.
+
+    Attributes:
+        constraint: the constraint.
+        residuals: its numbers at the solution, m or rad; zero if it holds exactly.
+        cost: chi-square that releasing it alone would save.
+        degrees_of_freedom: number of independent numbers that it fixes; zero where the others imply
+            it.
+        p_value: probability of such a cost if the constraint is true.
+        contradicts: whether it is to be doubted, at the false-alarm probability of the call.
+        violated: whether it is exact and does not hold, because others contradict it.
+    """
+
+    constraint: AbstractConstraint
+    residuals: Float[np.ndarray, "numbers"]
+    cost: float
+    degrees_of_freedom: int
+    p_value: float
+    contradicts: bool
+    violated: bool
+
+    def __str__(self) -> str:
+        if self.violated:
+            return f"{self.constraint} cannot hold together with the other exact constraints"
+        return (
+            f"{self.constraint} costs {self.cost:.1f} (chi-square of {self.degrees_of_freedom}), "
+            f"p = {self.p_value:.2g}"
+        )
+
+
+def constraint_verdicts(
+    problem: RefinementProblem, state: RefinementState, false_alarm: float
+) -> tuple[tuple[ConstraintVerdict, ...], float]:
+    """Return the verdict on every constraint, and the p-value of all of them together."""
+    if not problem.constraints:
+        return (), 1.0
+    # Everything uncertain is free here, whatever was free before: a calibration that is slightly
+    # off must not be taken for a wrong constraint.
+    at = linearise(problem, state, np.ones(len(problem.free), dtype=bool))
+    factors = at.system.factorised()
+    _, rest = factors.solve(at.feature_right, at.reduced_right)
+    multipliers = rest[factors.border_size :]
+    information = -factors.reduced[factors.border_size :, factors.border_size :]
+    left_open = at.system.left_open(factors.features)
+    per_test = false_alarm / len(problem.constraints)
+    verdicts = []
+    for constraint, rows in zip(problem.constraints, at.rows, strict=True):
+        cost, freedom = _score(multipliers[rows], information[rows, rows], left_open[rows])
+        p_value = float(chdtrc(freedom, cost)) if freedom else 1.0
+        values = at.values[rows]
+        tolerance = VIOLATION * np.sqrt(left_open[rows])
+        violated = constraint.sigma is None and bool(np.any(np.abs(values) > tolerance))
+        verdicts.append(
+            ConstraintVerdict(
+                constraint, values, cost, freedom, p_value, p_value < per_test, violated
+            )
+        )
+    cost, freedom = _score(multipliers, information, left_open)
+    return tuple(verdicts), float(chdtrc(freedom, cost)) if freedom else 1.0
+
+
+def _score(
+    multipliers: Float[np.ndarray, "rows"],
+    information: Float[np.ndarray, "rows rows"],
+    left_open: Float[np.ndarray, "rows"],
+) -> tuple[float, int]:
+    """Return the chi-square that releasing some rows saves, and its degrees of freedom."""
+    # m^T (Cov m)^-1 m, with the covariance of the multipliers the block of the inverse matrix. In
+    # units of what the pictures leave open, it has eigenvalues of one and more for independent
+    # rows, zero for directions that an unknown plane takes up, and those of exact rows that follow
+    # from others are limited by `EXACT_VARIANCE` alone.
+    scale = np.sqrt(left_open)
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    used = (values > 1e-6) & (values < 1e-2 / EXACT_VARIANCE)
+    parts = vectors.T @ (multipliers * scale)
+    return float(np.sum(parts[used] ** 2 / values[used])), int(used.sum())

@@ -1,0 +1,442 @@
+"""State what a person knows of an object: planes, parallels, right angles, lengths, symmetry.
+
+A constraint says that some numbers computed from vertices and lines are zero, exactly or within a
+standard deviation. An *edge* is a pair of vertex indices, or a `LineIndex` for a triangulated line;
+edges have a direction, and pairs of vertices a length.
+
+Derivatives are written out in NumPy: there are few constraints, each with few numbers.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from .line_jacobians import Lines, perpendicular_axes
+
+
+class LineIndex(NamedTuple):
+    """The index of a triangulated line, where an edge is expected.
+
+    Attributes:
+        line: the index.
+    """
+
+    line: int
+
+
+Edge: TypeAlias = tuple[int, int] | LineIndex
+"""A pair of vertices, or a line."""
+
+
+class Shape(NamedTuple):
+    """The vertices and lines of an object, with the planes that constraints speak of.
+
+    A plane is the set of points x with `normal . (x - centre) = offset`; three numbers move it: two
+    turn the normal, one changes the offset.
+
+    Attributes:
+        points: vertices, m.
+        lines: straight lines.
+        normals: unit normals of the planes.
+        offsets: offsets of the planes from their centres, m.
+        centres: fixed points near each plane, m.
+    """
+
+    points: Float[np.ndarray, "points 3"]
+    lines: Lines
+    normals: Float[np.ndarray, "planes 3"]
+    offsets: Float[np.ndarray, "planes"]
+    centres: Float[np.ndarray, "planes 3"]
+
+    def moved(
+        self,
+        points: Float[np.ndarray, "points 3"],
+        lines: Float[np.ndarray, "lines 4"],
+        planes: Float[np.ndarray, "planes 3"],
+    ) -> "Shape":
+        """Return the shape after steps of all points, lines and planes."""
+        normals = self.normals + np.einsum(
+            "pij,pj->pi", perpendicular_axes(self.normals), planes[:, :2]
+        )
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return Shape(
+            self.points + points,
+            self.lines.moved(lines),
+            normals,
+            self.offsets + planes[:, 2],
+            self.centres,
+        )
+
+
+Variable: TypeAlias = tuple[str, int]
+"""A kind of variable ("point", "line" or "plane") and its index."""
+
+
+class Evaluation(NamedTuple):
+    """The numbers that a constraint wants to be zero, with their derivatives.
+
+    Attributes:
+        values: the numbers, m or rad.
+        jacobians: their derivatives by the step of each variable that they depend on.
+    """
+
+    values: Float[np.ndarray, "numbers"]
+    jacobians: dict[Variable, Float[np.ndarray, "numbers _"]]
+
+
+class _Accumulator:
+    """Derivatives of some numbers, summed by variable."""
+
+    def __init__(self) -> None:
+        self.parts: dict[Variable, np.ndarray] = {}
+
+    def add(self, variable: Variable, jacobian: np.ndarray) -> None:
+        """Add a contribution to the derivatives by a variable."""
+        known = self.parts.get(variable)
+        self.parts[variable] = jacobian if known is None else known + jacobian
+
+    def chain(self, outer: np.ndarray, inner: dict[Variable, np.ndarray]) -> None:
+        """Add the derivatives of a function of something whose derivatives are known."""
+        for variable, jacobian in inner.items():
+            self.add(variable, outer @ jacobian)
+
+
+def _direction(shape: Shape, edge: Edge) -> tuple[np.ndarray, dict[Variable, np.ndarray]]:
+    """Return the unit direction of an edge and its derivatives."""
+    if isinstance(edge, LineIndex):
+        direction = shape.lines.directions[edge.line]
+        axes = perpendicular_axes(direction[None])[0]
+        return direction, {("line", edge.line): np.hstack([np.zeros((3, 2)), axes])}
+    i, j = edge
+    difference = shape.points[j] - shape.points[i]
+    length = np.linalg.norm(difference)
+    direction = difference / length
+    # d(x / |x|) = (I - u u^T) / |x| dx
+    jacobian = (np.eye(3) - np.outer(direction, direction)) / length
+    return direction, {("point", j): jacobian, ("point", i): -jacobian}
+
+
+def _length(shape: Shape, edge: tuple[int, int]) -> tuple[float, dict[Variable, np.ndarray]]:
+    """Return the length of an edge and its derivatives."""
+    i, j = edge
+    difference = shape.points[j] - shape.points[i]
+    length = float(np.linalg.norm(difference))
+    row = difference[None] / length
+    return length, {("point", j): row, ("point", i): -row}
+
+
+def _height(shape: Shape, plane: int, point: int) -> tuple[float, dict[Variable, np.ndarray]]:
+    """Return the height of a point above a plane and its derivatives."""
+    normal = shape.normals[plane]
+    offset = shape.points[point] - shape.centres[plane]
+    turn = offset @ perpendicular_axes(normal[None])[0]
+    jacobians = {
+        ("point", point): normal[None],
+        ("plane", plane): np.array([[*turn, -1.0]]),
+    }
+    return float(normal @ offset - shape.offsets[plane]), jacobians
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractConstraint(abc.ABC):
+    """Something known of an object.
+
+    Attributes:
+        sigma: standard deviation, m or rad as the constraint says; None is exact.
+    """
+
+    sigma: float | None = dataclasses.field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.sigma is not None and not 0.0 < self.sigma < np.inf:
+            raise ValueError(f"{self}: sigma is positive, or None for exact; found {self.sigma}")
+        for edge in self.edges:
+            if not isinstance(edge, LineIndex) and (len(edge) != 2 or edge[0] == edge[1]):
+                raise ValueError(f"{self}: an edge is two different vertices, found {edge}")
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The edges that it speaks of."""
+        return ()
+
+    @property
+    def vertices(self) -> tuple[int, ...]:
+        """The vertices that it speaks of, those of its edges included."""
+        pairs = [edge for edge in self.edges if not isinstance(edge, LineIndex)]
+        return tuple(k for pair in pairs for k in pair)
+
+    @property
+    def lines(self) -> tuple[int, ...]:
+        """The lines that it speaks of."""
+        return tuple(edge.line for edge in self.edges if isinstance(edge, LineIndex))
+
+    def initial_plane(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
+        """Return centre and unit normal of the unknown plane that it has; None if it has none."""
+        return None
+
+    @abc.abstractmethod
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return its numbers and derivatives.
+
+        Args:
+            shape: vertices, lines and planes.
+            plane: index of its own plane, if it has one.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class SamePlane(AbstractConstraint):
+    """At least four vertices lie in one plane, which is not known; sigma is a distance, m."""
+
+    points: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(set(self.points)) < max(4, len(self.points)):
+            raise ValueError(f"{self}: expected at least four different vertices")
+
+    @property
+    def vertices(self) -> tuple[int, ...]:
+        """The vertices that lie in the plane."""
+        return self.points
+
+    def initial_plane(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Return the plane that is nearest to the vertices."""
+        chosen = points[list(self.points)]
+        centre = chosen.mean(axis=0)
+        return centre, np.linalg.svd(chosen - centre)[2][2]
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return the heights of the vertices above the plane."""
+        values, total = np.zeros(len(self.points)), _Accumulator()
+        for k, point in enumerate(self.points):
+            values[k], parts = _height(shape, plane, point)
+            total.chain(np.eye(len(values))[:, k : k + 1], parts)
+        return Evaluation(values, total.parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class OnPlane(AbstractConstraint):
+    """Vertices lie in a known plane, by default the table z = 0 of the world; sigma in m.
+
+    Attributes:
+        points: indices of the vertices.
+        normal: unit normal of the plane in the world.
+        offset: height of the plane along the normal, m: z of the table.
+    """
+
+    points: tuple[int, ...]
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if abs(np.linalg.norm(self.normal) - 1.0) > 1e-6:
+            raise ValueError(f"{self}: the normal has the length 1")
+
+    @property
+    def vertices(self) -> tuple[int, ...]:
+        """The vertices that lie in the plane."""
+        return self.points
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return the heights of the vertices above the plane."""
+        del plane
+        normal, count = np.array(self.normal), len(self.points)
+        values = shape.points[list(self.points)] @ normal - self.offset
+        total = _Accumulator()
+        for k, point in enumerate(self.points):
+            total.add(("point", point), np.outer(np.eye(count)[k], normal))
+        return Evaluation(values, total.parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parallel(AbstractConstraint):
+    """Two edges are parallel; sigma is the angle between them, rad."""
+
+    first: Edge
+    second: Edge
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The two edges."""
+        return self.first, self.second
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return two components of the vector product of the directions, across the first."""
+        del plane
+        u, du = _direction(shape, self.first)
+        v, dv = _direction(shape, self.second)
+        # The components along two axes across u: of the product, the third is zero.
+        across = perpendicular_axes(u[None])[0].T
+        total = _Accumulator()
+        total.chain(-across @ _cross_matrix(v), du)
+        total.chain(across @ _cross_matrix(u), dv)
+        return Evaluation(across @ np.cross(u, v), total.parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class RightAngle(AbstractConstraint):
+    """Two edges are at right angles; sigma is the deviation, rad."""
+
+    first: Edge
+    second: Edge
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The two edges."""
+        return self.first, self.second
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return the cosine of the angle."""
+        del plane
+        u, du = _direction(shape, self.first)
+        v, dv = _direction(shape, self.second)
+        total = _Accumulator()
+        total.chain(v[None], du)
+        total.chain(u[None], dv)
+        return Evaluation(np.array([u @ v]), total.parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class EqualLength(AbstractConstraint):
+    """Two edges between vertices are equally long; sigma is the difference, m."""
+
+    first: tuple[int, int]
+    second: tuple[int, int]
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The two edges."""
+        return self.first, self.second
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return the difference of the lengths."""
+        del plane
+        a, da = _length(shape, self.first)
+        b, db = _length(shape, self.second)
+        total = _Accumulator()
+        total.chain(np.ones((1, 1)), da)
+        total.chain(-np.ones((1, 1)), db)
+        return Evaluation(np.array([a - b]), total.parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class KnownLength(AbstractConstraint):
+    """An edge between two vertices has a known length; sigma in m.
+
+    Attributes:
+        edge: two vertices.
+        length: the length, m.
+    """
+
+    edge: tuple[int, int]
+    length: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.length < np.inf:
+            raise ValueError(f"{self}: the length is positive, m")
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """The edge."""
+        return (self.edge,)
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return the difference from the known length."""
+        del plane
+        length, parts = _length(shape, self.edge)
+        return Evaluation(np.array([length - self.length]), parts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Symmetric(AbstractConstraint):
+    """Pairs of vertices are mirror images in a plane, which is not known; sigma in m.
+
+    A vertex in the plane is paired with itself.
+
+    Attributes:
+        pairs: indices of the vertices; at least one pair of different ones.
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if all(i == j for i, j in self.pairs):
+            raise ValueError(f"{self}: expected a pair of different vertices")
+
+    @property
+    def vertices(self) -> tuple[int, ...]:
+        """The vertices of all pairs."""
+        return tuple(k for pair in self.pairs for k in pair)
+
+    def initial_plane(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Return the plane halfway between the vertices of all pairs."""
+        pairs = np.array(self.pairs)
+        difference = points[pairs[:, 1]] - points[pairs[:, 0]]
+        # The common direction of the differences, whichever way each points.
+        normal = np.linalg.svd(difference)[2][0]
+        return points[pairs].mean(axis=(0, 1)), normal
+
+    def evaluate(self, shape: Shape, plane: int) -> Evaluation:
+        """Return the difference of each vertex from the other's mirror image."""
+        normal = shape.normals[plane]
+        axes = perpendicular_axes(normal[None])[0]
+        values: list[np.ndarray] = []
+        rows: list[dict[Variable, np.ndarray]] = []
+        for i, j in self.pairs:
+            height, parts = _height(shape, plane, i)
+            if i == j:
+                values.append(np.array([height]))
+                rows.append(parts)
+                continue
+            # x_i - 2 h n - x_j, with h the height of x_i
+            one = _Accumulator()
+            one.add(("point", i), np.eye(3))
+            one.add(("point", j), -np.eye(3))
+            one.chain(-2.0 * normal[:, None], parts)
+            one.add(("plane", plane), -2.0 * height * np.hstack([axes, np.zeros((3, 1))]))
+            values.append(shape.points[i] - 2.0 * height * normal - shape.points[j])
+            rows.append(one.parts)
+        total, start = _Accumulator(), 0
+        count = sum(map(len, values))
+        for value, parts in zip(values, rows, strict=True):
+            total.chain(np.eye(count)[:, start : start + len(value)], parts)
+            start += len(value)
+        return Evaluation(np.concatenate(values), total.parts)
+
+
+def _cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """Return the matrix of the vector product with a vector from the left."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def check_constraints(
+    constraints: Sequence[AbstractConstraint], point_count: int, line_count: int
+) -> None:
+    """Raise if a constraint speaks of a vertex or a line that does not exist.
+
+    Raises:
+        ValueError: naming the constraint and the index.
+    """
+    for constraint in constraints:
+        for kind, indices, count in (
+            ("vertex", constraint.vertices, point_count),
+            ("line", constraint.lines, line_count),
+        ):
+            wrong = [k for k in indices if not 0 <= k < count]
+            if wrong:
+                raise ValueError(f"{constraint}: there is no {kind} {wrong[0]}, only {count}")

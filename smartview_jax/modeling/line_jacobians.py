@@ -1,0 +1,180 @@
+"""Measure how far segments are from the pictures of straight lines in space, and differentiate it.
+
+A straight line is straight in a picture only where the lens does not distort. So the distance is
+measured on rays: a camera's centre and a line span a plane, and the ray of a pixel on the picture
+of the line lies in it. The angle between ray and plane, over the angle that one pixel makes across
+the plane, is the distance of the pixel from the line's picture to first order (Sampson distance).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
+
+from ..array_namespace import to_device
+from ..cameras import Camera
+from ..compilation import compiled
+from .view_poses import SeenViews, padded_count, padded_to
+
+
+class Lines(NamedTuple):
+    """Straight lines in space, each by a point on it and its unit direction.
+
+    Four numbers move a line: two shift the point and two turn the direction, along the two axes of
+    `perpendicular`. The point stays the same under the other movements, which do not move the line.
+
+    Attributes:
+        points: a point on each line, m.
+        directions: unit directions.
+    """
+
+    points: Float[np.ndarray, "lines 3"]
+    directions: Float[np.ndarray, "lines 3"]
+
+    @property
+    def perpendicular(self) -> Float[np.ndarray, "lines 3 2"]:
+        """Two unit vectors perpendicular to each line and to each other."""
+        return perpendicular_axes(self.directions)
+
+    def moved(self, step: Float[np.ndarray, "lines 4"]) -> "Lines":
+        """Return the lines after a step: two shifts (m) and two turns (rad) each."""
+        shift, turn = (
+            np.einsum("lij,lj->li", self.perpendicular, step[:, k : k + 2]) for k in (0, 2)
+        )
+        directions = self.directions + turn
+        length = np.linalg.norm(directions, axis=1, keepdims=True)
+        return Lines(self.points + shift, directions / length)
+
+
+def perpendicular_axes(
+    directions: Float[np.ndarray, "vectors 3"],
+) -> Float[np.ndarray, "vectors 3 2"]:
+    """Return two unit vectors perpendicular to each unit vector, and to each other."""
+    # The coordinate axis that is farthest from the direction gives a well-conditioned product.
+    farthest = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
+    first = np.cross(directions, farthest)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(directions, first)], axis=-1)
+
+
+class LineJacobians(NamedTuple):
+    """The distances of segments' ends from the pictures of lines, with their derivatives.
+
+    All is zero where a segment is not seen.
+
+    Attributes:
+        distances: signed distance of both ends from the line's picture, px.
+        sigmas: standard deviations of these distances, px.
+        by_line: derivatives by the line's four numbers.
+        by_view: derivatives by the camera's parameters, then by the twist of `camera_from_world`
+            in the camera frame.
+    """
+
+    distances: Float[np.ndarray, "views lines 2"]
+    sigmas: Float[np.ndarray, "views lines 2"]
+    by_line: Float[np.ndarray, "views lines 2 4"]
+    by_view: Float[np.ndarray, "views lines 2 local"]
+
+
+def line_jacobians(
+    views: SeenViews,
+    lines: Lines,
+    segments: Float[np.ndarray, "views lines 2 2"],
+    covariances: Float[np.ndarray, "views lines 2 2 2"],
+    visible: Bool[np.ndarray, "views lines"],
+    camera_from_world: Float[np.ndarray, "views 4 4"] | None = None,
+) -> LineJacobians:
+    """Return the distances of segments from lines and their derivatives.
+
+    Args:
+        views: camera and poses.
+        lines: the lines.
+        segments: both ends of each line's segment in each view, px.
+        covariances: covariance of each end, px^2.
+        visible: where a line has a segment.
+        camera_from_world: poses instead of those of `views`, such as corrected ones.
+    """
+    view_count, count = visible.shape
+    poses = views.padded
+    if camera_from_world is not None:
+        extra = len(poses) - view_count
+        poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])
+    shape = (len(poses), padded_count(count))
+    # Padding is a line and a pixel that any camera can compute with, and that is not visible.
+    filler = views.centres[0] + views.camera_from_world[0, 2, :3]
+    numbers = np.concatenate(
+        [lines.points, lines.directions, lines.perpendicular.reshape(count, 6)], axis=1
+    )
+    padding = np.concatenate([filler, np.eye(3)[0], np.eye(3)[:, 1:].ravel()])
+    rows = np.tile(padding, (shape[1] - count, 1))
+    safe = np.where(visible[..., None, None], segments, 0.0)
+    found = _jacobians(
+        views.camera,
+        to_device(poses),
+        to_device(np.concatenate([numbers, rows])),
+        to_device(padded_to(safe, shape)),
+        to_device(padded_to(covariances, shape)),
+        to_device(padded_to(visible, shape, False)),
+    )
+    return LineJacobians(*(np.asarray(array)[:view_count, :count] for array in found))
+
+
+@compiled
+def _jacobians(
+    camera: Camera,
+    camera_from_world: Float[Array, "views 4 4"],
+    lines: Float[Array, "lines 12"],
+    segments: Float[Array, "views lines 2 2"],
+    covariances: Float[Array, "views lines 2 2 2"],
+    visible: Bool[Array, "views lines"],
+) -> tuple[
+    Float[Array, "views lines 2"],
+    Float[Array, "views lines 2"],
+    Float[Array, "views lines 2 4"],
+    Float[Array, "views lines 2 local"],
+]:
+    """Return the arrays of `LineJacobians`."""
+    numbers, rebuild = ravel_pytree(camera)
+    count = numbers.size
+
+    def one(pose: Array, line: Array, pixel: Array, covariance: Array, used: Array) -> tuple:
+        def angle(step: Array, z: Array) -> Array:
+            """Return the sine of the angle between a pixel's ray and the line's plane."""
+            point, direction = line[:3], line[3:6]
+            axes = line[6:].reshape(3, 2)
+            ray, valid = rebuild(numbers + step[4 : 4 + count]).unproject(z)
+            moved_point = point + axes @ step[:2]
+            moved_direction = direction + axes @ step[2:4]
+            twist = step[4 + count :]
+            p = pose[:3, :3] @ moved_point + pose[:3, 3]
+            d = pose[:3, :3] @ moved_direction
+            # To first order a twist (v, w) moves p by v + w x p and turns d by w x d.
+            p, d = p + twist[:3] + jnp.cross(twist[3:], p), d + jnp.cross(twist[3:], d)
+            normal = jnp.cross(p, d)
+            return jnp.where(valid, normal @ ray / jnp.linalg.norm(normal), 0.0)
+
+        zero = jnp.zeros(4 + count + 6)
+        value, by_step = jax.value_and_grad(angle)(zero, pixel)
+        by_pixel = jax.grad(angle, argnums=1)(zero, pixel)
+        per_pixel = jnp.linalg.norm(by_pixel)
+        usable = used & (per_pixel > 0.0)
+        scale = jnp.where(usable, 1.0 / jnp.where(per_pixel > 0.0, per_pixel, 1.0), 0.0)
+        # The variance of the angle is g^T C g, with g its derivative by the pixel.
+        sigma = jnp.sqrt(by_pixel @ covariance @ by_pixel) * scale
+        return value * scale, sigma, by_step[:4] * scale, by_step[4:] * scale
+
+    ends = jax.vmap(one, (None, None, 0, 0, None))
+    over_lines = jax.vmap(ends, (None, 0, 0, 0, 0))
+    over_views = jax.vmap(over_lines, (0, None, 0, 0, 0))
+    return over_views(camera_from_world, lines, segments, covariances, visible)
+
+
+@compiled
+def unit_rays(
+    camera: Camera, pixels: Float[Array, "views lines 2 2"]
+) -> tuple[Float[Array, "views lines 2 3"], Bool[Array, "views lines 2"]]:
+    """Return the rays of segments' ends in the camera frame, and whether the lens is valid."""
+    return camera.unproject(pixels)

@@ -1,0 +1,326 @@
+"""Triangulate straight lines from segments of two or more views whose ends do not correspond.
+
+Every segment spans a plane with its camera's centre, and the line lies in all these planes. The
+start is their intersection by linear least squares; Gauss-Newton then minimises the distances of
+the segments' ends from the picture of the line through the real lens. A line in the epipolar plane
+of its views has one plane only: any line of that plane explains the pictures, and it is named.
+
+Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, section 8.1; the
+four numbers of a line are those of Bartoli and Sturm, Structure-from-motion using lines, 2005.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..array_namespace import to_device
+from ..calibration import Calibration
+from ..engine import Noise
+from ..evaluation import CalibrationEstimate
+from ..robots import CommandLike
+from .calibration_uncertainty import CalibrationUncertainty
+from .line_jacobians import Lines, line_jacobians, unit_rays
+from .point_estimation import CONVERGED_DECREMENT, MAX_RELATIVE_STD, MAX_STEPS, PointStatus
+from .triangulation import CLICK_SIGMA
+from .view_poses import SeenViews, checked_visibility, padded_count, padded_to
+
+MIN_SEGMENT_LENGTH = 2.0
+"""Shortest segment, px, that has a direction."""
+
+
+class TriangulatedLines(NamedTuple):
+    """Triangulated lines with their errors by cause; NaN where `status` says that one failed.
+
+    Attributes:
+        lines: a point and the unit direction of each; the point is in the middle of `ends`.
+        ends: ends of the part of each line that some view saw, m.
+        picture_covariance: covariance of each line's four numbers (see `Lines`), m and rad.
+        calibration_jacobian: derivatives of these by the uncertain numbers of the calibration.
+        calibration_covariance: covariance of those numbers.
+        calibration_names: names of those numbers.
+        residuals: distance of both ends of each segment from the line's picture, px; NaN where
+            there is no segment.
+        status: a `PointStatus` for each line.
+    """
+
+    lines: Lines
+    ends: Float[np.ndarray, "lines 2 3"]
+    picture_covariance: Float[np.ndarray, "lines 4 4"]
+    calibration_jacobian: Float[np.ndarray, "lines 4 numbers"]
+    calibration_covariance: Float[np.ndarray, "numbers numbers"]
+    calibration_names: tuple[str, ...]
+    residuals: Float[np.ndarray, "views lines 2"]
+    status: Int[np.ndarray, "lines"]
+
+    @property
+    def ok(self) -> Bool[np.ndarray, "lines"]:
+        """Whether each line was estimated."""
+        return self.status == PointStatus.OK
+
+    @property
+    def failures(self) -> dict[int, str]:
+        """The reason, in words, of every line that was not estimated, by its index."""
+        return {int(k): PointStatus(self.status[k]).message for k in np.flatnonzero(~self.ok)}
+
+    def covariance(self) -> Float[np.ndarray, "lines 4 4"]:
+        """Return the covariance of each line's four numbers due to pictures and calibration."""
+        J = self.calibration_jacobian
+        return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
+
+    @property
+    def rms(self) -> float:
+        """The root mean square distance of segments' ends from their lines, px."""
+        squared = self.residuals[:, self.ok] ** 2
+        return float(np.sqrt(np.nanmean(squared))) if np.isfinite(squared).any() else float("nan")
+
+
+def triangulate_lines(
+    calibration: Calibration,
+    poses: CommandLike,
+    segments: np.ndarray | Array,
+    visible: np.ndarray | Array | None = None,
+    *,
+    covariance: CalibrationEstimate | None = None,
+    noise: Noise | None = None,
+    pixel_sigma: float | np.ndarray = CLICK_SIGMA,
+) -> TriangulatedLines:
+    """Triangulate straight lines from their segments in two or more views.
+
+    A line that cannot be triangulated is NaN, and `status` and `failures` name the reason.
+
+    Args:
+        calibration: the calibrated camera; results are in its world frame, in true metres.
+        poses: what the robot reported in each view, `base_from_tool`.
+        segments: `(views, lines, 2, 2)`, both ends of each line's segment, px. The ends of
+            different views need not be the same points of the line.
+        visible: `(views, lines)`, where each has a segment; by default where it is finite.
+        covariance: a joint fit, or a bound, that states how well the calibration is known; None
+            takes it as exact.
+        noise: sizes of the robot's noise in these views; by default that of the fit.
+        pixel_sigma: standard deviation of an end, px, as one number or `(views, lines)`; or
+            covariances of the ends `(views, lines, 2, 2, 2)`, px^2.
+
+    Raises:
+        ValueError: arrays of shapes that do not belong together, ends outside the picture, a
+            segment without length, or as in `triangulate_points`.
+    """
+    views = SeenViews.of(calibration, poses)
+    measured = np.asarray(segments, dtype=float)
+    if measured.ndim != 4 or measured.shape[2:] != (2, 2):
+        raise ValueError(f"segments: expected shape (views, lines, 2, 2), found {measured.shape}")
+    seen = checked_visibility(
+        measured, visible, calibration.camera.image_size, len(views.camera_from_world)
+    )
+    _check_lengths(measured, seen)
+    covariances = end_covariances(pixel_sigma, seen.shape)
+    rays, seen = world_rays(views, measured, seen)
+    start, enough = _plane_intersections(views, rays, seen)
+    lines, information, failed = _refine(views, start, measured, covariances, seen, enough)
+    status = _status(views, rays, lines, information, seen, enough, failed)
+    ok = status == PointStatus.OK
+    kept = Lines(*(np.where(ok[:, None], a, b) for a, b in zip(lines, start, strict=True)))
+    ends = _seen_part(views, rays, seen, kept)
+    lines = Lines(ends.mean(axis=1), kept.directions)
+    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    local = line_jacobians(views, lines, measured, covariances, seen)
+    weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
+    normal = np.einsum("vlei,vlej->lij", weighted, local.by_line)
+    normal[~ok] = np.eye(4)
+    sensitivity = -np.einsum("vlei,vlej->vlij", weighted, local.by_view)
+    jacobian = np.linalg.solve(normal, uncertainty.propagate(sensitivity))
+    where = ok[:, None, None]
+    return TriangulatedLines(
+        Lines(*(np.where(ok[:, None], array, np.nan) for array in lines)),
+        np.where(where, ends, np.nan),
+        np.where(where, np.linalg.inv(normal), np.nan),
+        np.where(where, jacobian, np.nan),
+        uncertainty.covariance,
+        uncertainty.names,
+        np.where((seen & ok)[..., None], local.distances, np.nan),
+        status,
+    )
+
+
+def end_covariances(
+    pixel_sigma: float | np.ndarray, shape: tuple[int, int]
+) -> Float[np.ndarray, "views lines 2 2 2"]:
+    """Return the covariances of segments' ends, from one of the forms that a caller may give.
+
+    Raises:
+        ValueError: another shape, or standard deviations that are not positive.
+    """
+    given = np.asarray(pixel_sigma, dtype=float)
+    if given.shape not in ((), shape, (*shape, 2, 2, 2)):
+        raise ValueError(
+            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2, 2)}; found {given.shape}"
+        )
+    if given.ndim == 5:
+        return given
+    if not np.all(given > 0.0):
+        raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
+    variance = np.broadcast_to(given, shape)[..., None, None, None] ** 2
+    return variance * np.broadcast_to(np.eye(2), (*shape, 2, 2, 2))
+
+
+def _check_lengths(
+    segments: Float[np.ndarray, "views lines 2 2"], seen: Bool[np.ndarray, "views lines"]
+) -> None:
+    """Raise if a segment is too short to have a direction."""
+    length = np.linalg.norm(np.diff(segments, axis=2)[:, :, 0], axis=-1)
+    wrong = np.argwhere(seen & ~(length >= MIN_SEGMENT_LENGTH))
+    if len(wrong):
+        view, line = wrong[0]
+        raise ValueError(
+            f"segments: view {view}, line {line}: a segment of {length[view, line]:.2g} px has no "
+            f"direction; at least {MIN_SEGMENT_LENGTH:g} px are expected"
+        )
+
+
+def world_rays(
+    views: SeenViews,
+    segments: Float[np.ndarray, "views lines 2 2"],
+    seen: Bool[np.ndarray, "views lines"],
+) -> tuple[Float[np.ndarray, "views lines 2 3"], Bool[np.ndarray, "views lines"]]:
+    """Return the rays of all ends in the world, and where both ends are within the lens."""
+    shape = (len(views.padded), padded_count(seen.shape[1]))
+    safe = np.where(seen[..., None, None], segments, 0.0)
+    rays, valid = unit_rays(views.camera, to_device(padded_to(safe, shape)))
+    used = seen & np.asarray(valid)[: len(seen), : seen.shape[1]].all(axis=-1)
+    rays = np.asarray(rays)[: len(seen), : seen.shape[1]]
+    rays = np.where(used[..., None, None], rays, 0.0)
+    return np.einsum("vji,vlej->vlei", views.camera_from_world[:, :3, :3], rays), used
+
+
+def _plane_intersections(
+    views: SeenViews,
+    rays: Float[np.ndarray, "views lines 2 3"],
+    seen: Bool[np.ndarray, "views lines"],
+) -> tuple[Lines, Bool[np.ndarray, "lines"]]:
+    """Return the lines that are nearest to all planes of their segments, and which have enough."""
+    normals = np.cross(rays[:, :, 0], rays[:, :, 1])
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
+    # The direction is perpendicular to all normals: the last right singular vector.
+    stacked = np.moveaxis(normals, 0, 1)
+    scatter = np.einsum("lvi,lvj->lij", stacked, stacked)
+    directions = np.linalg.eigh(scatter)[1][:, :, 0]
+    # The point: n_i . (p - c_i) = 0 for all planes, and d . (p - m) = 0 for the cameras' middle m.
+    offsets = np.einsum("vli,vi->lv", normals, views.centres)
+    middle = directions @ views.centres.mean(axis=0)
+    rows = np.concatenate([stacked, directions[:, None]], axis=1)
+    right = np.concatenate([offsets, middle[:, None]], axis=1)
+    points = np.einsum("lij,lj->li", np.linalg.pinv(rows), right)
+    # Then to the middle of what was seen, where turns and shifts are least correlated.
+    lines = Lines(points, directions)
+    points = _seen_part(views, rays, seen, lines).mean(axis=1)
+    return Lines(points, directions), seen.sum(axis=0) >= 2
+
+
+def _refine(
+    views: SeenViews,
+    start: Lines,
+    segments: Float[np.ndarray, "views lines 2 2"],
+    covariances: Float[np.ndarray, "views lines 2 2 2"],
+    seen: Bool[np.ndarray, "views lines"],
+    enough: Bool[np.ndarray, "lines"],
+) -> tuple[Lines, Float[np.ndarray, "lines 4 4"], Bool[np.ndarray, "lines"]]:
+    """Minimise the whitened distances; return lines, normal matrices, and which failed."""
+    lines, damping = start, np.full(len(enough), 1e-6)
+    cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
+    normal = np.tile(np.eye(4), (len(enough), 1, 1))
+    gradient, trial = np.zeros((len(enough), 4)), start
+    for _ in range(MAX_STEPS):
+        at = line_jacobians(views, trial, segments, covariances, seen)
+        inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
+        r, J = at.distances * inverse, at.by_line * inverse[..., None]
+        new_cost = np.sum(r**2, axis=(0, 2))
+        better = (new_cost <= cost) & np.isfinite(J).all(axis=(0, 2, 3))
+        cost = np.where(better, new_cost, cost)
+        lines = Lines(*(np.where(better[:, None], a, b) for a, b in zip(trial, lines, strict=True)))
+        normal[better] = np.einsum("vlei,vlej->lij", J, J)[better]
+        gradient[better] = np.einsum("vlei,vle->li", J, r)[better]
+        damping = np.where(better, np.maximum(0.1 * damping, 1e-12), 100.0 * damping)
+        decrement = np.einsum("li,li->l", gradient, _solve(normal, gradient, 0.0 * damping))
+        if np.all((decrement <= CONVERGED_DECREMENT) | ~enough):
+            break
+        trial = lines.moved(-_solve(normal, gradient, damping))
+    return lines, normal, ~(decrement <= CONVERGED_DECREMENT)
+
+
+def _solve(
+    normal: Float[np.ndarray, "lines 4 4"],
+    right: Float[np.ndarray, "lines 4"],
+    damping: Float[np.ndarray, "lines"],
+) -> Float[np.ndarray, "lines 4"]:
+    """Solve the damped normal equations of all lines; singular ones by pseudo-inverse."""
+    scale = np.sqrt(np.einsum("lii->li", normal))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    scaled = normal / (scale[:, :, None] * scale[:, None]) + damping[:, None, None] * np.eye(4)
+    inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
+    return np.einsum("lij,lj->li", inverse, right / scale) / scale
+
+
+def _status(
+    views: SeenViews,
+    rays: Float[np.ndarray, "views lines 2 3"],
+    lines: Lines,
+    information: Float[np.ndarray, "lines 4 4"],
+    seen: Bool[np.ndarray, "views lines"],
+    enough: Bool[np.ndarray, "lines"],
+    failed: Bool[np.ndarray, "lines"],
+) -> Int[np.ndarray, "lines"]:
+    """Return a `PointStatus` for every line."""
+    # The line's own distance from a camera, and the signed depth of the points that are seen.
+    parameters, depths = _nearest_on_lines(views, rays, lines)
+    seen_depths = np.where(seen[..., None], depths, np.nan)
+    behind = np.nanmin(np.where(enough[None, :, None], seen_depths, 1.0), axis=(0, 2)) <= 0.0
+    distance = np.abs(np.nanmean(np.where(enough[None, :, None], seen_depths, 1.0), axis=(0, 2)))
+    # Turned by two numbers about the point, shifted by two: at the middle of the seen part its
+    # shift has the covariance of u + t w, with t the distance from the point.
+    middle = np.sum(np.where(seen[..., None], parameters, 0.0), axis=(0, 2)) / np.maximum(
+        2.0 * seen.sum(axis=0), 1.0
+    )
+    shift = np.concatenate(
+        [np.tile(np.eye(2), (len(middle), 1, 1)), middle[:, None, None] * np.eye(2)], axis=2
+    )
+    scale = np.sqrt(np.einsum("lii->li", information))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    correlation = information / (scale[:, :, None] * scale[:, None])
+    values, vectors = np.linalg.eigh(correlation)
+    # An eigenvalue at rounding error is a direction that nothing determines.
+    roots = vectors / np.sqrt(np.maximum(values, 1e-14))[:, None] / scale[:, :, None]
+    variance = np.sum((shift @ roots) ** 2, axis=(1, 2))
+    degenerate = ~(variance < (MAX_RELATIVE_STD * distance) ** 2)
+    status = np.where(failed, PointStatus.NOT_CONVERGED, PointStatus.OK)
+    status = np.where(behind, PointStatus.BEHIND_CAMERA, status)
+    status = np.where(degenerate, PointStatus.EPIPOLAR_PLANE, status)
+    return np.where(enough, status, PointStatus.TOO_FEW_VIEWS)
+
+
+def _nearest_on_lines(
+    views: SeenViews, rays: Float[np.ndarray, "views lines 2 3"], lines: Lines
+) -> tuple[Float[np.ndarray, "views lines 2"], Float[np.ndarray, "views lines 2"]]:
+    """Return where on each line each end's ray comes nearest, and how far along the ray, m."""
+    # min |p + t d - c - s q|:  with w = p - c,
+    #   t = ((q.d)(q.w) - d.w) / (1 - (q.d)^2),   s = q.w + t q.d
+    w = lines.points[None] - views.centres[:, None]
+    qd = np.einsum("vlei,li->vle", rays, lines.directions)
+    qw = np.einsum("vlei,vli->vle", rays, w)
+    dw = np.einsum("li,vli->vl", lines.directions, w)[..., None]
+    t = (qd * qw - dw) / np.maximum(1.0 - qd**2, 1e-12)
+    return t, qw + t * qd
+
+
+def _seen_part(
+    views: SeenViews,
+    rays: Float[np.ndarray, "views lines 2 3"],
+    seen: Bool[np.ndarray, "views lines"],
+    lines: Lines,
+) -> Float[np.ndarray, "lines 2 3"]:
+    """Return the ends of the part of each line that some view saw."""
+    t, _ = _nearest_on_lines(views, rays, lines)
+    low = np.where(seen[..., None], t, np.inf).min(axis=(0, 2), initial=np.inf)
+    high = np.where(seen[..., None], t, -np.inf).max(axis=(0, 2), initial=-np.inf)
+    limits = np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0)
+    return lines.points[:, None] + limits[..., None] * lines.directions[:, None]

@@ -1,0 +1,94 @@
+"""Differentiate the pixels of points by the points, by the camera and by the pose of each view."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
+
+from ..array_namespace import to_device
+from ..cameras import Camera
+from ..compilation import compiled
+from .view_poses import SeenViews, padded_count, padded_to
+
+
+class PixelJacobians(NamedTuple):
+    """The pixels of points in all views, with their derivatives; zero where there is no pixel.
+
+    Attributes:
+        pixels: predicted pixels.
+        valid: whether a point can be projected.
+        by_point: derivatives by the point in the world, px/m.
+        by_view: derivatives by the camera's parameters, then by the twist of `camera_from_world`
+            in the camera frame (translation, rotation).
+    """
+
+    pixels: Float[np.ndarray, "views points 2"]
+    valid: Bool[np.ndarray, "views points"]
+    by_point: Float[np.ndarray, "views points 2 3"]
+    by_view: Float[np.ndarray, "views points 2 local"]
+
+
+def pixel_jacobians(
+    views: SeenViews,
+    points: Float[np.ndarray, "points 3"],
+    camera_from_world: Float[np.ndarray, "views 4 4"] | None = None,
+) -> PixelJacobians:
+    """Return the pixels of points in all views and their derivatives.
+
+    Args:
+        views: camera and poses.
+        points: in the world, m.
+        camera_from_world: poses instead of those of `views`, such as corrected ones.
+    """
+    view_count, count = len(views.camera_from_world), len(points)
+    poses = views.padded
+    if camera_from_world is not None:
+        extra = len(poses) - view_count
+        poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])
+    padded = padded_to(points, (padded_count(count),), 0.0)
+    found = _jacobians(views.camera, to_device(poses), to_device(padded))
+    return PixelJacobians(*(np.asarray(array)[:view_count, :count] for array in found))
+
+
+@compiled
+def _jacobians(
+    camera: Camera, camera_from_world: Float[Array, "views 4 4"], points: Float[Array, "points 3"]
+) -> tuple[
+    Float[Array, "views points 2"],
+    Bool[Array, "views points"],
+    Float[Array, "views points 2 3"],
+    Float[Array, "views points 2 local"],
+]:
+    """Return pixels, validity and the two Jacobians of `PixelJacobians`."""
+    rotation, translation = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
+    p = jnp.einsum("vij,pj->vpi", rotation, points) + translation[:, None]
+    numbers, rebuild = ravel_pytree(camera)
+    pixels, valid = camera.project(p)
+
+    def by_camera_frame(tangent: Float[Array, "3"]) -> Float[Array, "views points 2"]:
+        return jax.jvp(lambda x: camera.project(x)[0], (p,), (jnp.broadcast_to(tangent, p.shape),))[
+            1
+        ]
+
+    def by_camera(tangent: Float[Array, "numbers"]) -> Float[Array, "views points 2"]:
+        return jax.jvp(lambda n: rebuild(n).project(p)[0], (numbers,), (tangent,))[1]
+
+    D = jnp.moveaxis(jax.vmap(by_camera_frame)(jnp.eye(3)), 0, -1)
+    C = jnp.moveaxis(jax.vmap(by_camera)(jnp.eye(numbers.size)), 0, -1)
+    # A twist (v, w) of the pose moves p by v + w x p, so that each row d of D becomes p x d.
+    turned = jnp.cross(jnp.broadcast_to(p[:, :, None], D.shape), D)
+    by_point = jnp.einsum("vpui,vij->vpuj", D, rotation)
+    by_view = jnp.concatenate([C, D, turned], axis=-1)
+
+    def zero_where_invalid(array: Array) -> Array:
+        return jnp.where(valid.reshape(valid.shape + (1,) * (array.ndim - 2)), array, 0.0)
+
+    return (
+        zero_where_invalid(pixels),
+        valid,
+        zero_where_invalid(by_point),
+        zero_where_invalid(by_view),
+    )

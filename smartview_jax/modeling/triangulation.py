@@ -1,0 +1,201 @@
+"""Triangulate points from the pixels of two or more views, with the covariance of each cause.
+
+The estimate minimises the squared reprojection errors (the paper's "least-mean-square
+minimisation", Section 5.1). Its errors come from the pictures, which err independently in each
+point, and from the calibration, whose errors are common to all points: the two are kept apart.
+
+Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, chapter 12.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..array_namespace import to_device
+from ..calibration import Calibration
+from ..engine import AbstractLoss, Noise
+from ..evaluation import CalibrationEstimate
+from ..robots import CommandLike
+from .calibration_uncertainty import CalibrationUncertainty
+from .pixel_jacobians import pixel_jacobians
+from .point_estimation import PointStatus, estimate_points
+from .view_poses import (
+    SeenViews,
+    checked_visibility,
+    padded_count,
+    padded_to,
+    whitening_of,
+)
+
+CLICK_SIGMA = 0.5
+"""Standard deviation of u and of v, px, of a feature that a person clicked, unless stated."""
+
+
+class TriangulatedPoints(NamedTuple):
+    """Triangulated points with their errors by cause; NaN where `status` says that one failed.
+
+    Attributes:
+        points: in the world, m.
+        picture_covariance: covariance of each point due to the pixels, m^2.
+        calibration_jacobian: derivatives of each point by the uncertain numbers of the calibration
+            and of the views' poses; there are none without a covariance of the calibration.
+        calibration_covariance: covariance of these numbers, in their own units.
+        calibration_names: names of these numbers.
+        residuals: measured minus predicted pixels, NaN where not visible.
+        status: a `PointStatus` for each point.
+    """
+
+    points: Float[np.ndarray, "points 3"]
+    picture_covariance: Float[np.ndarray, "points 3 3"]
+    calibration_jacobian: Float[np.ndarray, "points 3 numbers"]
+    calibration_covariance: Float[np.ndarray, "numbers numbers"]
+    calibration_names: tuple[str, ...]
+    residuals: Float[np.ndarray, "views points 2"]
+    status: Int[np.ndarray, "points"]
+
+    @property
+    def ok(self) -> Bool[np.ndarray, "points"]:
+        """Whether each point was estimated."""
+        return self.status == PointStatus.OK
+
+    @property
+    def failures(self) -> dict[int, str]:
+        """The reason, in words, of every point that was not estimated, by its index."""
+        return {int(k): PointStatus(self.status[k]).message for k in np.flatnonzero(~self.ok)}
+
+    def covariance(self) -> Float[np.ndarray, "points 3 3"]:
+        """Return the covariance of each point due to pictures and calibration, m^2."""
+        J = self.calibration_jacobian
+        return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
+
+    def joint_covariance(self) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the covariance of all coordinates, x y z of each point in turn, m^2."""
+        count = len(self.points)
+        J = self.calibration_jacobian.reshape(3 * count, -1)
+        total = (J @ self.calibration_covariance @ J.T).reshape(count, 3, count, 3)
+        index = np.arange(count)
+        total[index, :, index] += self.picture_covariance
+        return total.reshape(3 * count, 3 * count)
+
+    @property
+    def rms(self) -> float:
+        """The root mean square reprojection error of all points that were estimated, px."""
+        squared = np.sum(self.residuals[:, self.ok] ** 2, axis=-1)
+        return float(np.sqrt(np.nanmean(squared))) if np.isfinite(squared).any() else float("nan")
+
+
+def triangulate_points(
+    calibration: Calibration,
+    poses: CommandLike,
+    pixels: np.ndarray | Array,
+    visible: np.ndarray | Array | None = None,
+    *,
+    covariance: CalibrationEstimate | None = None,
+    noise: Noise | None = None,
+    pixel_sigma: float | np.ndarray = CLICK_SIGMA,
+    loss: AbstractLoss | None = None,
+) -> TriangulatedPoints:
+    """Triangulate points from their pixels in two or more views.
+
+    A point that cannot be triangulated is NaN, and `status` and `failures` name the reason. The
+    covariance due to the calibration holds for views that the calibration was not estimated from.
+
+    Args:
+        calibration: the calibrated camera; results are in its world frame, in true metres.
+        poses: what the robot reported in each view, `base_from_tool`.
+        pixels: `(views, points, 2)`, px, OpenCV's convention.
+        visible: `(views, points)`, where each is seen; by default where its pixel is finite.
+        covariance: a joint fit, or a bound, that states how well the calibration is known; None
+            takes it as exact.
+        noise: sizes of the robot's noise in these views; by default that of the fit.
+        pixel_sigma: standard deviation of u and of v, px, as one number or `(views, points)`; or
+            covariances `(views, points, 2, 2)`, px^2.
+        loss: robust loss of the whitened residuals; None is least squares.
+
+    Raises:
+        ValueError: arrays of shapes that do not belong together, pixels outside the picture, poses
+            that are not rigid, or a covariance of other parameters.
+    """
+    views = SeenViews.of(calibration, poses)
+    measured = np.asarray(pixels, dtype=float)
+    if measured.ndim != 3 or measured.shape[2] != 2:
+        raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")
+    seen = checked_visibility(
+        measured, visible, calibration.camera.image_size, len(views.camera_from_world)
+    )
+    whitening = whitening_of(pixel_sigma, seen.shape)
+    points, normal_matrix, residuals, status = solve_points(views, measured, whitening, seen, loss)
+    ok = status == PointStatus.OK
+    safe = np.where(ok[:, None, None], normal_matrix, np.eye(3))
+    picture_covariance = np.where(ok[:, None, None], np.linalg.inv(safe), np.nan)
+    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    jacobian = np.zeros((len(points), 3, 0))
+    if uncertainty.names:
+        jacobian = _calibration_jacobian(
+            views, uncertainty, np.where(ok[:, None], points, 0.0), safe, whitening, seen
+        )
+        jacobian[~ok] = np.nan
+    return TriangulatedPoints(
+        np.where(ok[:, None], points, np.nan),
+        picture_covariance,
+        jacobian,
+        uncertainty.covariance,
+        uncertainty.names,
+        np.where((seen & ok)[..., None], residuals, np.nan),
+        status,
+    )
+
+
+def solve_points(
+    views: SeenViews,
+    pixels: Float[np.ndarray, "views points 2"],
+    whitening: Float[np.ndarray, "#views #points 2 2"],
+    visible: Bool[np.ndarray, "views points"],
+    loss: AbstractLoss | None = None,
+) -> tuple[
+    Float[np.ndarray, "points 3"],
+    Float[np.ndarray, "points 3 3"],
+    Float[np.ndarray, "views points 2"],
+    Int[np.ndarray, "points"],
+]:
+    """Run `estimate_points` on padded arrays; return points, normal matrices, residuals, status."""
+    count, view_count = visible.shape[1], len(views.padded)
+    shape = (view_count, padded_count(count))
+    safe = np.where(visible[..., None], pixels, 0.0)
+    if whitening.shape[:2] != (1, 1):
+        whitening = padded_to(whitening, shape)
+    found = estimate_points(
+        views.camera,
+        to_device(views.padded),
+        to_device(padded_to(safe, shape)),
+        to_device(whitening),
+        to_device(padded_to(visible, shape, False)),
+        loss,
+    )
+    points, normal_matrix, residuals, status = map(np.asarray, found)
+    return (
+        points[:count],
+        normal_matrix[:count],
+        residuals[: len(visible), :count],
+        status[:count].astype(int),
+    )
+
+
+def _calibration_jacobian(
+    views: SeenViews,
+    uncertainty: CalibrationUncertainty,
+    points: Float[np.ndarray, "points 3"],
+    normal_matrix: Float[np.ndarray, "points 3 3"],
+    whitening: Float[np.ndarray, "#views #points 2 2"],
+    visible: Bool[np.ndarray, "views points"],
+) -> Float[np.ndarray, "points 3 numbers"]:
+    """Return the derivatives of estimated points by the uncertain numbers of the calibration."""
+    # At the optimum J^T W (z - f(x, t)) = 0. With A the derivatives of f by t,
+    #     dx/dt = -(J^T W J)^-1 J^T W A,
+    # up to terms in the residuals.
+    jacobians = pixel_jacobians(views, points)
+    information = whitening.swapaxes(-1, -2) @ whitening
+    weighted = np.where(visible[..., None, None], information @ jacobians.by_point, 0.0)
+    sensitivity = -weighted.swapaxes(-1, -2) @ jacobians.by_view
+    return np.linalg.solve(normal_matrix, uncertainty.propagate(sensitivity))

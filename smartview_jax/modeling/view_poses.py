@@ -1,0 +1,185 @@
+"""Check the views and the pixels of a call, and pad them so that few programs are compiled."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..array_namespace import to_device
+from ..calibration import Calibration
+from ..cameras import Camera
+from ..geometry import PoseLike, check_rigid, host_matrices, host_transforms
+from ..robots import Command, CommandLike
+
+PADDED_VIEWS = 4
+"""Views are padded to a multiple of this number, so that one more view compiles nothing."""
+
+PADDED_FEATURES, MAX_PADDED_FEATURES = 16, 4096
+"""Features are padded to a power of two, from the first number up to the second.
+
+More features than the second are not padded: there the time saved by compiling less is lost."""
+
+
+def as_checked_command(poses: CommandLike) -> Command:
+    """Return reported poses of one batch axis as a command of host arrays.
+
+    Raises:
+        ValueError: a pose that is not rigid, or poses without one batch axis; with the view.
+    """
+    if isinstance(poses, Command):
+        return poses
+    matrices = host_matrices(poses) if isinstance(poses, SE3) else np.asarray(poses, dtype=float)
+    if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
+        raise ValueError(f"poses: expected (views, 4, 4) or that many SE3; found {matrices.shape}")
+    problems = check_rigid(matrices, tuple(f"view {k}" for k in range(len(matrices))))
+    if problems:
+        raise ValueError(
+            "poses: " + "; ".join(f"{view}: {text}" for view, text in problems.items())
+        )
+    return Command(host_transforms(matrices))
+
+
+def single_pose(pose: PoseLike) -> PoseLike:
+    """Return one pose as a batch of one."""
+    if isinstance(pose, SE3):
+        return SE3(pose.wxyz_xyz.reshape(1, 7))
+    return np.asarray(pose, dtype=float).reshape(1, 4, 4)
+
+
+def padded_views(command: Command) -> Command:
+    """Return the command with its last view repeated, up to a multiple of `PADDED_VIEWS`."""
+    poses, joints = command.base_from_tool.wxyz_xyz, command.joints
+    extra = -len(poses) % PADDED_VIEWS
+
+    def pad(array: np.ndarray) -> np.ndarray:
+        return np.concatenate([array, np.repeat(array[-1:], extra, axis=0)])
+
+    return Command(
+        SE3(to_device(pad(np.asarray(poses)))),
+        None if joints is None else to_device(pad(np.asarray(joints))),
+    )
+
+
+def padded_count(count: int) -> int:
+    """Return the number of features that a program is compiled for."""
+    if count > MAX_PADDED_FEATURES:
+        return count
+    return max(PADDED_FEATURES, 1 << (count - 1).bit_length() if count else 0)
+
+
+def padded_to(array: np.ndarray, shape: tuple[int, ...], value: float | bool = 0) -> np.ndarray:
+    """Return an array with its first axes extended to a shape by a value."""
+    widths = [(0, n - k) for n, k in zip(shape, array.shape, strict=False)]
+    widths += [(0, 0)] * (array.ndim - len(shape))
+    return np.pad(array, widths, constant_values=value)
+
+
+class SeenViews(NamedTuple):
+    """The poses of the camera in all views, on the host and padded for the device.
+
+    Attributes:
+        camera: intrinsics and lens.
+        camera_from_world: extrinsics without padding, on the host.
+        padded: extrinsics with the last view repeated, for programs.
+        command: what the robot reported, padded likewise.
+    """
+
+    camera: Camera
+    camera_from_world: Float[np.ndarray, "views 4 4"]
+    padded: Float[np.ndarray, "padded_views 4 4"]
+    command: Command
+
+    @classmethod
+    def of(cls, calibration: Calibration, poses: CommandLike) -> "SeenViews":
+        """Return the views of a calibrated camera at reported poses.
+
+        Raises:
+            ValueError: a pose that is not rigid, with the view.
+        """
+        checked = as_checked_command(poses)
+        command = padded_views(checked)
+        padded = np.asarray(calibration.camera_from_world_matrices(command))
+        views = len(checked.base_from_tool.wxyz_xyz)
+        return cls(calibration.camera, padded[:views], padded, command)
+
+    @property
+    def centres(self) -> Float[np.ndarray, "views 3"]:
+        """The camera's centres in the world, m."""
+        rotations, translations = (
+            self.camera_from_world[:, :3, :3],
+            self.camera_from_world[:, :3, 3],
+        )
+        return -np.einsum("vji,vj->vi", rotations, translations)
+
+
+def checked_visibility(
+    pixels: Float[np.ndarray, "views *features 2"],
+    visible: np.ndarray | Array | None,
+    image_size: tuple[int, int],
+    view_count: int,
+) -> Bool[np.ndarray, "views features"]:
+    """Return where features are seen, after checking that they are seen within the picture.
+
+    Args:
+        pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
+        visible: where they are seen; by default wherever the pixels are finite.
+        image_size: width and height, px.
+        view_count: number of poses that belong to them.
+
+    Raises:
+        ValueError: other numbers of views or features, or a visible pixel that is not finite or
+            lies outside the picture, with the view and the feature.
+    """
+    if len(pixels) != view_count:
+        raise ValueError(
+            f"pixels: expected {view_count} views as there are poses, found {len(pixels)}"
+        )
+    last = tuple(range(2, pixels.ndim))
+    finite = np.isfinite(pixels).all(axis=last)
+    seen = finite if visible is None else np.asarray(visible, dtype=bool)
+    if seen.shape != pixels.shape[:2]:
+        raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {seen.shape}")
+    # The centre of the first pixel is (0, 0): the picture's border is half a pixel further out.
+    low, high = -0.5, np.array(image_size) - 0.5
+    with np.errstate(invalid="ignore"):
+        inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
+    wrong = np.argwhere(seen & ~inside)
+    if len(wrong):
+        view, feature = wrong[0]
+        raise ValueError(
+            f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is not "
+            f"in the picture of {image_size[0]} x {image_size[1]} px ({len(wrong)} such)"
+        )
+    return np.asarray(seen)
+
+
+def whitening_of(
+    pixel_sigma: float | np.ndarray, shape: tuple[int, int]
+) -> Float[np.ndarray, "#views #features 2 2"]:
+    """Return matrices that scale pixel errors to unit covariance, one for each observation.
+
+    Args:
+        pixel_sigma: standard deviation of u and of v, px: one, or one for each observation
+            `(views, features)`; or covariances `(views, features, 2, 2)`, px^2.
+        shape: number of views and of features; the result is broadcast to it only where
+            `pixel_sigma` differs between observations.
+
+    Raises:
+        ValueError: another shape, or values that are not positive.
+    """
+    given = np.asarray(pixel_sigma, dtype=float)
+    if given.shape not in ((), shape, (*shape, 2, 2)):
+        raise ValueError(
+            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2)}; found {given.shape}"
+        )
+    if given.ndim < 3:
+        if not np.all(given > 0.0):
+            raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
+        scale = given if given.ndim else given[None, None]
+        return np.eye(2) / scale[..., None, None]
+    try:
+        # C = L L^T, and the covariance of L^-1 e is the identity.
+        return np.linalg.inv(np.linalg.cholesky(given))
+    except np.linalg.LinAlgError as error:
+        raise ValueError("pixel_sigma: a covariance is not positive definite") from error
