@@ -97,7 +97,7 @@ class RefinedFeatures(NamedTuple):
             if len(chosen)
             else np.zeros(0, int)
         )
-        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), -1)
+        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
         return self.posterior.covariance(rows) + J @ self.calibration_covariance @ J.T
 
     def _rows(self, point: int) -> np.ndarray:

@@ -7,6 +7,7 @@ point, and from the calibration, whose errors are common to all points: the two 
 Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, chapter 12.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -69,14 +70,20 @@ class TriangulatedPoints(NamedTuple):
         J = self.calibration_jacobian
         return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
 
-    def joint_covariance(self) -> Float[np.ndarray, "coordinates coordinates"]:
-        """Return the covariance of all coordinates, x y z of each point in turn, m^2."""
-        count = len(self.points)
-        J = self.calibration_jacobian.reshape(3 * count, -1)
-        total = (J @ self.calibration_covariance @ J.T).reshape(count, 3, count, 3)
-        index = np.arange(count)
-        total[index, :, index] += self.picture_covariance
-        return total.reshape(3 * count, 3 * count)
+    def joint_covariance(
+        self, points: Sequence[int] | None = None
+    ) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the covariance of the coordinates of some points, or of all, m^2.
+
+        The coordinates are x, y, z of each point in turn.
+        """
+        chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
+        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
+        total = J @ self.calibration_covariance @ J.T
+        # The pictures' errors are each point's own: they are on the diagonal only.
+        for k, point in enumerate(chosen):
+            total[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += self.picture_covariance[point]
+        return total
 
     @property
     def rms(self) -> float:
