@@ -14,6 +14,7 @@ import numpy as np
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import five_viewpoints, host_matrices, look_at, viewing_direction
 from smartview_jax.modeling import (
+    AbstractConstraint,
     KnownLength,
     ModelObservations,
     SamePlane,
@@ -117,8 +118,8 @@ def _calls(name: str, calibration, poses, points, pixels) -> dict[str, Callable[
         }
     observations = ModelObservations(calibration, poses, pixels, pixel_sigma=CLICK_SIGMA)
     lengths = np.linalg.norm(points[1:11] - points[:10], axis=1)
-    known = [KnownLength((k, k + 1), float(length)) for k, length in enumerate(lengths)]
-    known.append(SamePlane((0, 1, 2, 3), sigma=0.01))
+    known: list[AbstractConstraint] = [SamePlane((0, 1, 2, 3), sigma=0.01)]
+    known += [KnownLength((k, k + 1), float(length)) for k, length in enumerate(lengths)]
     noise = Noise(0.15, 1e-4, 2e-4)
     what = f"refining {name} in {len(poses)} views"
     return {

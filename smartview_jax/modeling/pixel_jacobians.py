@@ -44,7 +44,7 @@ def pixel_jacobians(
         camera_from_world: poses instead of those of `views`, such as corrected ones.
     """
     view_count, count = len(views.camera_from_world), len(points)
-    poses = views.padded
+    poses = views.poses_for(count)
     if camera_from_world is not None:
         extra = len(poses) - view_count
         poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])

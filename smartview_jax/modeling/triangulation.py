@@ -132,17 +132,17 @@ def triangulate_points(
         measured, visible, calibration.camera.image_size, len(views.camera_from_world)
     )
     whitening = whitening_of(pixel_sigma, seen.shape)
-    points, normal_matrix, residuals, status = solve_points(views, measured, whitening, seen, loss)
+    points, picture_covariance, residuals, status = solve_points(
+        views, measured, whitening, seen, loss
+    )
     ok = status == PointStatus.OK
-    safe = np.where(ok[:, None, None], normal_matrix, np.eye(3))
-    picture_covariance = np.where(ok[:, None, None], np.linalg.inv(safe), np.nan)
+    picture_covariance = np.where(ok[:, None, None], picture_covariance, np.nan)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
     jacobian = np.zeros((len(points), 3, 0))
     if uncertainty.names:
         jacobian = _calibration_jacobian(
-            views, uncertainty, np.where(ok[:, None], points, 0.0), safe, whitening, seen
+            views, uncertainty, points, picture_covariance, whitening, seen & ok
         )
-        jacobian[~ok] = np.nan
     return TriangulatedPoints(
         np.where(ok[:, None], points, np.nan),
         picture_covariance,
@@ -166,24 +166,25 @@ def solve_points(
     Float[np.ndarray, "views points 2"],
     Int[np.ndarray, "points"],
 ]:
-    """Run `estimate_points` on padded arrays; return points, normal matrices, residuals, status."""
-    count, view_count = visible.shape[1], len(views.padded)
-    shape = (view_count, padded_count(count))
+    """Run `estimate_points` on padded arrays; return points, covariances, residuals, status."""
+    count = visible.shape[1]
+    poses = views.poses_for(count)
+    shape = (len(poses), padded_count(count))
     safe = np.where(visible[..., None], pixels, 0.0)
     if whitening.shape[:2] != (1, 1):
         whitening = padded_to(whitening, shape)
     found = estimate_points(
         views.camera,
-        to_device(views.padded),
+        to_device(poses),
         to_device(padded_to(safe, shape)),
         to_device(whitening),
         to_device(padded_to(visible, shape, False)),
         loss,
     )
-    points, normal_matrix, residuals, status = map(np.asarray, found)
+    points, covariance, residuals, status = map(np.asarray, found)
     return (
         points[:count],
-        normal_matrix[:count],
+        covariance[:count],
         residuals[: len(visible), :count],
         status[:count].astype(int),
     )
@@ -193,16 +194,16 @@ def _calibration_jacobian(
     views: SeenViews,
     uncertainty: CalibrationUncertainty,
     points: Float[np.ndarray, "points 3"],
-    normal_matrix: Float[np.ndarray, "points 3 3"],
+    covariance: Float[np.ndarray, "points 3 3"],
     whitening: Float[np.ndarray, "#views #points 2 2"],
     visible: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "points 3 numbers"]:
     """Return the derivatives of estimated points by the uncertain numbers of the calibration."""
     # At the optimum J^T W (z - f(x, t)) = 0. With A the derivatives of f by t,
-    #     dx/dt = -(J^T W J)^-1 J^T W A,
+    #     dx/dt = -P J^T W A,   with P = (J^T W J)^-1 the covariance due to the pictures,
     # up to terms in the residuals.
-    jacobians = pixel_jacobians(views, points)
+    jacobians = pixel_jacobians(views, np.where(np.any(visible, axis=0)[:, None], points, 0.0))
     information = whitening.swapaxes(-1, -2) @ whitening
     weighted = np.where(visible[..., None, None], information @ jacobians.by_point, 0.0)
     sensitivity = -weighted.swapaxes(-1, -2) @ jacobians.by_view
-    return np.linalg.solve(normal_matrix, uncertainty.propagate(sensitivity))
+    return covariance @ uncertainty.propagate(sensitivity)

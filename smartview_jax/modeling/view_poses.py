@@ -103,6 +103,10 @@ class SeenViews(NamedTuple):
         views = len(checked.base_from_tool.wxyz_xyz)
         return cls(calibration.camera, padded[:views], padded, command)
 
+    def poses_for(self, count: int) -> Float[np.ndarray, "_ 4 4"]:
+        """Return the extrinsics for a program of so many features: padded, unless they are many."""
+        return self.padded if count <= MAX_PADDED_FEATURES else self.camera_from_world
+
     @property
     def centres(self) -> Float[np.ndarray, "views 3"]:
         """The camera's centres in the world, m."""
