@@ -68,6 +68,7 @@ class CalibrationUncertainty(NamedTuple):
         """
         if estimate is None and noise is None:
             return cls.none(views)
+        # A bound knows no noise of its own: there it is given, or the poses are exact.
         if noise is None and isinstance(estimate, JointFit):
             noise = estimate.noise
         names = parameter_names(calibration)
@@ -89,6 +90,7 @@ class CalibrationUncertainty(NamedTuple):
             sigmas = np.repeat([noise.translation, noise.rotation], 3)
             if not np.isfinite(sigmas).all():
                 raise ValueError("covariance: a robot whose poses may be anywhere measures nothing")
+        # Six numbers of each view's own, independent of all others.
         size = len(sigmas) * count
         jacobian = np.zeros((count, shared.shape[1], len(used) + size))
         jacobian[:, :, : len(used)] = shared[:count, :, used]
@@ -130,6 +132,7 @@ def _view_jacobians(
     step = Step(jnp.zeros(layout.size), jnp.zeros((count, 6)))
     poses = linearise_poses(parameters, step, command.base_from_tool, prepared)
     # The target's scale does not act on other objects, which are measured in metres.
+    # In the order of `Parameters`: camera, both transforms, scale, field.
     chained = layout.size - layout.camera.stop
     scale = layout.target_scale.start - layout.camera.stop
     twist = poses.shared_jacobian.at[:, :, scale].set(0.0)

@@ -62,6 +62,7 @@ def constraint_verdicts(
     multipliers = rest[factors.border_size :]
     information = -factors.reduced[factors.border_size :, factors.border_size :]
     left_open = at.system.left_open(factors.features)
+    # Bonferroni: the probabilities of all tests together add up to at most the stated one.
     per_test = false_alarm / len(problem.constraints)
     verdicts = []
     for constraint, rows in zip(problem.constraints, at.rows, strict=True):

@@ -96,6 +96,7 @@ class _Accumulator:
 
     def add(self, variable: Variable, jacobian: np.ndarray) -> None:
         """Add a contribution to the derivatives by a variable."""
+        # An edge that two constraints share, or a vertex of both edges, comes up twice.
         known = self.parts.get(variable)
         self.parts[variable] = jacobian if known is None else known + jacobian
 
@@ -216,6 +217,8 @@ class SamePlane(AbstractConstraint):
 
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the heights of the vertices above the plane."""
+        # The plane is an unknown of its own, rather than a determinant of every four vertices: the
+        # numbers are then distances, and all vertices count alike.
         values, total = np.zeros(len(self.points)), _Accumulator()
         for k, point in enumerate(self.points):
             values[k], parts = _height(shape, plane, point)
@@ -277,6 +280,7 @@ class Parallel(AbstractConstraint):
         v, dv = _direction(shape, self.second)
         # The components along two axes across u: of the product, the third is zero.
         across = perpendicular_axes(u[None])[0].T
+        # d(u x v) = -[v] du + [u] dv; across u itself the product has no component.
         total = _Accumulator()
         total.chain(-across @ _cross_matrix(v), du)
         total.chain(across @ _cross_matrix(u), dv)
@@ -301,6 +305,7 @@ class RightAngle(AbstractConstraint):
         u, du = _direction(shape, self.first)
         v, dv = _direction(shape, self.second)
         total = _Accumulator()
+        # d(u . v) = v . du + u . dv
         total.chain(v[None], du)
         total.chain(u[None], dv)
         return Evaluation(np.array([u @ v]), total.parts)
@@ -422,6 +427,20 @@ def _cross_matrix(vector: np.ndarray) -> np.ndarray:
     """Return the matrix of the vector product with a vector from the left."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def check_edges(
+    constraints: Sequence[AbstractConstraint], points: Float[np.ndarray, "points 3"]
+) -> None:
+    """Raise if an edge of a constraint has no length and so no direction.
+
+    Raises:
+        ValueError: naming the constraint and the vertices.
+    """
+    for constraint in constraints:
+        for edge in constraint.edges:
+            if not isinstance(edge, LineIndex) and np.array_equal(*points[list(edge)]):
+                raise ValueError(f"{constraint}: vertices {edge} start in the same place")
 
 
 def check_constraints(

@@ -97,6 +97,7 @@ def wrong_correspondences(
     check = _Check(views, uncertainty, np.where(seen[..., None], measured, 0.0), whitening)
     per_test = false_alarm / max(int(seen.sum()), 1)
     left, found = seen.copy(), []
+    # One at a time: a gross error inflates the statistics of all other views of its feature.
     candidates = np.flatnonzero(left.sum(axis=0) >= 2)
     while len(candidates):
         named = [_worst(one, int(k), per_test) for k, one in check.deletions(left, candidates)]
@@ -156,6 +157,7 @@ class _Check(NamedTuple):
             self.views, self.pixels[:, index], self.whitening[:, index], mask
         )
         ok = status == PointStatus.OK
+        # Where the others do not determine the point there is nothing to compare with.
         middle = np.zeros(3) if not ok.any() else found[ok].mean(axis=0)
         jacobians = pixel_jacobians(self.views, np.where(ok[:, None], found, middle))
         sensitivity = np.einsum("vpul,vln->vpun", jacobians.by_view, self.uncertainty.view_jacobian)

@@ -161,9 +161,11 @@ def epipolar_curves(
     limits = _inverse_depths(origin, direction, depths, box)
     views = len(others.camera_from_world)
     if limits is None:
+        # A ray past the workspace is an answer, not an error: nothing is drawn.
         empty = np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int)
         return [EpipolarCurve(*empty, origin, direction)] * views
     size = calibration.camera.image_size
+    # Inverse depths, because a picture changes with them about evenly, and infinity is zero.
     inverse = np.tile(np.linspace(*limits, SAMPLES), (views, 1))
     for _ in range(REFINEMENTS):
         pixels, valid = _project(others, origin, direction, inverse)

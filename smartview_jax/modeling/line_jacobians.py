@@ -41,6 +41,7 @@ class Lines(NamedTuple):
 
     def moved(self, step: Float[np.ndarray, "lines 4"]) -> "Lines":
         """Return the lines after a step: two shifts (m) and two turns (rad) each."""
+        # A turn about the point, so that shift and turn do not mix.
         shift, turn = (
             np.einsum("lij,lj->li", self.perpendicular, step[:, k : k + 2]) for k in (0, 2)
         )
@@ -157,6 +158,7 @@ def _jacobians(
             return jnp.where(valid, normal @ ray / jnp.linalg.norm(normal), 0.0)
 
         zero = jnp.zeros(4 + count + 6)
+        # The scale is held: its own derivative is multiplied by the residual, which is small.
         value, by_step = jax.value_and_grad(angle)(zero, pixel)
         by_pixel = jax.grad(angle, argnums=1)(zero, pixel)
         per_pixel = jnp.linalg.norm(by_pixel)
@@ -166,6 +168,7 @@ def _jacobians(
         sigma = jnp.sqrt(by_pixel @ covariance @ by_pixel) * scale
         return value * scale, sigma, by_step[:4] * scale, by_step[4:] * scale
 
+    # Both ends of a segment share its line and view; all lines share the view's pose.
     ends = jax.vmap(one, (None, None, 0, 0, None))
     over_lines = jax.vmap(ends, (None, 0, 0, 0, 0))
     over_views = jax.vmap(over_lines, (0, None, 0, 0, 0))

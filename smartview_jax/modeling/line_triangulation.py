@@ -122,6 +122,7 @@ def triangulate_lines(
     kept = Lines(*(np.where(ok[:, None], a, b) for a, b in zip(lines, start, strict=True)))
     ends = _seen_part(views, rays, seen, kept)
     lines = Lines(ends.mean(axis=1), kept.directions)
+    # The four numbers refer to the middle of the seen part, where they are least correlated.
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
     local = line_jacobians(views, lines, measured, covariances, seen)
     weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
@@ -199,6 +200,7 @@ def _plane_intersections(
 ) -> tuple[Lines, Bool[np.ndarray, "lines"]]:
     """Return the lines that are nearest to all planes of their segments, and which have enough."""
     normals = np.cross(rays[:, :, 0], rays[:, :, 1])
+    # Unit normals: a long segment would otherwise count more in the start than it deserves.
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
     # The direction is perpendicular to all normals: the last right singular vector.
@@ -226,6 +228,8 @@ def _refine(
     enough: Bool[np.ndarray, "lines"],
 ) -> tuple[Lines, Float[np.ndarray, "lines 4 4"], Bool[np.ndarray, "lines"]]:
     """Minimise the whitened distances; return lines, normal matrices, and which failed."""
+    # All lines step together, each with its own damping; there are too few of them for a loop
+    # within a compiled program to pay.
     lines, damping = start, np.full(len(enough), 1e-6)
     cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
     normal = np.tile(np.eye(4), (len(enough), 1, 1))
@@ -322,5 +326,6 @@ def _seen_part(
     t, _ = _nearest_on_lines(views, rays, lines)
     low = np.where(seen[..., None], t, np.inf).min(axis=(0, 2), initial=np.inf)
     high = np.where(seen[..., None], t, -np.inf).max(axis=(0, 2), initial=-np.inf)
+    # A line that no view sees has no part; its status says so.
     limits = np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0)
     return lines.points[:, None] + limits[..., None] * lines.directions[:, None]

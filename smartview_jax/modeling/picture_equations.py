@@ -79,6 +79,7 @@ class CheckedObservations(NamedTuple):
         if pixels.ndim != 3 or pixels.shape[2] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
         seen = checked_visibility(pixels, observations.visible, size, count)
+        # No lines are lines of number zero, so that nothing below has to ask.
         segments = np.zeros((count, 0, 2, 2))
         if observations.segments is not None:
             segments = np.asarray(observations.segments, dtype=float)
@@ -144,9 +145,11 @@ def picture_equations(
     e = np.einsum("vpij,vpj->vpi", whitening, -residuals)
     squared = np.sum(e**2, axis=-1)
     cost, weight = _robust(loss, squared)
+    # A step that takes a point behind a camera is refused by its infinite cost.
     if np.any(observed.visible & ~found.valid):
         cost = np.inf
     root = np.sqrt(weight)[..., None]
+    # Reweighted least squares: the root of the weight scales residuals and Jacobians alike.
     J = (whitening @ found.by_point) * root[..., None]
     N = (whitening @ found.by_view) * root[..., None]
     points = _accumulate(e * root, J, N, local)
@@ -261,6 +264,7 @@ def _displaced(
     offsets: Float[np.ndarray, "all_numbers"],
 ) -> tuple[SeenViews, Float[np.ndarray, "views 4 4"]]:
     """Return the camera and the poses after offsets of the calibration's numbers."""
+    # Without offsets the exact matrices, rather than the product with the identity.
     if not offsets.any():
         return views, views.camera_from_world
     # exp(Ad d) acts on the left of camera_from_world; `view_jacobian` has the adjoints in it.

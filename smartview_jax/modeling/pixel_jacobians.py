@@ -48,6 +48,7 @@ def pixel_jacobians(
     if camera_from_world is not None:
         extra = len(poses) - view_count
         poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])
+    # A padded point may lie behind a camera: it is not valid there, and cut off below.
     padded = padded_to(points, (padded_count(count),), 0.0)
     found = _jacobians(views.camera, to_device(poses), to_device(padded))
     return PixelJacobians(*(np.asarray(array)[:view_count, :count] for array in found))
@@ -76,6 +77,7 @@ def _jacobians(
     def by_camera(tangent: Float[Array, "numbers"]) -> Float[Array, "views points 2"]:
         return jax.jvp(lambda n: rebuild(n).project(p)[0], (numbers,), (tangent,))[1]
 
+    # Forward derivatives: few inputs, many pixels.
     D = jnp.moveaxis(jax.vmap(by_camera_frame)(jnp.eye(3)), 0, -1)
     C = jnp.moveaxis(jax.vmap(by_camera)(jnp.eye(numbers.size)), 0, -1)
     # A twist (v, w) of the pose moves p by v + w x p, so that each row d of D becomes p x d.

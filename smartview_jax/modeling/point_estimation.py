@@ -195,6 +195,7 @@ def _to_camera(
 
 def _linearise(problem: _Problem, points: Float[Array, "points 3"]) -> _Linearisation:
     """Compute the cost of all points with its gradient and Gauss-Newton matrix."""
+    # Masked pixels are zero before they are multiplied: zero times NaN would be NaN.
     in_camera, visible = _to_camera(problem, points), problem.visible
     pose, whitening = problem.camera_from_world, problem.whitening
     predicted, valid = problem.camera.project(in_camera)
@@ -299,6 +300,7 @@ def _nearest_to_rays(
             relative_variance = trace
             squared_distance = sum((x[j][None] - c[j]) ** 2 for j in range(3))
             weight = weight / jnp.maximum(squared_distance, _TINY)
+    # Relative to the cameras' middle the squares above keep more digits.
     start = jnp.stack([x[j] + middle[j] for j in range(3)], axis=-1)
     enough = jnp.sum(used.astype(float), axis=0) > 1.5
     return start, ~(relative_variance < MAX_RELATIVE_STD**2), enough
@@ -319,6 +321,8 @@ def _minimise(
     Returns:
         The points, and the squared length of the last undamped step in standard deviations.
     """
+    # Each trial is linearised at once, whether it is accepted or not: in all but a few points it
+    # is, and one pass over the pixels then does both.
     first = _linearise(problem, start)
     damping = jnp.full(start.shape[0], INITIAL_DAMPING)
 
@@ -339,6 +343,7 @@ def _minimise(
         _, change = _solve((a * more, b, c, d * more, e, f * more), at.gradient)
         trial_points = points - jnp.stack(change, axis=-1)
         trial = _linearise(problem, trial_points)
+        # A trial behind a camera has infinite cost, and is never better.
         better = trial.cost <= at.cost
         kept = jax.tree.map(
             lambda new, old: jnp.where(

@@ -102,6 +102,7 @@ class RefinedFeatures(NamedTuple):
 
     def _rows(self, point: int) -> np.ndarray:
         """Return the rows of a point's coordinates among the unknowns of the posterior."""
+        # Points in the border come after those that are eliminated, at its end.
         if point in self.weak:
             place = int(np.flatnonzero(self.weak == point)[0])
             first = self.posterior.features.size + self.posterior.border_size

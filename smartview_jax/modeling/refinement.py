@@ -20,7 +20,7 @@ from ..fit_result import FitResult
 from .calibration_uncertainty import CalibrationUncertainty
 from .constrained_system import Factorisation
 from .constraint_verdicts import constraint_verdicts
-from .constraints import AbstractConstraint, Shape, check_constraints
+from .constraints import AbstractConstraint, Shape, check_constraints, check_edges
 from .line_jacobians import Lines
 from .line_triangulation import triangulate_lines, world_rays
 from .picture_equations import CheckedObservations, ModelObservations, picture_equations
@@ -96,6 +96,7 @@ def refine(
     if free != "nothing" and not uncertainty.names:
         raise ValueError(f"free={free!r}: covariance or noise says how uncertain that is")
     points, weak = _initial_points(start, observed)
+    check_edges(constraints, points)
     lines, line_status = _initial_lines(observations, observed, constraints)
     shape, planes = _with_planes(points, lines, constraints)
     roots = _prior_roots(uncertainty)
@@ -122,6 +123,8 @@ def _initial_points(
     found, _, _, status = solve_points(
         observed.views, observed.pixels, observed.whitening, observed.visible
     )
+    # A start that is given counts, also where the pictures alone would tell: it may be the one
+    # that a person chose among several.
     points = np.where((status == PointStatus.OK)[:, None], found, np.nan)
     if start is not None:
         given = start.vertices if isinstance(start, HasVertices) else start
@@ -175,6 +178,7 @@ def _initial_lines(
         for line in constraint.lines:
             if line in found.failures:
                 raise ValueError(f"{constraint}: line {line}: {found.failures[line]}")
+    # It stays in the arrays, so that indices remain those of the caller.
     failed = ~found.ok
     observed.segments_visible[:, failed] = False
     filler = observed.views.centres[0] + observed.views.camera_from_world[0, 2, :3]
@@ -207,6 +211,7 @@ def _prior_roots(uncertainty: CalibrationUncertainty) -> Float[np.ndarray, "numb
     std = np.sqrt(np.diagonal(covariance))
     root = np.diag(std)
     part = np.ix_(range(shared), range(shared))
+    # Not a Cholesky factor: averaged models can leave the covariance without full rank.
     values, vectors = np.linalg.eigh(covariance[part] / np.outer(std[:shared], std[:shared]))
     root[part] = std[:shared, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return root
@@ -229,6 +234,7 @@ def _summarise(
     false_alarm: float,
 ) -> RefinedFeatures:
     """Return the answer with covariances, verdicts and statuses."""
+    # Without damping: that is for steps, not for covariances.
     at = linearise(problem, state, problem.free)
     posterior = at.system.factorised()
     blocks = posterior.feature_blocks()
@@ -244,6 +250,7 @@ def _summarise(
     status[few] = PointStatus.TOO_FEW_VIEWS
     if not result.converged:
         status[:] = PointStatus.NOT_CONVERGED
+        line_status = np.full_like(line_status, PointStatus.NOT_CONVERGED)
     ok, lines_ok = status == PointStatus.OK, line_status == PointStatus.OK
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
@@ -303,6 +310,7 @@ def _calibration_part(
         np.eye(len(problem.uncertainty.names)),
         problem.loss,
     )
+    # Mixed derivatives of the held numbers with features, and with the numbers that are free.
     free_roots = problem.roots[:, problem.free]
     mixed = everything.coupling[:, fixed].copy()
     reduced = np.zeros((len(posterior.reduced), len(names)))

@@ -109,6 +109,8 @@ def linearise(
     # Lines that no view sees any more, and points that move to the border, are idle here.
     blocks.lines[~problem.observed.segments_visible.any(axis=0)] = np.eye(4)
     prior = 1.0 / problem.weak_sigma**2
+    # A point that its pictures do not determine has a singular block, which cannot be eliminated
+    # first. In the border, its constraints and a very weak prior make it regular.
     for k, point in enumerate(weak):
         place, own = (
             slice(first_weak + 3 * k, first_weak + 3 * k + 3),
@@ -133,6 +135,7 @@ def linearise(
     weak_place = {int(point): first_weak + 3 * k for k, point in enumerate(weak)}
     first_line = 3 * len(shape.points)
     slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
+    # Derivatives go to the columns of features that are eliminated, or to those of the border.
     for where, constraint, one in zip(slices, problem.constraints, evaluations, strict=True):
         values[where] = one.values
         variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
@@ -175,12 +178,14 @@ def minimise(
         step, rest = factors.solve(at.feature_right, at.reduced_right)
         trial = _moved(problem, state, step, rest[: factors.border_size])
         new = linearise(problem, trial, problem.free)
+        # The last step is taken whatever the cost says: that differs by rounding only.
         small = _largest_step(at.system, step, rest) < CONVERGED_STEP
         if small or _merit(new) <= _merit(at) + MERIT_SLACK:
             state, at, damping = trial, new, 0.1 * damping if damping > 1e-6 else 0.0
             if small and damping == 0.0:
                 return state, FitResult(FitCode.CONVERGED, "all features stay where they are")
         else:
+            # Undamped first: from a triangulated start a full step is nearly always right.
             damping = max(10.0 * damping, 1e-4)
             if damping > 1e8:
                 break

@@ -171,6 +171,7 @@ def solve_points(
     poses = views.poses_for(count)
     shape = (len(poses), padded_count(count))
     safe = np.where(visible[..., None], pixels, 0.0)
+    # One sigma for all stays one matrix, which is broadcast in the program.
     if whitening.shape[:2] != (1, 1):
         whitening = padded_to(whitening, shape)
     found = estimate_points(
@@ -203,6 +204,7 @@ def _calibration_jacobian(
     #     dx/dt = -P J^T W A,   with P = (J^T W J)^-1 the covariance due to the pictures,
     # up to terms in the residuals.
     jacobians = pixel_jacobians(views, np.where(np.any(visible, axis=0)[:, None], points, 0.0))
+    # Observations that are not seen have no weight, whatever their numbers are.
     information = whitening.swapaxes(-1, -2) @ whitening
     weighted = np.where(visible[..., None, None], information @ jacobians.by_point, 0.0)
     sensitivity = -weighted.swapaxes(-1, -2) @ jacobians.by_view

@@ -98,6 +98,7 @@ class SeenViews(NamedTuple):
             ValueError: a pose that is not rigid, with the view.
         """
         checked = as_checked_command(poses)
+        # The last view is repeated, not a made-up one: every program can compute with it.
         command = padded_views(checked)
         padded = np.asarray(calibration.camera_from_world_matrices(command))
         views = len(checked.base_from_tool.wxyz_xyz)
@@ -140,12 +141,14 @@ def checked_visibility(
             f"pixels: expected {view_count} views as there are poses, found {len(pixels)}"
         )
     last = tuple(range(2, pixels.ndim))
+    # Shapes first, so that a wrong one is not reported as a pixel outside the picture.
     finite = np.isfinite(pixels).all(axis=last)
     seen = finite if visible is None else np.asarray(visible, dtype=bool)
     if seen.shape != pixels.shape[:2]:
         raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {seen.shape}")
     # The centre of the first pixel is (0, 0): the picture's border is half a pixel further out.
     low, high = -0.5, np.array(image_size) - 0.5
+    # Comparisons with NaN are false, as wanted.
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
     wrong = np.argwhere(seen & ~inside)
@@ -155,7 +158,8 @@ def checked_visibility(
             f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is not "
             f"in the picture of {image_size[0]} x {image_size[1]} px ({len(wrong)} such)"
         )
-    return np.asarray(seen)
+    # A copy, so that nobody's own mask changes.
+    return np.array(seen)
 
 
 def whitening_of(
