@@ -6,8 +6,10 @@ from . import compilation as compilation
 from . import compilation_cache as compilation_cache
 from . import dataset as dataset
 from . import detection as detection
+from . import editor as editor
 from . import engine as engine
 from . import evaluation as evaluation
+from . import features as features
 from . import fit_result as fit_result
 from . import geometry as geometry
 from . import io as io
@@ -27,6 +29,7 @@ from .calibration_pipeline import calibrate as calibrate
 from .cameras import Camera as Camera
 from .dataset import Dataset as Dataset
 from .detection import correct_circle_centres as correct_circle_centres
+from .editor import ModelSession as ModelSession
 from .engine import Noise as Noise
 from .engine import Prior as Prior
 from .evaluation import compare as compare
@@ -46,6 +49,7 @@ from .joint import fit_joint as fit_joint
 from .joint import fit_many as fit_many
 from .joint import precompile as precompile
 from .joint import view_influence as view_influence
+from .modeling import ObjectModel as ObjectModel
 from .staged import StagedFit as StagedFit
 from .staged import fit_staged as fit_staged
 from .version import __version__ as __version__

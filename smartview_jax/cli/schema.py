@@ -11,10 +11,11 @@ class SchemaName(StrEnum):
 
     DATASET = "dataset"
     CALIBRATION = "calibration"
+    OBJECT = "object"
 
 
 def schema(of: Annotated[SchemaName, typer.Argument(help="Of which file.")]) -> None:
-    """Print the JSON schema of dataset.yaml or calibration.yaml, for editors.
+    """Print the JSON schema of dataset.yaml, calibration.yaml or an object model, for editors.
 
     Editors with a YAML language server check a file that begins with the line
     `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved beside it.

@@ -1,5 +1,8 @@
-"""Measure objects in several calibrated views: points, straight lines, and what binds them."""
+"""Model objects from several calibrated views: geometry, triangulation, surfaces and grasps."""
 
+from .candidates import Candidates as Candidates
+from .candidates import direction_turn as direction_turn
+from .candidates import rank_candidates as rank_candidates
 from .constraint_verdicts import ConstraintVerdict as ConstraintVerdict
 from .constraints import AbstractConstraint as AbstractConstraint
 from .constraints import Edge as Edge
@@ -19,12 +22,35 @@ from .dimensions import dimension as dimension
 from .epipolar import EpipolarCurve as EpipolarCurve
 from .epipolar import epipolar_curve as epipolar_curve
 from .epipolar import epipolar_curves as epipolar_curves
+from .faces import PLANAR_TOLERANCE as PLANAR_TOLERANCE
+from .faces import Face as Face
+from .faces import FacePlane as FacePlane
+from .faces import check_face as check_face
+from .faces import face_array as face_array
+from .faces import face_plane as face_plane
+from .faces import open_edges as open_edges
+from .faces import oriented_outward as oriented_outward
+from .faces import points_in_loops as points_in_loops
+from .faces import signed_volume as signed_volume
+from .grasp_frames import Grasp as Grasp
+from .grasp_frames import grasp_on_face as grasp_on_face
+from .grasp_frames import turned as turned
+from .grasp_frames import width_between_fingers as width_between_fingers
 from .line_jacobians import Lines as Lines
 from .line_triangulation import TriangulatedLines as TriangulatedLines
 from .line_triangulation import triangulate_lines as triangulate_lines
+from .object_model import ObjectModel as ObjectModel
+from .object_model import edges_of_faces as edges_of_faces
 from .picture_equations import ModelObservations as ModelObservations
+from .pixel_jacobians import PixelJacobians as PixelJacobians
+from .pixel_jacobians import pixel_jacobians as pixel_jacobians
 from .point_estimation import PointStatus as PointStatus
+from .proposal import ModelProposal as ModelProposal
+from .proposal import propose_model as propose_model
 from .refined_features import RefinedFeatures as RefinedFeatures
 from .refinement import refine as refine
+from .symmetry import Symmetry as Symmetry
+from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points
+from .view_poses import SeenViews as SeenViews

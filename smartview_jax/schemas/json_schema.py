@@ -9,8 +9,13 @@ from pathlib import Path
 from ..files import write_atomically
 from .calibration import CALIBRATION_SCHEMA
 from .dataset import DATASET_SCHEMA
+from .object_model import OBJECT_MODEL_SCHEMA
 
-SCHEMAS = {"dataset": DATASET_SCHEMA, "calibration": CALIBRATION_SCHEMA}
+SCHEMAS = {
+    "dataset": DATASET_SCHEMA,
+    "calibration": CALIBRATION_SCHEMA,
+    "object": OBJECT_MODEL_SCHEMA,
+}
 """Schemas by the name of the file without its ending."""
 
 
@@ -18,7 +23,7 @@ def json_schema(name: str) -> str:
     """Return the JSON schema of a file, as text, by its name in `SCHEMAS`."""
     content = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"{name}.yaml of smartview_jax",
+        "title": f"{name}.{'json' if name == 'object' else 'yaml'} of smartview_jax",
         **SCHEMAS[name].json_schema(),
     }
     return json.dumps(content, indent=1) + "\n"

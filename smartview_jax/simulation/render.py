@@ -21,6 +21,7 @@ from ..geometry import PoseLike, as_se3
 from ..io import write_dataset_folder
 from ..targets import AbstractTarget, StackedTarget
 from .patterns import printed_pattern
+from .sensor import sensor_picture
 
 DARK_LEVEL, LIGHT_LEVEL, BACKGROUND_LEVEL = 40.0, 215.0, 120.0
 """Grey levels of the print, of the paper, and of everything other than the board's front."""
@@ -68,13 +69,9 @@ def render(
     grey_level = np.where(dark.reshape(in_front.shape), DARK_LEVEL, LIGHT_LEVEL)
     picture = np.where(in_front, grey_level, BACKGROUND_LEVEL)
     width, rows = calibration.camera.image_size
-    # Average over the samples of each pixel, then blur, then add noise: the order of optics and
-    # sensor.
-    picture = picture.reshape(rows, samples, width, samples).mean(axis=(1, 3))
-    if blur > 0.0:
-        picture = cv2.GaussianBlur(picture, (0, 0), blur)
-    picture = picture + noise * np.random.default_rng(seed).standard_normal(picture.shape)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    # The mean over the samples of each pixel is the light that the pixel collects.
+    brightness = picture.reshape(rows, samples, width, samples).mean(axis=(1, 3))
+    return sensor_picture(brightness, blur=blur, noise=noise, seed=seed)
 
 
 def _sample_plane(
@@ -133,6 +130,7 @@ def write_pictures(
     base_from_tool: PoseLike,
     target: AbstractTarget,
     reported_poses: PoseLike | None = None,
+    suffix: str = ".png",
     **options: Any,
 ) -> Path:
     """Write a data-set folder with a rendered picture for every robot pose and every height.
@@ -143,12 +141,13 @@ def write_pictures(
         base_from_tool: `(views)` true robot poses.
         target: target in the pictures.
         reported_poses: `(views)` poses that the robot reports; the true ones by default.
+        suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)
     height_count = len(target.heights) if isinstance(target, StackedTarget) else 1
     views = [str(k) for k in range(len(poses.wxyz_xyz))]
-    pattern = "images/{view}_{height}.png" if height_count > 1 else "images/{view}.png"
+    pattern = ("images/{view}_{height}" if height_count > 1 else "images/{view}") + suffix
     for k, view in enumerate(views):
         pose = SE3(poses.wxyz_xyz[k])
         for height_index in range(height_count):
@@ -161,7 +160,7 @@ def write_pictures(
                 **options,
             )
             path = folder / pattern.format(view=view, height=height_index)
-            write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
+            write_atomically(path, cv2.imencode(suffix, picture)[1].tobytes())
     write_dataset_folder(
         folder,
         views,

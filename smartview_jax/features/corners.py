@@ -1,0 +1,261 @@
+"""Find corners: where straight segments meet, and where the gradient alone says so.
+
+A corner of segments is the point of least squared distances from their lines, in the ideal plane,
+each weighted by the line's own covariance there. Other corners are peaks of the structure tensor's
+determinant over its trace (Foerstner and Guelch, "A fast operator for detection and precise
+location of distinct points, corners and centres of circular features", 1987), and the vertices near
+them that OpenCV's cornerSubPix finds.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from .edge_points import SMOOTHING, gradient, noise_of
+from .segments import Lines, is_between
+
+MAX_END_GAP = 10.0
+"""Largest distance of a segment's end from a corner that it belongs to, px."""
+
+MIN_ANGLE = float(np.deg2rad(12.0))
+"""Smallest angle between two segments that make a corner, rad."""
+
+MAX_MERGED_DISTANCE = 1.2
+"""Distance within which meeting points of pairs of segments are one corner, px."""
+
+MAX_CORNER_SIGMA = 1.0
+"""Largest standard deviation of a corner of segments in its worst direction, px."""
+
+MAX_SEGMENTS_PER_CORNER = 6
+"""Largest number of segments that are kept for one corner."""
+
+INTEGRATION_SIGMA = 1.0
+"""Standard deviation of the window over which the structure tensor is summed, px."""
+
+STRUCTURE_GATE = 20.0
+"""Smallest structure of a corner of the gradient, in variances of the gradient's noise."""
+
+MIN_ROUNDNESS = 0.08
+"""Smallest roundness 4 det / trace^2 of the structure tensor: 0 on an edge, 1 on a dot."""
+
+MAX_GRADIENT_CORNERS = 6000
+"""Largest number of corners of the gradient in a picture, the strongest."""
+
+REFINEMENT_RADIUS = 4
+"""Half the width of the window in which a vertex is refined, px."""
+
+CORRELATED_AREA = 4.0 * np.pi * SMOOTHING**2
+"""Number of neighbouring pixels whose gradients count as one, because the picture was smoothed."""
+
+MAX_REFINEMENT = 2.5
+"""Largest distance by which refinement may move a corner, px; beyond it is another one's."""
+
+MAX_VERTEX_SIGMA = 0.3
+"""Largest standard deviation of a vertex, px: the edges around it do not meet in one point."""
+
+VERTEX_MODEL_SIGMA, PEAK_MODEL_SIGMA = 0.1, 0.3
+"""Standard deviations of vertices and of peaks beyond what noise explains, px.
+
+Blur rounds vertices off, and the peak of the structure is where a picture's pattern has it.
+"""
+
+MIN_PEAK_DISTANCE = 1.0
+"""Distance from a vertex, px, within which a peak of the structure adds no candidate."""
+
+
+class LineCorners(NamedTuple):
+    """Corners where segments meet, in the ideal plane.
+
+    Attributes:
+        points: ideal coordinates, px.
+        covariances: px^2.
+        segments: indices of the segments that meet, -1 where there are fewer.
+    """
+
+    points: Float[np.ndarray, "corners 2"]
+    covariances: Float[np.ndarray, "corners 2 2"]
+    segments: Int[np.ndarray, "corners joined"]
+
+
+def line_corners(lines: Lines) -> LineCorners:
+    """Return the corners where two or more segments end, or one ends on another."""
+    first, second, meeting = _meeting_points(lines)
+    groups = _groups(meeting)
+    points, covariances, joined = [], [], []
+    for group in groups:
+        members = np.unique(np.concatenate([first[group], second[group]]))
+        solved = _common_point(lines, members, meeting[group].mean(axis=0))
+        if solved is None:
+            continue
+        points.append(solved[0])
+        covariances.append(solved[1])
+        row = np.full(MAX_SEGMENTS_PER_CORNER, -1)
+        row[: len(members)] = members[:MAX_SEGMENTS_PER_CORNER]
+        joined.append(row)
+    return LineCorners(
+        np.array(points).reshape(-1, 2),
+        np.array(covariances).reshape(-1, 2, 2),
+        np.array(joined, dtype=int).reshape(-1, MAX_SEGMENTS_PER_CORNER),
+    )
+
+
+def _meeting_points(lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return pairs of segments that meet near an end of at least one, and where their lines do."""
+    first, second = np.triu_indices(len(lines.centres), k=1)
+    n, m = lines.normals[first], lines.normals[second]
+    sine = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
+    steep = np.abs(sine) > np.sin(MIN_ANGLE)
+    first, second, n, m, sine = (x[steep] for x in (first, second, n, m, sine))
+    # n . x = a and m . x = b: Cramer's rule.
+    a, b = ((k * lines.centres[i]).sum(axis=1) for k, i in ((n, first), (m, second)))
+    meeting = np.column_stack([a * m[:, 1] - b * n[:, 1], b * n[:, 0] - a * m[:, 0]])
+    meeting = meeting / sine[:, None]
+    near = is_between(lines, first, meeting, MAX_END_GAP)
+    near &= is_between(lines, second, meeting, MAX_END_GAP)
+    near &= _ends_near(lines, first, meeting) | _ends_near(lines, second, meeting)
+    return first[near], second[near], meeting[near]
+
+
+def _ends_near(lines: Lines, index: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return whether one of the ends of a segment is near a point."""
+    distance = np.linalg.norm(lines.ends[index] - points[:, None], axis=2)
+    return distance.min(axis=1) < MAX_END_GAP
+
+
+def _groups(points: Float[np.ndarray, "points 2"]) -> list[np.ndarray]:
+    """Return the indices of points that are close together, each point in one group."""
+    if not len(points):
+        return []
+    neighbours = KDTree(points).query_ball_point(points, MAX_MERGED_DISTANCE)
+    free, groups = np.ones(len(points), dtype=bool), []
+    # The points with the most neighbours collect theirs first.
+    for k in sorted(range(len(points)), key=lambda i: -len(neighbours[i])):
+        group = [i for i in neighbours[k] if free[i]]
+        if free[k]:
+            groups.append(np.array(group))
+            free[group] = False
+    return groups
+
+
+def _common_point(
+    lines: Lines, members: Int[np.ndarray, "members"], start: Float[np.ndarray, "2"]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the point nearest to several lines and its covariance; None if poorly determined."""
+    variances = lines.variances_at(members, np.tile(start, (len(members), 1)))
+    normals = lines.normals[members]
+    distances = (normals * lines.centres[members]).sum(axis=1)
+    # Least squares: (sum n n^T / var) x = sum n d / var, whose matrix is the inverse covariance.
+    information = (normals / variances[:, None]).T @ normals
+    if np.linalg.eigvalsh(information)[0] < MAX_CORNER_SIGMA**-2:
+        return None
+    covariance = np.linalg.inv(information)
+    point = covariance @ (normals / variances[:, None]).T @ distances
+    # Lines that miss their common point by more than they should are not of one vertex: the
+    # covariance grows by the excess, as that of a weighted mean does.
+    misses = (normals @ point - distances) ** 2 / variances
+    excess = misses.sum() / max(len(members) - 2, 1) if len(members) > 2 else 1.0
+    return point, covariance * max(excess, 1.0)
+
+
+def gradient_corners(
+    grey: Float[np.ndarray, "rows columns"],
+) -> tuple[Float[np.ndarray, "corners 2"], Float[np.ndarray, "corners 2 2"]]:
+    """Return pixels and covariances (px^2) of the corners that the picture's gradient shows.
+
+    The vertices come first: where the edges of a window meet in one point. Peaks of the structure
+    tensor that are no vertices follow, such as dots and the grain of a texture.
+    """
+    slopes = gradient(grey)
+    peaks = _structure_peaks(slopes, noise_of(grey))
+    if not len(peaks):
+        return np.zeros((0, 2)), np.zeros((0, 2, 2))
+    vertices, covariances = _vertices(grey, slopes, peaks)
+    away = np.ones(len(peaks), dtype=bool)
+    if len(vertices):
+        away = KDTree(vertices).query(peaks)[0] > MIN_PEAK_DISTANCE
+    peak_covariances = np.tile(PEAK_MODEL_SIGMA**2 * np.eye(2), (int(away.sum()), 1, 1))
+    return (
+        np.concatenate([vertices, peaks[away]]),
+        np.concatenate([covariances, peak_covariances]),
+    )
+
+
+def _structure_peaks(
+    slopes: Float[np.ndarray, "rows columns 2"], noise: float
+) -> Float[np.ndarray, "peaks 2"]:
+    """Return the sub-pixel peaks of det / trace of the structure tensor, the strongest first."""
+    uu, uv, vv = (
+        cv2.GaussianBlur(slopes[..., i] * slopes[..., j], (0, 0), INTEGRATION_SIGMA)
+        for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    determinant, trace = uu * vv - uv * uv, np.maximum(uu + vv, 1e-12)
+    strength = determinant / trace
+    # The variance of the gradient's noise, as in `find_edge_points`.
+    gate = STRUCTURE_GATE * noise**2 / (8.0 * np.pi * SMOOTHING**4)
+    is_peak = (strength == cv2.dilate(strength, np.ones((3, 3)))) & (strength > gate)
+    is_peak &= 4.0 * determinant > MIN_ROUNDNESS * trace**2
+    is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
+    row, column = np.nonzero(is_peak)
+    order = np.argsort(-strength[row, column])[:MAX_GRADIENT_CORNERS]
+    row, column = row[order], column[order]
+    shifts = [
+        _parabola_peak(*(strength[row + k * down, column + k * across] for k in (-1, 0, 1)))
+        for across, down in ((1, 0), (0, 1))
+    ]
+    return np.column_stack([column, row]) + np.column_stack(shifts)
+
+
+def _parabola_peak(before: np.ndarray, middle: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return where between neighbours a parabola through three values peaks, -0.5 to 0.5."""
+    curvature = before - 2.0 * middle + after
+    shift = 0.5 * (before - after) / np.where(curvature < 0.0, curvature, -np.inf)
+    return np.clip(shift, -0.5, 0.5)
+
+
+def _vertices(
+    grey: Float[np.ndarray, "rows columns"],
+    slopes: Float[np.ndarray, "rows columns 2"],
+    peaks: Float[np.ndarray, "peaks 2"],
+) -> tuple[Float[np.ndarray, "vertices 2"], Float[np.ndarray, "vertices 2 2"]]:
+    """Return the points near peaks in which the edges around them meet, with covariances."""
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
+    window = (REFINEMENT_RADIUS, REFINEMENT_RADIUS)
+    start = peaks[:, None].astype(np.float32)
+    refined = cv2.cornerSubPix(grey.astype(np.float32), start, window, (-1, -1), stop)
+    refined = refined[:, 0].astype(float)
+    covariances = _meeting_covariances(slopes, refined)
+    good = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
+    good &= np.linalg.eigvalsh(covariances)[:, 1] < MAX_VERTEX_SIGMA**2
+    refined, covariances = refined[good], covariances[good]
+    # Several peaks may lead to one vertex: the first is the strongest.
+    first = np.array([group.min() for group in _groups(refined)], dtype=int)
+    covariances = covariances[first] + VERTEX_MODEL_SIGMA**2 * np.eye(2)
+    return refined[first], covariances
+
+
+def _meeting_covariances(
+    slopes: Float[np.ndarray, "rows columns 2"], vertices: Float[np.ndarray, "vertices 2"]
+) -> Float[np.ndarray, "vertices 2 2"]:
+    """Return how well the edges of a window determine the point in which they meet.
+
+    The gradient g at x of an edge through the vertex q has g . (q - x) = 0. Least squares over the
+    window has the covariance s^2 (sum w g g^T)^-1, with s^2 from the residuals of those equations.
+    """
+    reach = np.arange(-REFINEMENT_RADIUS, REFINEMENT_RADIUS + 1)
+    offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+    cells = np.rint(vertices).astype(int)[:, None] + offsets
+    column, row = np.moveaxis(cells, -1, 0)
+    limits = slopes.shape[1] - 1, slopes.shape[0] - 1
+    g = slopes[np.clip(row, 0, limits[1]), np.clip(column, 0, limits[0])]
+    # The weights of cornerSubPix.
+    weights = np.exp(-((offsets / REFINEMENT_RADIUS) ** 2).sum(axis=1))
+    residuals = np.einsum("nwk,nwk->nw", g, vertices[:, None] - cells)
+    variance = (weights * residuals**2).sum(axis=1) / (weights.sum() - 2.0)
+    information = np.einsum("w,nwi,nwj->nij", weights, g, g)
+    # A window that shows one edge only determines nothing along it.
+    ridge = 1e-6 * np.trace(information, axis1=1, axis2=2) + 1e-12
+    inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(2))
+    return (CORRELATED_AREA * variance)[:, None, None] * inverse

@@ -1,0 +1,167 @@
+"""Find the straight segments and the corners of a picture, with what is known of each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from ..cameras import Camera
+from .corners import MAX_END_GAP, LineCorners, gradient_corners, line_corners
+from .edge_points import find_edge_points
+from .ideal_plane import IdealPlane
+from .picture_checks import grey_levels
+from .segments import Lines, find_lines
+
+SAME_CORNER_DISTANCE = 1.0
+"""Distance from a corner of segments within which one of the gradient is the same, px."""
+
+END_SIGMA = 1.0
+"""Standard deviation of a free end along its segment, px; an end at a corner has the corner's."""
+
+
+class Features(NamedTuple):
+    """Segments and corners of one picture; everything is finite.
+
+    Corners of segments come first, then those of the gradient alone, which join none. A segment
+    that ends at a corner has its end there.
+
+    Attributes:
+        corners: pixels.
+        corner_covariances: px^2.
+        corner_segments: indices of the segments that meet in a corner, -1 where there are fewer.
+        segments: pixels of the two ends; the lighter side is to the left of the direction from
+            the first to the second, as seen in the picture.
+        end_covariances: covariances of the ends, px^2: small across the segment.
+        lines: unit normals, in the camera's frame, of the planes through the camera's centre and
+            the segments: `line @ point == 0` for points on the edge in space.
+        line_covariances: covariances of the unit normals, of rank two.
+        image_size: width and height of the picture, px.
+    """
+
+    corners: Float[np.ndarray, "corners 2"]
+    corner_covariances: Float[np.ndarray, "corners 2 2"]
+    corner_segments: Int[np.ndarray, "corners joined"]
+    segments: Float[np.ndarray, "segments 2 2"]
+    end_covariances: Float[np.ndarray, "segments 2 2 2"]
+    lines: Float[np.ndarray, "segments 3"]
+    line_covariances: Float[np.ndarray, "segments 3 3"]
+    image_size: tuple[int, int]
+
+
+def find(picture: np.ndarray, camera: Camera) -> Features:
+    """Find straight segments and corners in a picture, with their covariances.
+
+    Edge points are found with sub-pixel accuracy, taken through the lens, and fitted where a
+    straight edge is straight.
+
+    Args:
+        picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
+        camera: intrinsics and lens of the camera that took it.
+
+    Raises:
+        ValueError: the array is not a picture of the camera's size, or the picture is blank,
+            over-exposed or under-exposed; the message says what was found.
+    """
+    grey, plane = grey_levels(picture, camera), IdealPlane(camera)
+    lines = find_lines(grey, find_edge_points(grey), plane)
+    junctions = line_corners(lines)
+    corners, covariances = _corner_pixels(junctions, plane)
+    inside = _is_inside(corners, camera.image_size)
+    junctions = LineCorners(*(part[inside] for part in junctions))
+    corners, covariances = corners[inside], covariances[inside]
+    ends, end_covariances = _end_pixels(lines, junctions, plane)
+    normals, normal_covariances = _plane_normals(lines, plane)
+    others, other_covariances = gradient_corners(grey)
+    new = _far_from(others, corners)
+    joined = np.full((int(new.sum()), junctions.segments.shape[1]), -1)
+    return Features(
+        np.concatenate([corners, others[new]]),
+        np.concatenate([covariances, other_covariances[new]]),
+        np.concatenate([junctions.segments, joined]),
+        ends,
+        end_covariances,
+        normals,
+        normal_covariances,
+        camera.image_size,
+    )
+
+
+def _is_inside(
+    pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]
+) -> Bool[np.ndarray, "points"]:
+    """Return which pixels are within the picture; NaN is not."""
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)
+    return np.asarray(inside.all(axis=1))
+
+
+def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels and covariances of corners of segments."""
+    pixels, derivatives = plane.to_pixels(junctions.points)
+    covariances = derivatives @ junctions.covariances @ derivatives.transpose(0, 2, 1)
+    return pixels, covariances
+
+
+def _end_pixels(
+    lines: Lines, junctions: LineCorners, plane: IdealPlane
+) -> tuple[Float[np.ndarray, "segments 2 2"], Float[np.ndarray, "segments 2 2 2"]]:
+    """Return pixels and covariances of the ends of segments, at a corner where there is one."""
+    count = len(lines.centres)
+    index = np.repeat(np.arange(count), 2)
+    ends = lines.ends.reshape(-1, 2).copy()
+    across, along = lines.normals[index], lines.directions[index]
+    covariances = lines.variances_at(index, ends)[:, None, None] * _outer(across)
+    covariances = covariances + END_SIGMA**2 * _outer(along)
+    for k, corner in enumerate(junctions.points):
+        for segment in junctions.segments[k][junctions.segments[k] >= 0]:
+            # The nearer end; the corner of a T is in the middle of one of its segments.
+            gaps = np.linalg.norm(lines.ends[segment] - corner, axis=1)
+            if gaps.min() <= MAX_END_GAP:
+                end = 2 * segment + int(np.argmin(gaps))
+                ends[end], covariances[end] = corner, junctions.covariances[k]
+    pixels, derivatives = plane.to_pixels(ends)
+    covariances = derivatives @ covariances @ derivatives.transpose(0, 2, 1)
+    return pixels.reshape(count, 2, 2), covariances.reshape(count, 2, 2, 2)
+
+
+def _outer(vectors: Float[np.ndarray, "rows 2"]) -> Float[np.ndarray, "rows 2 2"]:
+    """Return the products v v^T."""
+    return vectors[:, :, None] * vectors[:, None, :]
+
+
+def _plane_normals(
+    lines: Lines, plane: IdealPlane
+) -> tuple[Float[np.ndarray, "segments 3"], Float[np.ndarray, "segments 3 3"]]:
+    """Return the unit normals of the planes through lines and the camera's centre, with covariance.
+
+    A line n . x = d of the ideal plane at focal length f is seen in the plane of normal
+    (f n, -d) through the centre.
+    """
+    f, n, t = plane.focal_length, lines.normals, lines.directions
+    d = (n * lines.centres).sum(axis=1)
+    normals = np.column_stack([f * n, -d])
+    lengths = np.linalg.norm(normals, axis=1)[:, None]
+    normals = normals / lengths
+    # A shift by e across changes d by e. A turn by a about the centre c changes n by a t and d by
+    # a (t . c), since c stays on the line.
+    by_shift = np.column_stack([np.zeros_like(n), -np.ones(len(n))]) / lengths
+    by_turn = np.column_stack([f * t, -(t * lines.centres).sum(axis=1)]) / lengths
+    covariances = np.zeros((len(n), 3, 3))
+    for derivative, variance in (
+        (by_shift, lines.offset_variances),
+        (by_turn, lines.angle_variances),
+    ):
+        # The unit length holds only the part at a right angle to the normal.
+        tangent = derivative - normals * (normals * derivative).sum(axis=1, keepdims=True)
+        covariances += variance[:, None, None] * tangent[:, :, None] * tangent[:, None, :]
+    return normals, covariances
+
+
+def _far_from(
+    pixels: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"]
+) -> Bool[np.ndarray, "points"]:
+    """Return which pixels are not at one of the others."""
+    if not len(others):
+        return np.ones(len(pixels), dtype=bool)
+    return KDTree(others).query(pixels)[0] > SAME_CORNER_DISTANCE

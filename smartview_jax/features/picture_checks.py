@@ -1,0 +1,55 @@
+"""Refuse arrays that are not pictures of the camera, or pictures on which nothing can be found."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from ..cameras import Camera
+
+MIN_CONTRAST = 8.0
+"""Smallest difference, grey levels, between the darkest and the brightest hundredth of pixels."""
+
+MAX_WHITE_FRACTION, MAX_BLACK_FRACTION = 0.6, 0.98
+"""Largest fractions of pixels at 255 and at 0; objects may stand before black."""
+
+
+def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows columns"]:
+    """Return a picture's grey levels, 0 to 255.
+
+    Args:
+        picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
+        camera: whose picture it is.
+
+    Raises:
+        ValueError: the array is empty, of another type or of another size than the camera's
+            pictures; or the picture is blank, over-exposed or under-exposed.
+    """
+    if not isinstance(picture, np.ndarray) or picture.size == 0:
+        raise ValueError("picture: expected an array of grey levels, found nothing")
+    if (
+        picture.dtype != np.uint8
+        or picture.ndim not in (2, 3)
+        or picture.shape[2:] not in ((), (3,))
+    ):
+        raise ValueError(
+            f"picture: expected uint8 (h, w) or (h, w, 3), found {picture.dtype} {picture.shape}"
+        )
+    width, rows = camera.image_size
+    if picture.shape[:2] != (rows, width):
+        raise ValueError(
+            f"picture: expected {width} x {rows} px, the camera's size, found "
+            f"{picture.shape[1]} x {picture.shape[0]} px"
+        )
+    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    white, black = float((grey == 255).mean()), float((grey == 0).mean())
+    darkest, brightest = np.percentile(grey, [1.0, 99.0])
+    # A few bright pixels in a black picture may be all of an object, so blackness is tested first.
+    if black > MAX_BLACK_FRACTION:
+        raise ValueError(f"picture: under-exposed, {black:.0%} of its pixels are 0")
+    if white > MAX_WHITE_FRACTION:
+        raise ValueError(f"picture: over-exposed, {white:.0%} of its pixels are 255")
+    if brightest - darkest < MIN_CONTRAST:
+        raise ValueError(
+            f"picture: blank, its grey levels are between {darkest:.0f} and {brightest:.0f}"
+        )
+    return grey.astype(float)

@@ -1,0 +1,298 @@
+"""Read and write object models as triangle meshes: OBJ, PLY, STL and glTF, through trimesh.
+
+A mesh has a flat face as many triangles. On reading, triangles in one plane are joined to faces
+again, and the edges between them become the wireframe where the surface bends sharply. On writing,
+faces are cut into triangles; graspable surfaces, grasps and uncertainty have no place in a mesh.
+"""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..files import write_atomically
+from ..geometry import LENGTH_UNITS
+from ..modeling import Face, ObjectModel, face_plane
+
+if TYPE_CHECKING:
+    import trimesh
+
+MESH_FORMATS = ("obj", "ply", "stl", "glb", "gltf")
+"""Endings of the files that are read and written."""
+
+SHARP_ANGLE = float(np.deg2rad(20.0))
+"""Smallest angle between the normals of two triangles whose common edge is a sharp one, rad.
+
+The smallest bend in use that is meant as an edge is that of an octagonal prism, 45 degrees; round
+parts are meshed with steps of 5 to 15 degrees.
+"""
+
+COPLANAR_ANGLE = float(np.deg2rad(0.5))
+"""Largest angle between the normals of two triangles of one flat face, rad."""
+
+WELD_DISTANCE = 1e-6
+"""Largest distance between vertices that are the same one, over the object's extent.
+
+STL gives every triangle its own vertices, in single precision.
+"""
+
+
+def read_mesh(
+    path: str | os.PathLike[str], unit: str = "m", sharp_angle: float = SHARP_ANGLE
+) -> ObjectModel:
+    """Read a mesh as an object model: flat faces, and sharp edges as the wireframe.
+
+    Args:
+        path: a file with one of the endings in `MESH_FORMATS`.
+        unit: of its coordinates: m, cm or mm; most CAD programs write mm. glTF is always in metres.
+        sharp_angle: smallest bend of the surface that is an edge, rad.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: another format, or a file without triangles.
+        ImportError: trimesh is not installed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    if unit not in LENGTH_UNITS:
+        raise ValueError(f"unit: expected one of {', '.join(LENGTH_UNITS)}, found {unit!r}")
+    kind = _format_of(path)
+    trimesh = import_trimesh()
+    try:
+        mesh = trimesh.load_mesh(path, file_type=kind, process=False)
+        if isinstance(mesh, trimesh.Scene):
+            mesh = mesh.to_mesh()
+        vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, int)
+    # A broken file can raise anything in a parser of another library.
+    except Exception as error:
+        raise ValueError(f"{path}: not readable as {kind}: {error}") from error
+    scale = 1.0 if kind in ("glb", "gltf") else LENGTH_UNITS[unit]
+    try:
+        return model_from_triangles(scale * vertices, triangles, sharp_angle, path.stem, str(path))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_mesh(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
+    """Write the faces of a model as triangles in metres, completely or not at all.
+
+    Raises:
+        ValueError: another format than those in `MESH_FORMATS`, or a model without faces.
+        ImportError: trimesh or mapbox-earcut is not installed.
+    """
+    path = Path(path)
+    kind = _format_of(path)
+    mesh = to_trimesh(model)
+    if kind == "gltf":
+        from trimesh.exchange.gltf import export_gltf
+
+        # One file, with its numbers inside, so that it is written completely or not at all.
+        files = export_gltf(mesh.scene(), embed_buffers=True)
+        return write_atomically(path, files["model.gltf"])
+    # PLY, STL and glTF have single precision; the text of OBJ keeps what the model has.
+    options: dict[str, Any] = {"digits": 12} if kind == "obj" else {}
+    content: Any = mesh.export(file_type=kind, **options)
+    return write_atomically(path, content)
+
+
+def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
+    """Return the faces of a model as a trimesh mesh, whose vertices are those of the model.
+
+    The metadata `face_of_triangle` has the face that each triangle is part of.
+
+    Raises:
+        ValueError: the model has no faces.
+        ImportError: trimesh or mapbox-earcut is not installed.
+    """
+    if not model.faces:
+        raise ValueError(f"model {model.name!r} has no faces, only a wireframe, so it is no mesh")
+    trimesh = import_trimesh()
+    parts = [face_triangles(model.vertices, face) for face in model.faces]
+    owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    mesh = trimesh.Trimesh(model.vertices, np.concatenate(parts), process=False)
+    mesh.metadata["face_of_triangle"] = owners
+    return mesh
+
+
+def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.ndarray, "T 3"]:
+    """Return a face cut into triangles, as indices of vertices, with the face's normal.
+
+    Raises:
+        ImportError: mapbox-earcut is not installed.
+    """
+    try:
+        import mapbox_earcut
+    except ImportError as error:
+        raise ImportError(_INSTALL.format("mapbox-earcut")) from error
+    plane = face_plane(vertices, face)
+    flat = plane.coordinates(vertices[face.indices])
+    ends = np.cumsum([len(loop) for loop in face.loops]).astype(np.uint32)
+    corners = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3)
+    # In the plane's coordinates counter-clockwise is outward, whichever way earcut cuts.
+    a, b, c = (flat[corners[:, k]] for k in range(3))
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    corners = np.where(area[:, None] < 0.0, corners[:, ::-1], corners)
+    return np.array(face.indices)[corners.astype(int)]
+
+
+_INSTALL = "this needs {}: pip install 'smartview-jax[objects]'"
+
+
+def import_trimesh() -> Any:
+    """Return the module trimesh, or raise an error that says how to install it."""
+    try:
+        import trimesh
+    except ImportError as error:
+        raise ImportError(_INSTALL.format("trimesh")) from error
+    return trimesh
+
+
+def _format_of(path: Path) -> str:
+    """Return the ending of a mesh file, if it is a known one."""
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in MESH_FORMATS:
+        raise ValueError(f"{path}: expected a name ending in .{', .'.join(MESH_FORMATS)}")
+    return kind
+
+
+def model_from_triangles(
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Int[np.ndarray, "T 3"],
+    sharp_angle: float = SHARP_ANGLE,
+    name: str = "",
+    source: str = "",
+) -> ObjectModel:
+    """Return the object model of a triangle mesh; see `read_mesh`.
+
+    Args:
+        vertices: in metres; vertices in one place are joined.
+        triangles: counter-clockwise as seen from outside.
+        sharp_angle: smallest bend of the surface that is an edge, rad.
+        name: of the model.
+        source: where the mesh is from, for the provenance.
+
+    Raises:
+        ValueError: there are no triangles, or coordinates are not finite.
+    """
+    mesh = _welded(vertices, triangles)
+    owners = _flat_groups(mesh)
+    loops_by_face = [_boundary_loops(mesh.faces[owners == k]) for k in range(owners.max() + 1)]
+    kept = _corners(mesh.vertices, loops_by_face)
+    shortened = [[tuple(v for v in loop if kept[v]) for loop in loops] for loops in loops_by_face]
+    faces = [_face_from_loops(mesh.vertices, loops) for loops in shortened]
+    edges = _sharp_edges(mesh, owners, shortened, sharp_angle)
+    number = np.cumsum(kept) - 1
+    renumbered = tuple(
+        Face(*(_renumbered(face.loop, number), tuple(_renumbered(h, number) for h in face.holes)))
+        for face in faces
+    )
+    provenance = (f"from the mesh {source}",) if source else ()
+    return ObjectModel(
+        mesh.vertices[kept], number[edges], renumbered, name=name, provenance=provenance
+    )
+
+
+def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"]) -> Any:
+    """Return a trimesh mesh whose vertices in one place are joined, without empty triangles."""
+    from scipy.spatial import KDTree
+
+    if not len(triangles):
+        raise ValueError("the mesh has no triangles")
+    if not np.isfinite(vertices).all():
+        raise ValueError("the mesh has coordinates that are not finite")
+    radius = WELD_DISTANCE * float(np.ptp(vertices, axis=0).max())
+    # The first of each cluster stands for all of it.
+    first = np.arange(len(vertices))
+    for a, b in sorted(KDTree(vertices).query_pairs(radius)):
+        first[b] = min(first[b], first[a])
+    joined = first[triangles]
+    distinct = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
+    mesh = import_trimesh().Trimesh(vertices, joined[distinct], process=False)
+    mesh.update_faces(mesh.area_faces > 1e-12 * np.ptp(vertices, axis=0).max() ** 2)
+    if not len(mesh.faces):
+        raise ValueError("the mesh has no triangles with an area")
+    return mesh
+
+
+def _flat_groups(mesh: Any) -> Int[np.ndarray, "T"]:
+    """Return the number of the flat face that each triangle is part of."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = mesh.face_adjacency[mesh.face_adjacency_angles <= COPLANAR_ANGLE]
+    count = len(mesh.faces)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def _boundary_loops(triangles: Int[np.ndarray, "T 3"]) -> list[tuple[int, ...]]:
+    """Return the closed loops around connected triangles, in the triangles' direction."""
+    sides = {(int(t[k]), int(t[(k + 1) % 3])) for t in triangles for k in range(3)}
+    following: dict[int, list[int]] = {}
+    for a, b in sides:
+        if (b, a) not in sides:
+            following.setdefault(a, []).append(b)
+    loops = []
+    while following:
+        loop = [min(following)]
+        while not (len(loop) > 1 and loop[-1] == loop[0]):
+            ends = following[loop[-1]]
+            loop.append(ends.pop())
+            if not ends:
+                del following[loop[-2]]
+        loops.append(tuple(loop[:-1]))
+    return loops
+
+
+def _corners(
+    vertices: Float[np.ndarray, "V 3"], loops_by_face: list[list[tuple[int, ...]]]
+) -> np.ndarray:
+    """Return which vertices are corners: not in the middle of a straight edge of every loop."""
+    corners = np.zeros(len(vertices), bool)
+    for loop in (loop for loops in loops_by_face for loop in loops):
+        points = vertices[list(loop)]
+        before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
+        sine = np.linalg.norm(np.cross(before, after), axis=1)
+        lengths = np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        bends = (sine > COPLANAR_ANGLE * lengths) | (np.sum(before * after, axis=1) < 0.0)
+        corners[np.array(loop)[bends]] = True
+    return corners
+
+
+def _face_from_loops(vertices: Float[np.ndarray, "V 3"], loops: list[tuple[int, ...]]) -> Face:
+    """Return the face whose outer loop is the one around the largest extent."""
+    extents = [float(np.ptp(vertices[list(loop)], axis=0).max()) for loop in loops]
+    outer = int(np.argmax(extents))
+    return Face(loops[outer], tuple(loop for k, loop in enumerate(loops) if k != outer))
+
+
+def _sharp_edges(
+    mesh: Any,
+    owners: Int[np.ndarray, "T"],
+    loops_by_face: list[list[tuple[int, ...]]],
+    sharp_angle: float,
+) -> Int[np.ndarray, "E 2"]:
+    """Return the sides of faces at which the surface ends or bends by more than an angle."""
+    normals: dict[frozenset[int], list[np.ndarray]] = {}
+    for k, loops in enumerate(loops_by_face):
+        # Of a flat group every triangle has the normal; the largest has it most accurately.
+        members = np.flatnonzero(owners == k)
+        normal = mesh.face_normals[members[np.argmax(mesh.area_faces[members])]]
+        for loop in loops:
+            for pair in zip(loop, loop[1:] + loop[:1], strict=True):
+                normals.setdefault(frozenset(pair), []).append(normal)
+    sharp = [
+        tuple(sorted(pair))
+        for pair, sides in normals.items()
+        if len(sides) != 2 or np.arccos(np.clip(sides[0] @ sides[1], -1, 1)) >= sharp_angle
+    ]
+    return np.array(sorted(sharp), int).reshape(-1, 2)
+
+
+def _renumbered(loop: Iterable[int], number: Int[np.ndarray, "V"]) -> tuple[int, ...]:
+    """Return a loop with the vertices' new numbers."""
+    return tuple(int(number[v]) for v in loop)

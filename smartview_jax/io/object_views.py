@@ -1,0 +1,129 @@
+"""Read and write a folder of pictures of an object, with the robot's pose of each.
+
+    smartview_object_views: 1
+    camera: {image_size: [640, 480]}
+    poses: {file: poses.csv, codec: matrix, length_unit: m, angle_unit: rad,
+            direction: base_from_tool}
+    pictures: {pattern: "images/{view}.png"}
+    end: smartview_object_views
+
+The file is called `object_views.yaml`. Pictures and poses are matched by the view's name, as in a
+data-set folder. The calibration is a file of its own: one camera sees many objects.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import UInt8
+
+from ..detection import read_picture
+from ..files import dump_yaml, read_yaml, write_atomically
+from ..geometry import PoseLike, as_se3, pose_codec
+from .csv_tables import write_table
+from .robot_readings import read_robot_readings
+
+OBJECT_VIEWS_FILE = "object_views.yaml"
+"""The name of the file that describes the folder."""
+
+
+class ObjectViews(NamedTuple):
+    """Pictures of an object and where the robot reported to be.
+
+    Attributes:
+        view_ids: names of the views.
+        paths: files of the pictures.
+        pictures: grey levels.
+        base_from_tool: reported poses, `(views)`.
+        image_size: width and height, px.
+    """
+
+    view_ids: tuple[str, ...]
+    paths: tuple[Path, ...]
+    pictures: tuple[UInt8[np.ndarray, "rows columns"], ...]
+    base_from_tool: SE3
+    image_size: tuple[int, int]
+
+
+def load_object_views(folder: str | Path) -> ObjectViews:
+    """Read the pictures of an object and their poses.
+
+    Raises:
+        FileNotFoundError: the description, a table or a picture is missing.
+        ValueError: naming the file and the entry, view or picture that is wrong.
+    """
+    # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
+    from ..schemas.object_views import OBJECT_VIEWS_SCHEMA
+    from ..schemas.validation import validate_content
+
+    folder = Path(folder)
+    path = folder / OBJECT_VIEWS_FILE
+    content = read_yaml(path)
+    description = validate_content(content, OBJECT_VIEWS_SCHEMA, path)
+    readings = read_robot_readings(folder, content, path, "raise")
+    width, height = description.camera.image_size
+    pattern = description.pictures.pattern
+    paths = tuple(folder / pattern.format(view=view) for view in readings.view_ids)
+    pictures = tuple(read_picture(file, (width, height)) for file in paths)
+    return ObjectViews(tuple(readings.view_ids), paths, pictures, readings.poses, (width, height))
+
+
+def write_object_views(
+    folder: str | Path,
+    view_ids: Sequence[str],
+    pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
+    base_from_tool: PoseLike,
+    suffix: str = ".png",
+) -> Path:
+    """Write pictures of an object and their poses as a folder that `load_object_views` reads.
+
+    Args:
+        folder: folder to create.
+        view_ids: names of the views, which become names of files.
+        pictures: one for each view, all of one size.
+        base_from_tool: `(views)` poses that the robot reported.
+        suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
+
+    Raises:
+        ValueError: numbers of views, pictures and poses differ, or the pictures' sizes do.
+    """
+    folder, poses = Path(folder), as_se3(base_from_tool)
+    if not len(view_ids) == len(pictures) == len(poses.wxyz_xyz) > 0:
+        raise ValueError(
+            f"found {len(view_ids)} views, {len(pictures)} pictures and {len(poses.wxyz_xyz)} "
+            f"poses; expected one of each for every view"
+        )
+    sizes = {picture.shape for picture in pictures}
+    if len(sizes) > 1:
+        raise ValueError(f"pictures: expected one size, found {sorted(sizes)}")
+    for view, picture in zip(view_ids, pictures, strict=True):
+        encoded = cv2.imencode(suffix, picture)[1].tobytes()
+        write_atomically(folder / "images" / f"{view}{suffix}", encoded)
+    codec = pose_codec("matrix")
+    rows = codec.encode(poses)
+    write_table(
+        folder / "poses.csv",
+        ("view", *codec.columns),
+        [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
+    )
+    height, width = pictures[0].shape
+    description = {
+        "smartview_object_views": 1,
+        "camera": {"image_size": [width, height]},
+        "poses": {
+            "file": "poses.csv",
+            "codec": "matrix",
+            "length_unit": "m",
+            "angle_unit": "rad",
+            "direction": "base_from_tool",
+            "rows": len(rows),
+        },
+        "pictures": {"pattern": f"images/{{view}}{suffix}"},
+        "end": "smartview_object_views",
+    }
+    # Written last: an interrupted run leaves a folder that is not described, not half of one.
+    write_atomically(folder / OBJECT_VIEWS_FILE, dump_yaml(description))
+    return folder

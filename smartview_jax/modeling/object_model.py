@@ -1,0 +1,262 @@
+"""Hold a wireframe model of an object with its surfaces, grasps, symmetry and uncertainty.
+
+The frame `object` is the model's own, in metres; a person places it, by default on a face with z
+along the outward normal. world_from_object, the paper's H_World^Object, is its pose.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .faces import (
+    PLANAR_TOLERANCE,
+    Face,
+    FacePlane,
+    check_face,
+    face_plane,
+    open_edges,
+    with_oriented_holes,
+)
+from .grasp_frames import Grasp
+from .symmetry import Symmetry
+
+MAX_EXTENT = 100.0
+"""Largest extent of an object, m: a larger one was given in another unit."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A model of an object: vertices, edges, faces, grasps; checked when it is made.
+
+    The covariance of the vertices has two parts. `covariance` is that of the pictures' noise.
+    The calibration's error is common to all vertices; it is kept as a Jacobian, so that distances
+    within the object are not made worse by what moves the object as a whole:
+
+        covariance of all coordinates = covariance + calibration_factor @ calibration_factor.T
+
+    Attributes:
+        vertices: in the object's frame, m.
+        edges: pairs of vertices, the wireframe.
+        faces: flat surfaces, normals outward.
+        covariance: the pictures' part, m^2: of every vertex, `(V, 3, 3)`, or of all coordinates
+            together, `(3V, 3V)`; None if the vertices are exact, as in CAD.
+        calibration_factor: movement of all coordinates for one standard deviation of each
+            independent error of the calibration, `(3V, errors)`, m; None if the calibration was
+            taken as exact.
+        grasps: poses of the gripper on faces.
+        symmetry: rotations that map the object onto itself; None if not looked for.
+        name: for people.
+        provenance: sentences on where the model is from, the oldest first.
+        planar_tolerance: largest distance of a vertex from the plane of its face, over the extent
+            of the face.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    edges: Int[np.ndarray, "E 2"] = dataclasses.field(default_factory=lambda: np.zeros((0, 2), int))
+    faces: tuple[Face, ...] = ()
+    covariance: Float[np.ndarray, "_ ..."] | None = None
+    calibration_factor: Float[np.ndarray, "_ _"] | None = None
+    grasps: tuple[Grasp, ...] = ()
+    symmetry: Symmetry | None = None
+    name: str = ""
+    provenance: tuple[str, ...] = ()
+    planar_tolerance: float = PLANAR_TOLERANCE
+
+    def __post_init__(self) -> None:
+        """Check all parts.
+
+        Raises:
+            ValueError: a coordinate that is not finite, an edge to a vertex that does not exist, a
+                face that is not planar or crosses itself, a grasp on no face, a covariance that
+                does not fit; the message names the part.
+        """
+        self._check_vertices()
+        self._check_edges()
+        self._check_covariances()
+        faces = []
+        for k, face in enumerate(self.faces):
+            try:
+                check_face(self.vertices, face, self.vertex_sigma, self.planar_tolerance)
+            except ValueError as error:
+                raise ValueError(f"face {face_label(k, face)}: {error}") from None
+            faces.append(with_oriented_holes(self.vertices, face))
+        object.__setattr__(self, "faces", tuple(faces))
+        for grasp in self.grasps:
+            if not 0 <= grasp.face < len(self.faces):
+                raise ValueError(f"grasp {grasp.name!r} is on face {grasp.face}, which is missing")
+
+    def _check_vertices(self) -> None:
+        """Raise an error for coordinates that are not finite or not in metres."""
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
+            raise ValueError(f"vertices: expected shape (V, 3), found {self.vertices.shape}")
+        wrong = np.flatnonzero(~np.isfinite(self.vertices).all(axis=1))
+        if len(wrong):
+            raise ValueError(
+                f"vertex {wrong[0]}: not finite: {self.vertices[wrong[0]].round(6).tolist()}"
+            )
+        extent = float(np.ptp(self.vertices, axis=0).max()) if len(self.vertices) else 0.0
+        if extent > MAX_EXTENT:
+            raise ValueError(
+                f"vertices: an object of {extent:.4g} m; expected metres, up to {MAX_EXTENT:g} m"
+            )
+
+    def _check_edges(self) -> None:
+        """Raise an error for an edge to nowhere, from a vertex to itself, or given twice."""
+        seen: set[frozenset[int]] = set()
+        for k, (a, b) in enumerate(self.edges.tolist()):
+            for index in (a, b):
+                if not 0 <= index < len(self.vertices):
+                    raise ValueError(
+                        f"edge {k} {(a, b)} leads to vertex {index}, which does not exist: the "
+                        f"model has {len(self.vertices)} vertices, from 0"
+                    )
+            if a == b:
+                raise ValueError(f"edge {k} leads from vertex {a} to itself")
+            if frozenset((a, b)) in seen:
+                raise ValueError(f"edge {k} {(a, b)} is there twice")
+            seen.add(frozenset((a, b)))
+
+    def _check_covariances(self) -> None:
+        """Raise an error for covariances of another size, not finite or not symmetric."""
+        count = len(self.vertices)
+        given, factor = self.covariance, self.calibration_factor
+        if given is not None:
+            if given.shape not in ((count, 3, 3), (3 * count, 3 * count)):
+                raise ValueError(
+                    f"covariance: expected shape {(count, 3, 3)} or {(3 * count, 3 * count)}, "
+                    f"found {given.shape}"
+                )
+            if not np.isfinite(given).all() or not np.allclose(given, given.swapaxes(-1, -2)):
+                raise ValueError("covariance: expected finite symmetric matrices")
+        if factor is not None and (
+            factor.ndim != 2 or len(factor) != 3 * count or not np.isfinite(factor).all()
+        ):
+            raise ValueError(f"calibration_factor: expected {3 * count} finite rows")
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the vertices have no uncertainty, as those of CAD."""
+        return self.covariance is None and self.calibration_factor is None
+
+    @property
+    def vertex_covariances(self) -> Float[np.ndarray, "V 3 3"]:
+        """The covariance of every vertex, pictures and calibration together, m^2."""
+        count = len(self.vertices)
+        rows = np.arange(3 * count).reshape(count, 3)
+        blocks = np.zeros((count, 3, 3))
+        if self.covariance is not None:
+            full = self.covariance.ndim == 2
+            blocks = (
+                self.covariance[rows[:, :, None], rows[:, None, :]] if full else self.covariance
+            )
+        if self.calibration_factor is not None:
+            factors = self.calibration_factor.reshape(count, 3, -1)
+            blocks = blocks + factors @ factors.swapaxes(1, 2)
+        return blocks
+
+    @property
+    def vertex_sigma(self) -> Float[np.ndarray, "V"] | None:
+        """The standard deviation of every vertex in its worst direction, m; None if exact."""
+        if self.is_exact:
+            return None
+        return np.sqrt(np.linalg.eigvalsh(self.vertex_covariances)[:, -1].clip(0.0))
+
+    def distance(self, a: int, b: int) -> tuple[float, float]:
+        """Return the distance of two vertices and its standard deviation, m.
+
+        What the calibration's error does to both vertices alike cancels.
+        """
+        # d = |p_b - p_a|,  n = (p_b - p_a) / d,  var d = n^T cov(p_b - p_a) n
+        difference = self.vertices[b] - self.vertices[a]
+        length = float(np.linalg.norm(difference))
+        if length == 0.0:
+            raise ValueError(f"vertices {a} and {b} are in one place")
+        gradient = np.zeros((len(self.vertices), 3))
+        gradient[b], gradient[a] = difference / length, -difference / length
+        variance = 0.0
+        if self.covariance is not None and self.covariance.ndim == 2:
+            variance += float(gradient.ravel() @ self.covariance @ gradient.ravel())
+        elif self.covariance is not None:
+            variance += float(np.einsum("vi,vij,vj->", gradient, self.covariance, gradient))
+        if self.calibration_factor is not None:
+            variance += float(np.sum((gradient.ravel() @ self.calibration_factor) ** 2))
+        return length, float(np.sqrt(max(variance, 0.0)))
+
+    def plane(self, face: int) -> FacePlane:
+        """Return the plane of a face, with its outward normal."""
+        return face_plane(self.vertices, self.faces[face])
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the faces enclose a volume: every edge of a face has a face on its other side."""
+        return len(self.faces) > 0 and not open_edges(self.faces)
+
+    def require_closed(self) -> "ObjectModel":
+        """Return the model, or raise an error that names the edges where its surface is open.
+
+        Raises:
+            ValueError: the surface is not closed, or there are no faces.
+        """
+        if not self.faces:
+            raise ValueError(f"model {self.name!r} has no faces, so it is not closed")
+        missing = open_edges(self.faces)
+        if missing:
+            shown = ", ".join(str(edge) for edge in missing[:5])
+            raise ValueError(
+                f"model {self.name!r} is not closed: {len(missing)} edges have no face on one side "
+                f"or more than one: {shown}{', ...' if len(missing) > 5 else ''}"
+            )
+        return self
+
+    def transformed(self, target_from_object: Float[np.ndarray, "4 4"]) -> "ObjectModel":
+        """Return the model in another frame, with covariances, grasps and symmetry."""
+        R, t = target_from_object[:3, :3], target_from_object[:3, 3]
+        count, covariance, factor = len(self.vertices), self.covariance, self.calibration_factor
+        if covariance is not None and covariance.ndim == 3:
+            covariance = R @ covariance @ R.T
+        elif covariance is not None:
+            turns = np.kron(np.eye(count), R)
+            covariance = turns @ covariance @ turns.T
+        if factor is not None:
+            factor = (R @ factor.reshape(count, 3, -1)).reshape(3 * count, -1)
+        grasps = tuple(
+            dataclasses.replace(one, object_from_tool=target_from_object @ one.object_from_tool)
+            for one in self.grasps
+        )
+        symmetry = self.symmetry
+        if symmetry is not None:
+            symmetry = dataclasses.replace(
+                symmetry,
+                rotations=R @ symmetry.rotations @ R.T,
+                centre=R @ symmetry.centre + t,
+                axis=None if symmetry.axis is None else R @ symmetry.axis,
+            )
+        return dataclasses.replace(
+            self,
+            vertices=self.vertices @ R.T + t,
+            covariance=covariance,
+            calibration_factor=factor,
+            grasps=grasps,
+            symmetry=symmetry,
+        )
+
+    def face_from_object(self, face: int) -> Float[np.ndarray, "4 4"]:
+        """Return the transform to the frame on a face, z along its outward normal."""
+        plane = self.plane(face)
+        transform = np.eye(4)
+        transform[:3, :3] = plane.axes
+        transform[:3, 3] = -plane.axes @ plane.origin
+        return transform
+
+
+def face_label(number: int, face: Face) -> str:
+    """Return how a message names a face: its number, and its name if it has one."""
+    return f"{number} ({face.name})" if face.name else str(number)
+
+
+def edges_of_faces(faces: Sequence[Face]) -> Int[np.ndarray, "E 2"]:
+    """Return the sides of all faces as edges, each once."""
+    pairs = {(min(a, b), max(a, b)) for face in faces for a, b in face.directed_edges}
+    return np.array(sorted(pairs), int).reshape(-1, 2)

@@ -1,0 +1,297 @@
+"""Propose the points and edges of an object from its pictures, for a person to accept or reject.
+
+The paper offers "automatically extracted feature candidates" (Section 5.1); here they are matched
+over all views, triangulated, and joined where segments of the pictures join them.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..calibration import Calibration
+from ..evaluation import CalibrationEstimate
+from ..features import Features, IdealPlane, describe, find
+from ..robots import CommandLike
+from .projection import project_points
+from .segment_support import joined_points
+from .tracks import CornerView, Pairs, Tracks, epipolar_pairs, supported_tracks
+from .triangulation import TriangulatedPoints, triangulate_points
+from .view_poses import SeenViews
+
+MIN_VIEWS = 3
+"""Smallest number of views of a proposed point, unless there are only two views."""
+
+MATCH_SIGMA = 0.3
+"""Standard deviation of a corner of one view from the same corner of another, px."""
+
+MAX_DISTANCE = 2.0
+"""Distance of a corner from its point, px, beyond which the worst corner of a point is left out."""
+
+MAX_RMS = 1.0
+"""Largest RMS reprojection error of a proposed point, px."""
+
+MIN_SIMILARITY = 0.7
+"""Smallest mean correlation of the patches of a proposed point."""
+
+SAME_POINT_DISTANCE = 2.0
+"""Distance in all common views below which two proposed points are the same, px."""
+
+
+class ModelProposal(NamedTuple):
+    """Proposed points and edges with their evidence, the best supported points first.
+
+    Attributes:
+        points: in the world, m.
+        covariances: due to the pictures and, where a fit was given, the calibration, m^2.
+        corners: index of the corner of each view's features, -1 where it was not found.
+        pixels: of these corners, NaN where there is none.
+        rms: reprojection error of each point, px.
+        similarity: mean correlation of the patches of each point.
+        edges: pairs of points that segments join.
+        edge_segments: index of the segment of each view's features, -1 where there is none.
+        features: of each view.
+    """
+
+    points: Float[np.ndarray, "points 3"]
+    covariances: Float[np.ndarray, "points 3 3"]
+    corners: Int[np.ndarray, "views points"]
+    pixels: Float[np.ndarray, "views points 2"]
+    rms: Float[np.ndarray, "points"]
+    similarity: Float[np.ndarray, "points"]
+    edges: Int[np.ndarray, "edges 2"]
+    edge_segments: Int[np.ndarray, "views edges"]
+    features: tuple[Features, ...]
+
+    @property
+    def view_counts(self) -> Int[np.ndarray, "points"]:
+        """The number of views in which each point was found."""
+        return (self.corners >= 0).sum(axis=0)
+
+    @property
+    def edge_view_counts(self) -> Int[np.ndarray, "edges"]:
+        """The number of views in which a segment joins the two points of each edge."""
+        return (self.edge_segments >= 0).sum(axis=0)
+
+
+def propose_model(
+    calibration: Calibration,
+    poses: CommandLike,
+    pictures: Sequence[np.ndarray],
+    depths: tuple[float, float] = (0.0, np.inf),
+    *,
+    features: Sequence[Features] | None = None,
+    min_views: int | None = None,
+    covariance: CalibrationEstimate | None = None,
+) -> ModelProposal:
+    """Match the corners of all views by themselves, and propose points and edges.
+
+    Args:
+        calibration: the calibrated camera; results are in its world frame, m.
+        poses: what the robot reported in each view, `base_from_tool`.
+        pictures: of the object, one for each view.
+        depths: smallest and largest distance of the object's points from the cameras, m.
+        features: of each picture, where `features.find` was called already.
+        min_views: smallest number of views in which a point has to be found; by default 3, or 2
+            where there are only two views.
+        covariance: the fit of the calibration, for the points' covariances; None takes the
+            calibration as exact.
+
+    Raises:
+        ValueError: fewer than two views, numbers of poses, pictures and features that differ, wrong
+            depths, or a picture that `features.find` refuses; the view is named.
+    """
+    seen = SeenViews.of(calibration, poses)
+    count = len(seen.camera_from_world)
+    needed = _checked(count, pictures, features, depths, min_views)
+    found = tuple(features or _found(pictures, calibration))
+    views = _corner_views(seen, pictures, found)
+    all_pairs = [
+        epipolar_pairs(views, a, b, depths) for a in range(count) for b in range(a + 1, count)
+    ]
+    pairs = Pairs(*(np.concatenate(parts) for parts in zip(*all_pairs, strict=True)))
+    tracks = supported_tracks(views, pairs, project_points(seen, pairs.points), needed)
+    return _proposal(calibration, poses, seen, found, tracks, needed, covariance)
+
+
+def _checked(
+    count: int,
+    pictures: Sequence[np.ndarray],
+    features: Sequence[Features] | None,
+    depths: tuple[float, float],
+    min_views: int | None,
+) -> int:
+    """Return the smallest number of views of a point; raise a ValueError for wrong arguments."""
+    if count < 2:
+        raise ValueError(f"poses: expected at least two views, found {count}")
+    if len(pictures) != count:
+        raise ValueError(f"pictures: expected one for each of {count} poses, found {len(pictures)}")
+    if features is not None and len(features) != count:
+        raise ValueError(f"features: expected one for each of {count} views, found {len(features)}")
+    if not 0.0 <= depths[0] < depths[1]:
+        raise ValueError(f"depths: expected 0 <= near < far, found {depths[0]} and {depths[1]}")
+    needed = min(MIN_VIEWS, count) if min_views is None else min_views
+    if not 2 <= needed <= count:
+        raise ValueError(f"min_views: expected 2 to {count}, found {needed}")
+    return needed
+
+
+def _found(pictures: Sequence[np.ndarray], calibration: Calibration) -> list[Features]:
+    """Return the features of every picture; an error names the view."""
+    found = []
+    for k, picture in enumerate(pictures):
+        try:
+            found.append(find(picture, calibration.camera))
+        except ValueError as error:
+            raise ValueError(f"view {k}: {error}") from error
+    return found
+
+
+def _corner_views(
+    seen: SeenViews, pictures: Sequence[np.ndarray], found: tuple[Features, ...]
+) -> list[CornerView]:
+    """Return the corners of all views with their rays and how they look."""
+    plane = IdealPlane(seen.camera)
+    rotations = seen.camera_from_world[:, :3, :3]
+    # The mean of the cameras' x axes is across the line of sight in all of them.
+    reference = rotations[:, 0].mean(axis=0)
+    views = []
+    for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
+        look = describe(picture, seen.camera, features, rotations[k] @ reference)
+        rays = plane.rays(plane.from_pixels(features.corners)) @ rotations[k]
+        views.append(
+            CornerView(
+                features.corners,
+                rays,
+                seen.centres[k],
+                look.patches,
+                look.directions,
+                plane.focal_length,
+            )
+        )
+    return views
+
+
+def _proposal(
+    calibration: Calibration,
+    poses: CommandLike,
+    seen: SeenViews,
+    found: tuple[Features, ...],
+    tracks: Tracks,
+    needed: int,
+    covariance: CalibrationEstimate | None,
+) -> ModelProposal:
+    """Return the triangulated tracks that agree with their pictures, and the edges between them."""
+    corners = tracks.corners
+    corners, kept = _without_misfits(calibration, poses, found, corners, needed)
+    similarity = tracks.similarity[kept]
+    points = _triangulated(calibration, poses, found, corners, covariance)
+    rms = _rms(points)
+    good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
+    order = np.flatnonzero(good)
+    order = order[_distinct(project_points(seen, points.points[order]))]
+    edges, edge_segments = _edges(seen, found, points.points[order])
+    return ModelProposal(
+        points.points[order],
+        points.covariance()[order],
+        corners[:, order],
+        _pixels_of(found, corners[:, order]),
+        rms[order],
+        similarity[order],
+        edges,
+        edge_segments,
+        found,
+    )
+
+
+def _pixels_of(
+    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
+) -> Float[np.ndarray, "views points 2"]:
+    """Return the pixels of corners by view, NaN where there is none."""
+    pixels = np.full((*corners.shape, 2), np.nan)
+    for k, features in enumerate(found):
+        own = corners[k] >= 0
+        pixels[k, own] = features.corners[corners[k, own]]
+    return pixels
+
+
+def _triangulated(
+    calibration: Calibration,
+    poses: CommandLike,
+    found: tuple[Features, ...],
+    corners: Int[np.ndarray, "views points"],
+    covariance: CalibrationEstimate | None = None,
+) -> TriangulatedPoints:
+    """Return the points of corners, each weighted by its own covariance."""
+    sigmas = np.tile(np.eye(2), (*corners.shape, 1, 1))
+    for k, features in enumerate(found):
+        own = corners[k] >= 0
+        # Corners of different views are never quite the same point of a surface.
+        sigmas[k, own] = features.corner_covariances[corners[k, own]] + MATCH_SIGMA**2 * np.eye(2)
+    return triangulate_points(
+        calibration,
+        poses,
+        _pixels_of(found, corners),
+        corners >= 0,
+        covariance=covariance,
+        pixel_sigma=sigmas,
+    )
+
+
+def _rms(points: TriangulatedPoints) -> Float[np.ndarray, "points"]:
+    """Return the RMS reprojection error of each point over its views, px; infinite if it failed."""
+    squared = (points.residuals**2).sum(axis=-1)
+    count = np.isfinite(squared).sum(axis=0)
+    mean = np.nansum(squared, axis=0) / np.maximum(count, 1)
+    return np.where(points.ok & (count > 0), np.sqrt(mean), np.inf)
+
+
+def _without_misfits(
+    calibration: Calibration,
+    poses: CommandLike,
+    found: tuple[Features, ...],
+    corners: Int[np.ndarray, "views points"],
+    needed: int,
+) -> tuple[Int[np.ndarray, "views kept"], Int[np.ndarray, "kept"]]:
+    """Return the tracks without corners that are too far from their point, and which remain."""
+    points = _triangulated(calibration, poses, found, corners)
+    distance = np.linalg.norm(points.residuals, axis=-1)
+    # One wrong corner moves the point, and with it all distances: only the worst one goes.
+    distance = np.where(np.isfinite(distance), distance, -np.inf)
+    worst = np.argmax(distance, axis=0), np.arange(corners.shape[1])
+    corners = corners.copy()
+    corners[worst] = np.where(distance[worst] > MAX_DISTANCE, -1, corners[worst])
+    kept = np.flatnonzero((corners >= 0).sum(axis=0) >= needed)
+    return corners[:, kept], kept
+
+
+def _distinct(projected: Float[np.ndarray, "views points 2"]) -> Bool[np.ndarray, "points"]:
+    """Return which points are not seen everywhere at a better one before them."""
+    keep = np.ones(projected.shape[1], dtype=bool)
+    for k in range(1, len(keep)):
+        before = np.flatnonzero(keep[:k])
+        gap = np.linalg.norm(projected[:, before] - projected[:, k : k + 1], axis=-1)
+        # NaN where one of the two is not seen.
+        largest = np.where(np.isfinite(gap), gap, 0.0).max(axis=0)
+        keep[k] = not (np.isfinite(gap).any(axis=0) & (largest < SAME_POINT_DISTANCE)).any()
+    return keep
+
+
+def _edges(
+    seen: SeenViews, found: tuple[Features, ...], points: Float[np.ndarray, "points 3"]
+) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, "views edges"]]:
+    """Return pairs of points that segments of two or more views join, and those segments."""
+    projected, plane = project_points(seen, points), IdealPlane(seen.camera)
+    segment_of: dict[tuple[int, int], Int[np.ndarray, "views"]] = {}
+    for k, features in enumerate(found):
+        matrix = seen.camera_from_world[k]
+        rays = points @ matrix[:3, :3].T + matrix[:3, 3]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        pairs, segments = joined_points(features, projected[k], rays, plane.focal_length)
+        for pair, segment in zip(map(tuple, pairs.tolist()), segments, strict=True):
+            segment_of.setdefault(pair, np.full(len(found), -1))[k] = segment
+    kept = sorted(pair for pair, views in segment_of.items() if (views >= 0).sum() >= 2)
+    edges = np.array(kept, dtype=int).reshape(-1, 2)
+    columns = [segment_of[pair] for pair in kept]
+    return edges, np.array(columns, dtype=int).reshape(-1, len(found)).T

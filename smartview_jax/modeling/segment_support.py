@@ -1,0 +1,56 @@
+"""Find which points are joined by straight segments of the pictures."""
+
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..features import Features
+
+MAX_OFFSET = 1.5
+"""Largest distance of a point from the line of a segment that joins it, px."""
+
+MAX_END_DISTANCE = 8.0
+"""Largest distance of a point beyond the end of a segment that joins it, px."""
+
+MIN_COVERED = 0.75
+"""Smallest part of the way between two points that a segment covers."""
+
+MIN_SEPARATION = 6.0
+"""Smallest distance in the picture between two points that are joined, px."""
+
+
+def joined_points(
+    features: Features,
+    pixels: Float[np.ndarray, "points 2"],
+    rays: Float[np.ndarray, "points 3"],
+    focal_length: float,
+) -> tuple[Int[np.ndarray, "joined 2"], Int[np.ndarray, "joined"]]:
+    """Return the pairs of points that follow one another on a segment, and the segment of each.
+
+    Args:
+        features: of the view.
+        pixels: where the points are seen, px; NaN where they are not.
+        rays: unit rays of the points in the camera's frame.
+        focal_length: px.
+    """
+    seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    # The sine of the angle between a ray and a segment's plane is the distance in units of 1 / f.
+    offset = np.abs(features.lines @ rays[seen].T) * focal_length
+    starts, ends = features.segments[:, 0], features.segments[:, 1]
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    directions = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
+    along = np.einsum("skj,sj->sk", pixels[seen] - starts[:, None], directions)
+    near = (offset < MAX_OFFSET) & (along > -MAX_END_DISTANCE)
+    near &= along < lengths[:, None] + MAX_END_DISTANCE
+    pairs, segments = [], []
+    for k in np.flatnonzero(near.sum(axis=1) >= 2):
+        members = np.flatnonzero(near[k])
+        members = members[np.argsort(along[k, members])]
+        for p, q in pairwise(members):
+            low, high = along[k, p], along[k, q]
+            covered = min(high, lengths[k]) - max(low, 0.0)
+            if high - low >= MIN_SEPARATION and covered >= MIN_COVERED * (high - low):
+                pairs.append(sorted((seen[p], seen[q])))
+                segments.append(k)
+    return np.array(pairs, dtype=int).reshape(-1, 2), np.array(segments, dtype=int)

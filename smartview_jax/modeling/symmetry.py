@@ -1,0 +1,147 @@
+"""Find the rotations that map an object model onto itself.
+
+A symmetric object has several poses that no picture tells apart, and several grasps that are the
+same. The group is found from the geometry; whether it is meant, for example in spite of a label on
+one side, is for a person to confirm.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from .object_model import ObjectModel
+
+SYMMETRY_TOLERANCE = 1e-3
+"""Largest distance between a turned vertex and the one that it meets, over the object's extent."""
+
+AXIS_ORDER = 16
+"""Smallest number of equal turns about one axis that stand for a surface of revolution.
+
+A mesh has a cylinder as a prism; no object made of few flat faces has so many.
+"""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Symmetry:
+    """The rotations that map an object onto itself.
+
+    Attributes:
+        rotations: a finite group, with the identity first; rotation matrices in the object's frame.
+        centre: the point that all of them leave in place, in the object's frame, m.
+        axis: unit vector of the axis of a surface of revolution, about which every rotation maps
+            the object onto itself; None if there is no such axis.
+        confirmed: whether a person has confirmed it.
+    """
+
+    rotations: Float[np.ndarray, "K 3 3"]
+    centre: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"] | None = None
+    confirmed: bool = False
+
+    @property
+    def order(self) -> int:
+        """The number of rotations, with the identity."""
+        return len(self.rotations)
+
+    @property
+    def object_from_object(self) -> Float[np.ndarray, "K 4 4"]:
+        """The rotations about the centre as 4x4 transforms of the object's frame."""
+        # x -> R (x - c) + c
+        transforms = np.tile(np.eye(4), (self.order, 1, 1))
+        transforms[:, :3, :3] = self.rotations
+        transforms[:, :3, 3] = self.centre - self.rotations @ self.centre
+        return transforms
+
+
+def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symmetry:
+    """Return the symmetry group of a model's vertices, edges and faces.
+
+    Args:
+        model: with at least three vertices that are not on one line.
+        tolerance: largest distance between a turned vertex and the one it meets, m; by default
+            `SYMMETRY_TOLERANCE` of the extent, or three times the vertices' standard deviation.
+
+    Raises:
+        ValueError: the vertices are on one line, about which every rotation would be a symmetry.
+    """
+    points = model.vertices
+    if tolerance is None:
+        sigma = 0.0 if model.vertex_sigma is None else float(np.median(model.vertex_sigma))
+        tolerance = max(SYMMETRY_TOLERANCE * float(np.ptp(points, axis=0).max()), 3.0 * sigma)
+    centre = points.mean(axis=0)
+    centred = points - centre
+    singular_values = np.linalg.svd(centred, compute_uv=False)
+    if len(points) < 3 or singular_values[1] < tolerance:
+        raise ValueError("the symmetry of vertices on one line is not finite; add more vertices")
+    tree = KDTree(centred)
+    accepted: list[np.ndarray] = [np.eye(3)]
+    for rotation in _candidate_rotations(centred, tolerance):
+        distances, nearest = tree.query(centred @ rotation.T)
+        targets = np.asarray(nearest, int)
+        # A rotation is not near one that was accepted already if some vertex goes elsewhere.
+        known = any(np.abs(centred @ (rotation - one).T).max() < tolerance for one in accepted)
+        if not known and np.max(distances) <= tolerance and _keeps_structure(model, targets):
+            accepted.append(_nearest_rotation(centred, centred[targets]))
+    rotations = np.stack(accepted)
+    return Symmetry(rotations, centre, _revolution_axis(rotations))
+
+
+def _candidate_rotations(
+    centred: Float[np.ndarray, "V 3"], tolerance: float
+) -> list[Float[np.ndarray, "3 3"]]:
+    """Return the rotations that take one pair of vertices to another of the same shape."""
+    # A rotation is given by where it takes two vertices that are not on one line with the centre.
+    radii = np.linalg.norm(centred, axis=1)
+    first = int(np.argmax(radii))
+    areas = np.linalg.norm(np.cross(centred[first], centred), axis=1)
+    second = int(np.argmax(areas))
+    distance = np.linalg.norm(centred[first] - centred[second])
+    candidates = []
+    for a in np.flatnonzero(np.abs(radii - radii[first]) <= 2.0 * tolerance):
+        apart = np.linalg.norm(centred - centred[a], axis=1)
+        fits = (np.abs(apart - distance) <= 2.0 * tolerance) & (
+            np.abs(radii - radii[second]) <= 2.0 * tolerance
+        )
+        for b in np.flatnonzero(fits):
+            candidates.append(_nearest_rotation(centred[[first, second]], centred[[a, b]]))
+    return candidates
+
+
+def _nearest_rotation(
+    source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation that best takes points to others (Kabsch)."""
+    # Minimises sum |R s - t|^2: with S^T T = U D V^T, R = V diag(1, 1, det) U^T.
+    U, _, Vt = np.linalg.svd(source.T @ target)
+    sign = np.sign(np.linalg.det(Vt.T @ U.T))
+    return Vt.T @ np.diag([1.0, 1.0, sign]) @ U.T
+
+
+def _keeps_structure(model: "ObjectModel", targets: Int[np.ndarray, "V"]) -> bool:
+    """Return whether a permutation of the vertices takes edges to edges and faces to faces."""
+    if len(set(targets.tolist())) != len(targets):
+        return False
+    edges = {frozenset(edge) for edge in model.edges.tolist()}
+    moved_edges = {frozenset(edge) for edge in targets[model.edges].tolist()}
+    faces = {frozenset(face.indices) for face in model.faces}
+    moved_faces = {frozenset(targets[face.indices].tolist()) for face in model.faces}
+    return edges == moved_edges and faces == moved_faces
+
+
+def _revolution_axis(rotations: Float[np.ndarray, "K 3 3"]) -> Float[np.ndarray, "3"] | None:
+    """Return the axis about which there are at least `AXIS_ORDER` turns, or None."""
+    vectors = Rotation.from_matrix(rotations).as_rotvec()
+    angles = np.linalg.norm(vectors, axis=1)
+    for vector, angle in zip(vectors, angles, strict=True):
+        if angle < 1e-6:
+            continue
+        axis = vector / angle
+        turns = np.linalg.norm(np.cross(vectors, axis), axis=1) < 1e-3
+        if turns.sum() >= AXIS_ORDER:
+            return axis
+    return None

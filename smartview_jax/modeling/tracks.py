@@ -1,0 +1,233 @@
+"""Find which corners of several views are the same point in space.
+
+Every two views propose pairs that satisfy the epipolar constraint and look alike. The point of each
+pair is looked for in all other views. What the most views agree on is accepted first, and no corner
+belongs to two points.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from .candidates import direction_turn, turn_cost
+
+EPIPOLAR_GATE = 2.0
+"""Largest distance of a corner from the epipolar line of another, px."""
+
+REPROJECTION_GATE = 2.0
+"""Largest distance of a corner from where the point of a pair is seen, px."""
+
+MIN_PAIR_SIMILARITY, MIN_VIEW_SIMILARITY = 0.6, 0.5
+"""Smallest correlation of patches of a pair, and with a pair's patches in a further view."""
+
+CANDIDATES_PER_CORNER = 4
+"""Largest number of corners in another view that one is paired with."""
+
+MIN_PARALLAX = float(np.deg2rad(1.0))
+"""Smallest angle between the rays of a pair, rad; below it the depth is not known."""
+
+
+class CornerView(NamedTuple):
+    """The corners of one view as the search uses them.
+
+    Attributes:
+        pixels: px.
+        rays: unit rays in the world.
+        centre: the camera's centre in the world, m.
+        patches: see `features.Appearance`.
+        directions: see `features.Appearance`.
+        focal_length: px.
+    """
+
+    pixels: Float[np.ndarray, "corners 2"]
+    rays: Float[np.ndarray, "corners 3"]
+    centre: Float[np.ndarray, "3"]
+    patches: Float[np.ndarray, "corners samples"]
+    directions: Float[np.ndarray, "corners joined"]
+    focal_length: float
+
+
+class Pairs(NamedTuple):
+    """Pairs of corners of two views that may be one point.
+
+    Attributes:
+        views: indices of the two views.
+        corners: indices of the corners.
+        points: nearest to both rays, m.
+        similarity: correlation of the patches.
+    """
+
+    views: Int[np.ndarray, "pairs 2"]
+    corners: Int[np.ndarray, "pairs 2"]
+    points: Float[np.ndarray, "pairs 3"]
+    similarity: Float[np.ndarray, "pairs"]
+
+
+class Tracks(NamedTuple):
+    """Corners that are one point in space, the best supported first.
+
+    Attributes:
+        corners: index of the corner in each view, -1 where it was not found.
+        similarity: mean correlation of the patches with each other.
+    """
+
+    corners: Int[np.ndarray, "views tracks"]
+    similarity: Float[np.ndarray, "tracks"]
+
+
+def epipolar_pairs(
+    views: list[CornerView], first: int, second: int, depths: tuple[float, float]
+) -> Pairs:
+    """Return pairs of corners of two views that are among the best of each other.
+
+    Args:
+        views: all views.
+        first, second: indices of the two.
+        depths: smallest and largest distance of points from the cameras, m.
+    """
+    a, b = views[first], views[second]
+    i, j, similarity = _alike_on_epipolar_lines(a, b)
+    points, in_range = _intersections(a, b, i, j, depths)
+    i, j, similarity, points = (x[in_range] for x in (i, j, similarity, points))
+    turn = direction_turn(a.directions[i], b.directions[j])
+    # The same weights as in `rank_candidates`, in units of correlation.
+    rank = similarity - 0.05 * turn_cost(turn)
+    keep = _among_best(i, rank) & _among_best(j, rank)
+    pair_views = np.tile([first, second], (int(keep.sum()), 1))
+    return Pairs(pair_views, np.column_stack([i, j])[keep], points[keep], similarity[keep])
+
+
+def _alike_on_epipolar_lines(
+    a: CornerView, b: CornerView
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return indices of corners on each other's epipolar lines with similar patches."""
+    # The plane through both centres and the ray of a corner has the normal t x d; the sine of the
+    # angle of another ray to that plane is its distance from the line, in units of 1 / f.
+    normals = np.cross(b.centre - a.centre, a.rays)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
+    near = np.abs(normals @ b.rays.T) * b.focal_length < EPIPOLAR_GATE
+    similarity = a.patches @ b.patches.T
+    i, j = np.nonzero(near & (similarity > MIN_PAIR_SIMILARITY))
+    return i, j, similarity[i, j]
+
+
+def _intersections(
+    a: CornerView,
+    b: CornerView,
+    i: Int[np.ndarray, "pairs"],
+    j: Int[np.ndarray, "pairs"],
+    depths: tuple[float, float],
+) -> tuple[Float[np.ndarray, "pairs 3"], Bool[np.ndarray, "pairs"]]:
+    """Return the points nearest to two rays each, and whether they are in the range of depths."""
+    # The feet a + s d and b + t e of the common perpendicular: with w = b - a and c = d . e,
+    #     s = (w . d - c w . e) / (1 - c^2),   t = (c w . d - w . e) / (1 - c^2).
+    d, e, w = a.rays[i], b.rays[j], b.centre - a.centre
+    c, wd, we = (d * e).sum(axis=1), d @ w, e @ w
+    squared_sine = np.maximum(1.0 - c**2, 1e-30)
+    s, t = (wd - c * we) / squared_sine, (c * wd - we) / squared_sine
+    points = 0.5 * (a.centre + s[:, None] * d + b.centre + t[:, None] * e)
+    in_range = squared_sine > np.sin(MIN_PARALLAX) ** 2
+    for depth in (s, t):
+        in_range &= (depth > depths[0]) & (depth < depths[1])
+    return points, in_range
+
+
+def _among_best(
+    corner: Int[np.ndarray, "pairs"], rank: Float[np.ndarray, "pairs"]
+) -> Bool[np.ndarray, "pairs"]:
+    """Return whether each pair is among the best of its corner."""
+    order = np.lexsort((-rank, corner))
+    ordered = corner[order]
+    # The place of each within its corner: the position minus that of the corner's first pair.
+    first = np.searchsorted(ordered, ordered)
+    best = np.zeros(len(corner), dtype=bool)
+    best[order] = np.arange(len(corner)) - first < CANDIDATES_PER_CORNER
+    return best
+
+
+def supported_tracks(
+    views: list[CornerView],
+    pairs: Pairs,
+    projected: Float[np.ndarray, "views pairs 2"],
+    min_views: int,
+) -> Tracks:
+    """Return the tracks of pairs whose point is seen in other views too, one for each corner.
+
+    Args:
+        views: all views.
+        pairs: of all two views.
+        projected: pixels of the pairs' points in all views; NaN where they are not seen.
+        min_views: smallest number of views of a track.
+    """
+    corners, similarity, distance = _supporters(views, pairs, projected)
+    count = (corners >= 0).sum(axis=0)
+    mean_similarity = np.nansum(similarity, axis=0) / np.maximum(count, 1)
+    spread = np.sqrt(np.nansum(distance**2, axis=0) / np.maximum(count, 1))
+    # More views first; among as many, those that look more alike and lie closer.
+    score = count + mean_similarity - 0.5 * spread / REPROJECTION_GATE
+    order = np.argsort(-np.where(count >= min_views, score, -np.inf), kind="stable")
+    order = order[count[order] >= min_views]
+    chosen = _one_to_one(corners[:, order], [len(view.pixels) for view in views])
+    order = order[chosen]
+    return Tracks(corners[:, order], mean_similarity[order])
+
+
+def _supporters(
+    views: list[CornerView], pairs: Pairs, projected: Float[np.ndarray, "views pairs 2"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the corner in every view that is nearest to each pair's point and looks like it.
+
+    Returns:
+        indices, -1 where there is none; correlations and distances (px), NaN there.
+    """
+    shape = projected.shape[:2]
+    corners = np.full(shape, -1)
+    similarity, distance = np.full(shape, np.nan), np.full(shape, np.nan)
+    patches = [_patches_of(views, pairs, side) for side in (0, 1)]
+    for k, view in enumerate(views):
+        seen = np.flatnonzero(np.isfinite(projected[k]).all(axis=1))
+        if not len(seen) or not len(view.pixels):
+            continue
+        gap, nearest = map(np.asarray, KDTree(view.pixels).query(projected[k, seen]))
+        alike = np.minimum(
+            *((view.patches[nearest] * patch[seen]).sum(axis=1) for patch in patches)
+        )
+        good = (gap < REPROJECTION_GATE) & (alike > MIN_VIEW_SIMILARITY)
+        corners[k, seen[good]] = nearest[good]
+        similarity[k, seen[good]], distance[k, seen[good]] = alike[good], gap[good]
+    for side in (0, 1):
+        # The pair's own corners, which may not be the nearest ones.
+        own = pairs.views[:, side], np.arange(shape[1])
+        corners[own], similarity[own] = pairs.corners[:, side], pairs.similarity
+        pixels = np.array(
+            [views[v].pixels[c] for v, c in zip(own[0], pairs.corners[:, side], strict=True)]
+        ).reshape(-1, 2)
+        distance[own] = np.linalg.norm(projected[own] - pixels, axis=1)
+    return corners, similarity, distance
+
+
+def _patches_of(views: list[CornerView], pairs: Pairs, side: int) -> np.ndarray:
+    """Return the patches of the first or second corner of each pair."""
+    patches = np.empty((len(pairs.views), views[0].patches.shape[1]))
+    for k, view in enumerate(views):
+        own = pairs.views[:, side] == k
+        patches[own] = view.patches[pairs.corners[own, side]]
+    return patches
+
+
+def _one_to_one(
+    corners: Int[np.ndarray, "views tracks"], counts: list[int]
+) -> Int[np.ndarray, "chosen"]:
+    """Return the tracks that share no corner with one before them."""
+    used = [np.zeros(count, dtype=bool) for count in counts]
+    chosen = []
+    for k, track in enumerate(corners.T):
+        members = [(view, corner) for view, corner in enumerate(track) if corner >= 0]
+        if not any(used[view][corner] for view, corner in members):
+            chosen.append(k)
+            for view, corner in members:
+                used[view][corner] = True
+    return np.array(chosen, dtype=int)

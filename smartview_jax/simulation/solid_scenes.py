@@ -1,0 +1,211 @@
+"""Render solid objects as a calibrated camera sees them, by casting rays through its lens.
+
+Rays start at pixels and follow `Camera.unproject`, so that straight edges are bent exactly as the
+lens bends them, and a vertex appears where `Calibration.project` puts it. Every pixel is sampled
+once; pixels at edges, of surfaces, shadows or textures, are sampled many times.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from ..array_namespace import to_device
+from ..calibration import Calibration
+from ..cameras import Camera
+from ..compilation import compiled_optimised
+from ..geometry import PoseLike, as_se3, host_matrices
+from .polyhedra import Polyhedron
+from .ray_casting import MISSED, Hits, RayCaster
+from .sensor import sensor_picture
+from .textures import Texture, matt
+
+RAYS_PER_BATCH = 65_536
+"""Number of rays that are cast at once: one compiled program, and bounded memory."""
+
+MAX_SMOOTH_STEP = 4.0
+"""Difference between neighbouring pixels, grey levels, above which both are sampled many times."""
+
+WHITE_LEVEL = 230.0
+"""Grey level of a white surface in full light, at an exposure of one."""
+
+
+class Surface(NamedTuple):
+    """A triangle mesh in the world's frame and its texture.
+
+    Attributes:
+        vertices: m.
+        triangles: indices of the vertices.
+        texture: albedo by the points of the mesh.
+    """
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    triangles: Int[np.ndarray, "triangles 3"]
+    texture: Texture = matt(0.6)
+
+    @classmethod
+    def of_polyhedron(cls, solid: Polyhedron, texture: Texture) -> "Surface":
+        """Return the surface of a polyhedron."""
+        return cls(solid.vertices, solid.triangles, texture)
+
+    @classmethod
+    def of_plane(cls, half_width: float, texture: Texture, z: float = 0.0) -> "Surface":
+        """Return a square of a horizontal plane about the z axis, such as a table, m."""
+        x, y = half_width * np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]])
+        vertices = np.column_stack([x, y, np.full(4, z)])
+        return cls(vertices, np.array([[0, 1, 2], [0, 2, 3]]), texture)
+
+
+class Light(NamedTuple):
+    """A distant light, whose shadows are sharp.
+
+    Attributes:
+        direction: from the scene to the light, in the world's frame, of any length but zero.
+        strength: fraction of full light on a surface at a right angle to it.
+    """
+
+    direction: tuple[float, float, float]
+    strength: float
+
+
+class SolidScene(NamedTuple):
+    """Surfaces and the light that falls on them.
+
+    Attributes:
+        surfaces: all that can be seen.
+        lights: distant lights; they add up.
+        ambient: light from everywhere, as a fraction of full light; it casts no shadows.
+        background: grey level where no surface is seen.
+    """
+
+    surfaces: Sequence[Surface]
+    lights: Sequence[Light] = (Light((0.5, -0.4, 1.0), 0.55), Light((-0.9, 0.2, 0.6), 0.2))
+    ambient: float = 0.25
+    background: float = 90.0
+
+
+def render_solids(
+    calibration: Calibration,
+    base_from_tool: PoseLike,
+    scene: SolidScene,
+    *,
+    blur: float = 0.7,
+    noise: float = 1.0,
+    exposure: float = 1.0,
+    seed: int = 0,
+    samples: int = 32,
+) -> UInt8[np.ndarray, "rows columns"]:
+    """Return the picture of solid objects from one robot pose.
+
+    Args:
+        calibration: camera and mount; surfaces are in its world's frame.
+        base_from_tool: the true robot pose, a single one.
+        scene: surfaces and lights.
+        blur: standard deviation of the lens's blur, px.
+        noise: standard deviation of the sensor's noise, grey levels.
+        exposure: factor of the brightness; what exceeds 255 saturates.
+        seed: seed of the noise.
+        samples: number of rays in a pixel at an edge.
+
+    Raises:
+        ImportError: trimesh or embreex is not installed.
+        ValueError: no surfaces, or several poses.
+    """
+    brightness = scene_brightness(calibration, base_from_tool, scene, samples)
+    return sensor_picture(brightness, blur=blur, noise=noise, exposure=exposure, seed=seed)
+
+
+def scene_brightness(
+    calibration: Calibration, base_from_tool: PoseLike, scene: SolidScene, samples: int = 32
+) -> Float[np.ndarray, "rows columns"]:
+    """Return the mean brightness over each pixel, grey levels, before the lens's blur."""
+    camera_from_world = host_matrices(calibration.camera_from_world(as_se3(base_from_tool)))
+    if camera_from_world.shape != (4, 4):
+        raise ValueError(f"base_from_tool: expected one pose, found {camera_from_world.shape[:-2]}")
+    brightness_along = _ray_brightness(scene, calibration.camera, np.linalg.inv(camera_from_world))
+    width, rows = calibration.camera.image_size
+    pixels = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(rows))), axis=-1)
+    picture = brightness_along(pixels.reshape(-1, 2)).reshape(rows, width)
+    at_edge = _at_edges(picture)
+    subpixels = pixels[at_edge][:, None] + _sample_offsets(samples)
+    picture[at_edge] = brightness_along(subpixels.reshape(-1, 2)).reshape(-1, samples).mean(axis=1)
+    return picture
+
+
+def _at_edges(picture: Float[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+    """Return which pixels differ from one of their eight neighbours by more than a smooth step."""
+    square = np.ones((3, 3), np.uint8)
+    return cv2.dilate(picture, square) - cv2.erode(picture, square) > MAX_SMOOTH_STEP
+
+
+def _sample_offsets(samples: int) -> Float[np.ndarray, "samples 2"]:
+    """Return points spread evenly over a pixel about its centre, px.
+
+    They are Hammersley's: no two share a row or a column, so that an edge of any direction divides
+    them nearly in the ratio of the areas, where a square grid would err along its own axes.
+    """
+    index = np.arange(samples)
+    # The radical inverse in base 2 mirrors the index's bits about the binary point.
+    bits = 1 << np.arange(16)
+    mirrored = ((index[:, None] // bits % 2) * 0.5 / bits).sum(axis=1)
+    return np.column_stack([(index + 0.5) / samples, mirrored + 0.5 / samples]) - 0.5
+
+
+def _ray_brightness(
+    scene: SolidScene, camera: Camera, world_from_camera: Float[np.ndarray, "4 4"]
+) -> Callable[[Float[np.ndarray, "pixels 2"]], Float[np.ndarray, "pixels"]]:
+    """Return a function that casts a ray from each pixel and returns what brightness it meets."""
+    if not scene.surfaces:
+        raise ValueError("scene: expected at least one surface, found none")
+    counts = [len(surface.vertices) for surface in scene.surfaces]
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    parts = [s.triangles + start for s, start in zip(scene.surfaces, starts, strict=True)]
+    caster = RayCaster(
+        np.concatenate([surface.vertices for surface in scene.surfaces]), np.concatenate(parts)
+    )
+    surface_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+
+    def batch_brightness(pixels: np.ndarray) -> np.ndarray:
+        padded = np.zeros((RAYS_PER_BATCH, 2))
+        padded[: len(pixels)] = pixels
+        rays, valid = (np.asarray(x)[: len(pixels)] for x in _unproject(camera, to_device(padded)))
+        directions = np.where(valid[:, None], rays, [0.0, 0.0, 1.0]) @ world_from_camera[:3, :3].T
+        hits = caster.first_hits(world_from_camera[:3, 3], directions)
+        surface = np.where(valid & (hits.triangle != MISSED), surface_of[hits.triangle], MISSED)
+        return _shade(scene, caster, hits, surface)
+
+    def brightness_along(pixels: np.ndarray) -> np.ndarray:
+        splits = range(RAYS_PER_BATCH, len(pixels), RAYS_PER_BATCH)
+        return np.concatenate([batch_brightness(part) for part in np.split(pixels, splits)])
+
+    return brightness_along
+
+
+@compiled_optimised
+def _unproject(
+    camera: Camera, pixels: Float[Array, "pixels 2"]
+) -> tuple[Float[Array, "pixels 3"], Bool[Array, "pixels"]]:
+    """Return the rays of pixels in the camera's frame, compiled for one batch."""
+    return camera.unproject(pixels)
+
+
+def _shade(
+    scene: SolidScene, caster: RayCaster, hits: Hits, surface: Int[np.ndarray, "rays"]
+) -> Float[np.ndarray, "rays"]:
+    """Return the brightness of what rays hit, of matt surfaces (Lambert's law)."""
+    # brightness = white * albedo * (ambient + sum over lights of strength * max(n . l, 0)), without
+    # the lights that something hides.
+    light = np.full(len(surface), scene.ambient)
+    for direction, strength in scene.lights:
+        unit = np.array(direction) / np.linalg.norm(direction)
+        cosine = hits.normals @ unit
+        lit = np.nonzero((surface != MISSED) & (cosine > 0.0))[0]
+        hidden = caster.is_hidden(hits.points[lit], hits.normals[lit], unit)
+        light[lit] += np.where(hidden, 0.0, strength * cosine[lit])
+    brightness = np.full(len(surface), scene.background)
+    for k, part in enumerate(scene.surfaces):
+        own = surface == k
+        brightness[own] = WHITE_LEVEL * part.texture(hits.points[own]) * light[own]
+    return brightness

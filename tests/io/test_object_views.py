@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+
+import smartview_jax as sv
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io import load_object_views, write_object_views
+from smartview_jax.simulation import paper_calibration
+
+POSES = paper_calibration().command_for(sv.five_viewpoints(np.zeros(3), 0.2))
+PICTURES = [np.random.default_rng(k).integers(0, 255, (12, 16), np.uint8) for k in range(5)]
+NAMES = ["above", "left", "right", "front", "back"]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_object_views(tmp_path / "object", NAMES, PICTURES, POSES)
+
+
+def test_what_is_written_is_read(folder):
+    views = load_object_views(folder)
+    assert views.view_ids == tuple(NAMES)
+    assert views.image_size == (16, 12)
+    for written, read in zip(PICTURES, views.pictures, strict=True):
+        np.testing.assert_array_equal(read, written)
+    np.testing.assert_array_equal(host_matrices(views.base_from_tool), host_matrices(POSES))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[16,", "[17,", r"above.png: expected 17 x 12 px, found 16 x 12 px"),
+        ("rows: 5", "rows: 6", "poses.csv: .*6"),
+        ("pictures:", "picture:", r"object_views.yaml: .*'picture'.*pictures"),
+        ("end: smartview_object_views", "", r"object_views.yaml: entry 'end' is missing"),
+    ],
+)
+def test_a_wrong_description_is_named(folder, old, new, message):
+    path = folder / "object_views.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ValueError, match=message):
+        load_object_views(folder)
+
+
+def test_a_missing_picture_is_named(folder):
+    (folder / "images/left.png").unlink()
+    with pytest.raises(FileNotFoundError, match=r"left\.png"):
+        load_object_views(folder)
+
+
+def test_only_pictures_that_fit_together_are_written(tmp_path):
+    with pytest.raises(ValueError, match="5 views, 4 pictures and 5 poses"):
+        write_object_views(tmp_path, NAMES, PICTURES[:4], POSES)
+    with pytest.raises(ValueError, match="expected one size"):
+        write_object_views(tmp_path, NAMES, [*PICTURES[:4], PICTURES[0].T.copy()], POSES)
+    assert not list(tmp_path.iterdir())

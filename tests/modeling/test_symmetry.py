@@ -1,0 +1,68 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from solids import box, prism
+
+from smartview_jax.modeling import Face, ObjectModel, edges_of_faces, find_symmetry
+
+
+def distances_between(one, other):
+    return np.linalg.norm(one[:, None] - other[None], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("model", "group"),
+    [
+        (box(), Rotation.create_group("D2")),
+        (box(0.04, 0.04, 0.03), Rotation.create_group("D4")),
+        (box(0.03, 0.03, 0.03), Rotation.create_group("O")),
+        (prism(5), Rotation.create_group("D5")),
+    ],
+    ids=["box", "square box", "cube", "prism"],
+)
+def test_groups_are_those_of_the_books(model, group):
+    """Their orders and turning angles, as SciPy lists them."""
+    turned = model.transformed(np.eye(4))
+    found = find_symmetry(turned)
+    assert found.order == len(group)
+    assert not found.confirmed
+    np.testing.assert_allclose(found.rotations[0], np.eye(3))
+    angles = np.sort(Rotation.from_matrix(found.rotations).magnitude())
+    np.testing.assert_allclose(angles, np.sort(group.magnitude()), atol=1e-6)
+    for transform in found.object_from_object:
+        moved = model.vertices @ transform[:3, :3].T + transform[:3, 3]
+        assert distances_between(moved, model.vertices).min(axis=1).max() < 1e-9
+
+
+def test_a_cylinder_has_an_axis_and_a_box_has_none():
+    axis = find_symmetry(prism(24)).axis
+    np.testing.assert_allclose(np.abs(axis), [0, 0, 1], atol=1e-9)
+    assert find_symmetry(prism(8)).axis is None
+
+
+def test_what_breaks_a_symmetry_is_seen():
+    cube = box(0.03, 0.03, 0.03)
+    # A diagonal on one face, and a missing face: both leave only the identity or a half turn.
+    marked = dataclasses.replace(cube, edges=np.concatenate([cube.edges, [[4, 7]]]))
+    assert find_symmetry(marked).order == 2
+    assert find_symmetry(dataclasses.replace(cube, faces=cube.faces[1:])).order == 4
+    bent = dataclasses.replace(cube, faces=(), vertices=cube.vertices + [[0.001, 0, 0]] + 0.0)
+    moved = bent.vertices.copy()
+    moved[7] += 0.002
+    assert find_symmetry(dataclasses.replace(bent, vertices=moved)).order == 3
+    # Within a stated tolerance, as of a model made from pictures, it is a cube again.
+    assert find_symmetry(dataclasses.replace(bent, vertices=moved), 0.004).order == 24
+
+
+def test_chirality_counts():
+    """A mirrored half is no symmetry: only rotations are."""
+    vertices = np.array([[0.0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]]) * 0.01
+    faces = tuple(map(Face, [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]))
+    assert find_symmetry(ObjectModel(vertices, edges_of_faces(faces), faces)).order == 1
+
+
+def test_points_on_one_line_have_no_finite_group():
+    with pytest.raises(ValueError, match="one line"):
+        find_symmetry(ObjectModel(np.outer(np.arange(4.0), [0.01, 0.02, 0.0])))

@@ -1,0 +1,31 @@
+"""Solids that several tests model, made by trimesh or written out by hand."""
+
+import numpy as np
+
+from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
+
+
+def box(x=0.06, y=0.04, z=0.03, **given):
+    """A box in the first octant, its six faces outward and named."""
+    corners = np.array([[i, j, k] for k in (0, 1) for j in (0, 1) for i in (0, 1)], float)
+    loops = {
+        "bottom": (0, 2, 3, 1),
+        "top": (4, 5, 7, 6),
+        "front": (0, 1, 5, 4),
+        "back": (2, 6, 7, 3),
+        "left": (0, 4, 6, 2),
+        "right": (1, 3, 7, 5),
+    }
+    faces = tuple(Face(loop, name=name) for name, loop in loops.items())
+    return ObjectModel(corners * [x, y, z], edges_of_faces(faces), faces, **given)
+
+
+def prism(sides, radius=0.03, height=0.05):
+    """A regular prism along z."""
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    ring = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices = np.concatenate([np.column_stack([ring, np.full(sides, h)]) for h in (0.0, height)])
+    walls = [(k, (k + 1) % sides, sides + (k + 1) % sides, sides + k) for k in range(sides)]
+    ends = [tuple(range(sides))[::-1], tuple(range(sides, 2 * sides))]
+    faces = tuple(Face(loop) for loop in [*walls, *ends])
+    return ObjectModel(vertices, edges_of_faces(faces), faces)
