@@ -100,6 +100,7 @@ class ConstrainedSystem(NamedTuple):
             inverse: that of `features`.
         """
         A, precision = self.feature_constraints, np.diagonal(self.border)
+        # Each unknown of the border by itself, which is enough for a scale.
         known = np.divide(1.0, precision, out=np.zeros(len(precision)), where=precision > 0.0)
         own = np.einsum("cr,rc->c", A, inverse.times(A.T))
         return np.maximum(own + self.border_constraints**2 @ known, np.finfo(float).tiny)
@@ -123,6 +124,8 @@ def _symmetric_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n
     """Return the inverse of a symmetric indefinite matrix, scaled to a unit diagonal."""
     if not len(matrix):
         return matrix
+    # Numbers of a calibration, metres and constraints stand side by side: without scaling the
+    # inverse would lose most digits.
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
     # A plane has no information of its own: its scale is that of its constraints.
     largest = np.abs(matrix).max(axis=1, initial=0.0)

@@ -59,6 +59,7 @@ class Shape(NamedTuple):
         planes: Float[np.ndarray, "planes 3"],
     ) -> "Shape":
         """Return the shape after steps of all points, lines and planes."""
+        # To first order, then back to unit length: the derivatives are those at a step of zero.
         normals = self.normals + np.einsum(
             "pij,pj->pi", perpendicular_axes(self.normals), planes[:, :2]
         )
@@ -125,6 +126,7 @@ def _length(shape: Shape, edge: tuple[int, int]) -> tuple[float, dict[Variable, 
     """Return the length of an edge and its derivatives."""
     i, j = edge
     difference = shape.points[j] - shape.points[i]
+    # d|x| = (x / |x|) . dx
     length = float(np.linalg.norm(difference))
     row = difference[None] / length
     return length, {("point", j): row, ("point", i): -row}
@@ -134,6 +136,7 @@ def _height(shape: Shape, plane: int, point: int) -> tuple[float, dict[Variable,
     """Return the height of a point above a plane and its derivatives."""
     normal = shape.normals[plane]
     offset = shape.points[point] - shape.centres[plane]
+    # h = n . (x - c) - o, and n turns along two axes across itself: dh = n . dx + (x - c) . dn - do
     turn = offset @ perpendicular_axes(normal[None])[0]
     jacobians = {
         ("point", point): normal[None],
@@ -213,6 +216,7 @@ class SamePlane(AbstractConstraint):
         """Return the plane that is nearest to the vertices."""
         chosen = points[list(self.points)]
         centre = chosen.mean(axis=0)
+        # The direction in which the vertices scatter least.
         return centre, np.linalg.svd(chosen - centre)[2][2]
 
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
@@ -253,6 +257,7 @@ class OnPlane(AbstractConstraint):
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the heights of the vertices above the plane."""
         del plane
+        # The plane is known, so that nothing but the points moves.
         normal, count = np.array(self.normal), len(self.points)
         values = shape.points[list(self.points)] @ normal - self.offset
         total = _Accumulator()
@@ -326,6 +331,7 @@ class EqualLength(AbstractConstraint):
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the difference of the lengths."""
         del plane
+        # The difference and not the ratio, so that sigma is a length.
         a, da = _length(shape, self.first)
         b, db = _length(shape, self.second)
         total = _Accumulator()
@@ -400,6 +406,7 @@ class Symmetric(AbstractConstraint):
         normal = shape.normals[plane]
         axes = perpendicular_axes(normal[None])[0]
         values: list[np.ndarray] = []
+        # Three numbers for a pair, one for a vertex in the plane; together they also fix the plane.
         rows: list[dict[Variable, np.ndarray]] = []
         for i, j in self.pairs:
             height, parts = _height(shape, plane, i)
@@ -439,6 +446,7 @@ def check_edges(
     """
     for constraint in constraints:
         for edge in constraint.edges:
+            # Nothing is divided by zero later: steps are small against any edge that has a length.
             if not isinstance(edge, LineIndex) and np.array_equal(*points[list(edge)]):
                 raise ValueError(f"{constraint}: vertices {edge} start in the same place")
 

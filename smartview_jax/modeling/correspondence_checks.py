@@ -198,6 +198,7 @@ class _Check(NamedTuple):
             L[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = whitening[k]
         r = L @ residual.ravel()
         J = L @ by_point.reshape(count, 3)
+        # Whitened, so that C is the identity.
         A = L @ by_number.reshape(count, by_number.shape[2])
         inverse = np.linalg.inv(np.eye(count) + A @ self.uncertainty.covariance @ A.T)
         RJ = inverse @ J
@@ -221,6 +222,8 @@ def _worst(one: _Deletions, feature: int, per_test: float) -> WrongCorrespondenc
     if not p_values.min() < per_test:
         return None
     # The one whose absence leaves the least contradiction; ties of two views go to the first.
+    # With the worst one gone the others must agree; where another's absence does as well, both
+    # stay suspects.
     rest_p = np.ones(len(one.views))
     redundant = known & (one.rest_freedom > 0)
     rest_p[redundant] = chdtrc(one.rest_freedom[redundant], one.rest[redundant])

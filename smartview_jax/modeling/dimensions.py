@@ -57,6 +57,7 @@ def angle(features: MeasuredPoints, first: int, corner: int, second: int) -> Dim
         ValueError: as in `dimension`, or edges on one line, where the angle has no derivative.
     """
     a, c, b = _determined(features, (first, corner, second))
+    # With the arctangent, an angle near 0 or 180 degrees keeps its digits.
     u, v = a - c, b - c
     normal = np.cross(u, v)
     sine = float(np.linalg.norm(normal))

@@ -111,6 +111,7 @@ def line_jacobians(
     )
     padding = np.concatenate([filler, np.eye(3)[0], np.eye(3)[:, 1:].ravel()])
     rows = np.tile(padding, (shape[1] - count, 1))
+    # Ends that are not seen may be NaN; the top-left pixel is within every lens.
     safe = np.where(visible[..., None, None], segments, 0.0)
     found = _jacobians(
         views.camera,
@@ -154,6 +155,7 @@ def _jacobians(
             d = pose[:3, :3] @ moved_direction
             # To first order a twist (v, w) moves p by v + w x p and turns d by w x d.
             p, d = p + twist[:3] + jnp.cross(twist[3:], p), d + jnp.cross(twist[3:], d)
+            # p x d is normal to the plane through the camera's centre and the line.
             normal = jnp.cross(p, d)
             return jnp.where(valid, normal @ ray / jnp.linalg.norm(normal), 0.0)
 

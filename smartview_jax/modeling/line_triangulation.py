@@ -160,6 +160,7 @@ def end_covariances(
         return given
     if not np.all(given > 0.0):
         raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
+    # The same error in all directions: only its part across the line counts.
     variance = np.broadcast_to(given, shape)[..., None, None, None] ** 2
     return variance * np.broadcast_to(np.eye(2), (*shape, 2, 2, 2))
 
@@ -187,6 +188,7 @@ def world_rays(
     shape = (len(views.padded), padded_count(seen.shape[1]))
     safe = np.where(seen[..., None, None], segments, 0.0)
     rays, valid = unit_rays(views.camera, to_device(padded_to(safe, shape)))
+    # A segment with one end outside the lens is not used at all.
     used = seen & np.asarray(valid)[: len(seen), : seen.shape[1]].all(axis=-1)
     rays = np.asarray(rays)[: len(seen), : seen.shape[1]]
     rays = np.where(used[..., None, None], rays, 0.0)
@@ -285,6 +287,7 @@ def _status(
     middle = np.sum(np.where(seen[..., None], parameters, 0.0), axis=(0, 2)) / np.maximum(
         2.0 * seen.sum(axis=0), 1.0
     )
+    # u + t w: the rows of the two shifts and, t times, of the two turns.
     shift = np.concatenate(
         [np.tile(np.eye(2), (len(middle), 1, 1)), middle[:, None, None] * np.eye(2)], axis=2
     )

@@ -141,6 +141,7 @@ def picture_equations(
     local = uncertainty.view_jacobian @ columns
     found = pixel_jacobians(views, shape.points, poses)
     residuals = np.where(observed.visible[..., None], observed.pixels - found.pixels, 0.0)
+    # Whitened errors e = L (f(x) - z), so that the gradient is J^T e.
     whitening = np.where(observed.visible[..., None, None], observed.whitening, 0.0)
     e = np.einsum("vpij,vpj->vpi", whitening, -residuals)
     squared = np.sum(e**2, axis=-1)
@@ -158,6 +159,7 @@ def picture_equations(
     distances = e.distances
     lines = _accumulate(e.whitened, J, N, local)
     cost += float(np.sum(e.whitened**2))
+    # Points first, lines after them, as everywhere.
     rows = 3 * len(points.blocks), 4 * len(lines.blocks)
     return PictureEquations(
         0.5 * cost,
@@ -205,6 +207,7 @@ def _line_terms(
         observed.segments_visible,
         poses,
     )
+    # Segments that are not seen have sigma zero and distance zero.
     inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
     terms = _LineTerms(at.distances * inverse, at.distances)
     return terms, at.by_line * inverse[..., None], at.by_view * inverse[..., None]
@@ -278,6 +281,7 @@ def _displaced(
 
 def _displaced_camera(camera: Camera, step: Float[np.ndarray, "parameters"]) -> Camera:
     """Return the camera with a step added to its parameters, in their flat order."""
+    # By leaves and on the host: `ravel_pytree` would compile a program for it.
     leaves, structure = jax.tree.flatten(camera)
     ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
     moved = [

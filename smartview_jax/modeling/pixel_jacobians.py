@@ -64,6 +64,7 @@ def _jacobians(
     Float[Array, "views points 2 local"],
 ]:
     """Return pixels, validity and the two Jacobians of `PixelJacobians`."""
+    # p = R x + t
     rotation, translation = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
     p = jnp.einsum("vij,pj->vpi", rotation, points) + translation[:, None]
     numbers, rebuild = ravel_pytree(camera)
@@ -85,6 +86,7 @@ def _jacobians(
     by_point = jnp.einsum("vpui,vij->vpuj", D, rotation)
     by_view = jnp.concatenate([C, D, turned], axis=-1)
 
+    # Where there is no pixel there is no derivative; zeros leave sums as they are.
     def zero_where_invalid(array: Array) -> Array:
         return jnp.where(valid.reshape(valid.shape + (1,) * (array.ndim - 2)), array, 0.0)
 

@@ -231,6 +231,7 @@ def _linearise(problem: _Problem, points: Float[Array, "points 3"]) -> _Linearis
         for i in range(3)
         for k in range(i, 3)
     )
+    # A visible pixel without a prediction has no cost that could be compared: infinite.
     all_valid = jnp.all(valid | ~visible, axis=0)
     plain = (jnp.where(used, residual[..., 0], 0.0), jnp.where(used, residual[..., 1], 0.0))
     total = jnp.where(all_valid, jnp.sum(cost, axis=0), jnp.inf)
@@ -283,6 +284,7 @@ def _nearest_to_rays(
     information = jnp.abs(
         whitening[..., 0, 0] * whitening[..., 1, 1] - whitening[..., 0, 1] * whitening[..., 1, 0]
     ) * (camera.alpha_u * camera.alpha_v)
+    # Angles are the same near and far; only the second pass knows the distances.
     weight = jnp.where(used, information, 0.0)
     x = [jnp.zeros(problem.pixels.shape[1])] * 3
     relative_variance = x[0]
@@ -309,6 +311,7 @@ def _nearest_to_rays(
 def _mean_distance(problem: _Problem, points: Float[Array, "points 3"]) -> Float[Array, "points"]:
     """Return the mean distance of points from the cameras that see them."""
     distance = jnp.linalg.norm(_to_camera(problem, points), axis=-1)
+    # Views that do not see it have no say in how far a point may be off.
     seen = problem.visible.astype(float)
     return jnp.sum(seen * distance, axis=0) / jnp.maximum(jnp.sum(seen, axis=0), 1.0)
 
@@ -340,6 +343,7 @@ def _minimise(
         count, points, at, damping = state
         a, b, c, d, e, f = at.normal
         more = 1.0 + damping
+        # Marquardt's scaling: damping in proportion to the diagonal, without units.
         _, change = _solve((a * more, b, c, d * more, e, f * more), at.gradient)
         trial_points = points - jnp.stack(change, axis=-1)
         trial = _linearise(problem, trial_points)

@@ -90,6 +90,7 @@ def refine(
     observed = CheckedObservations.of(observations)
     count, line_count = observed.visible.shape[1], observed.segments_visible.shape[1]
     check_constraints(constraints, count, line_count)
+    # Described once: what is free is estimated under it, what is held is propagated by it.
     uncertainty = CalibrationUncertainty.of(
         observed.views, observations.calibration, covariance, noise
     )
@@ -100,6 +101,7 @@ def refine(
     lines, line_status = _initial_lines(observations, observed, constraints)
     shape, planes = _with_planes(points, lines, constraints)
     roots = _prior_roots(uncertainty)
+    # The views' own noise comes after what all views have in common.
     index = np.arange(roots.shape[1])
     chosen = {
         "nothing": index < 0,
@@ -134,6 +136,7 @@ def _initial_points(
                 f"start: expected {(count, 3)} as there are pixels; found {given.shape}"
             )
         points = np.where(np.isfinite(given), given, points)
+    # Points of one view start on its ray, as far away as the rest of the object.
     centre = np.nanmean(points, axis=0) if np.isfinite(points).any() else np.full(3, np.nan)
     for k in np.flatnonzero(np.isnan(points).any(axis=1)):
         points[k] = _on_a_ray(observed, int(k), centre)
@@ -221,6 +224,7 @@ def _typical_distance(
     observed: CheckedObservations, points: Float[np.ndarray, "points 3"]
 ) -> float:
     """Return the median distance of the points from the cameras, m."""
+    # The scale of what "far" and "open" mean, in the units of the poses.
     offsets = points[None] - observed.views.centres[:, None]
     return float(np.median(np.linalg.norm(offsets, axis=-1))) if len(points) else 1.0
 
@@ -251,6 +255,7 @@ def _summarise(
     if not result.converged:
         status[:] = PointStatus.NOT_CONVERGED
         line_status = np.full_like(line_status, PointStatus.NOT_CONVERGED)
+    # From here on, whatever failed is NaN beside the status that names why.
     ok, lines_ok = status == PointStatus.OK, line_status == PointStatus.OK
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
@@ -322,6 +327,7 @@ def _calibration_part(
         reduced[first + 3 * k : first + 3 * k + 3] = mixed[own]
         mixed[own] = 0.0
     # The gradients change by these columns; the solution by minus the inverse times them.
+    # At the optimum the gradient is zero; a change of the held numbers changes it by these columns.
     features, rest = posterior.solve(-mixed, -reduced)
     jacobian = features[: 3 * count].reshape(count, 3, -1).copy()
     jacobian[problem.weak] = rest[first : posterior.border_size].reshape(-1, 3, len(names))

@@ -99,6 +99,7 @@ def linearise(
     first_weak = numbers + 3 * planes
     rows = pictures.features.size
     border = np.zeros((border_size, border_size))
+    # Combinations of unit variance have the identity as the precision of their prior.
     border[:numbers, :numbers] = pictures.numbers + np.eye(numbers)
     gradient = np.zeros(border_size)
     gradient[:numbers] = pictures.number_gradient + state.combinations[free]
@@ -170,6 +171,7 @@ def minimise(
 ) -> tuple[RefinementState, FitResult]:
     """Take damped Gauss-Newton steps until all features stay where they are."""
     state, damping = start, 0.0
+    # Gauss-Newton with Levenberg's damping; constraints enter every step linearised anew.
     at = linearise(problem, state, problem.free)
     if not np.isfinite(at.cost):
         return state, FitResult(FitCode.DIVERGED, "a point starts behind a camera that sees it")
@@ -197,6 +199,7 @@ def minimise(
 def _merit(at: RefinementEquations) -> float:
     """Return the cost with the squares of all constraints; exact ones have a sigma for this."""
     inverse = at.system.features.inverse()
+    # Exact constraints need a weight that neither hides the pictures nor is hidden by them.
     variance = np.maximum(
         at.system.constraint_variance, MERIT_VARIANCE * at.system.left_open(inverse)
     )
@@ -210,6 +213,7 @@ def _moved(
     count, planes = len(state.shape.points), len(state.shape.normals)
     numbers = int(problem.free.sum())
     points = step[: 3 * count].reshape(count, 3).copy()
+    # The rows of points in the border are idle among the features.
     points[problem.weak] = border[numbers + 3 * planes :].reshape(-1, 3)
     combinations = state.combinations.copy()
     combinations[problem.free] += border[:numbers]
@@ -225,6 +229,7 @@ def _largest_step(
     system: ConstrainedSystem, step: Float[np.ndarray, "rows"], rest: Float[np.ndarray, "reduced"]
 ) -> float:
     """Return the largest squared step of a feature, in its standard deviations by the pictures."""
+    # dx^T H dx of each feature: one is a standard deviation, whatever the unit.
     weighted = step * system.features.times(step)
     split = 3 * len(system.features.points)
     sizes = [

@@ -67,6 +67,7 @@ class TriangulatedPoints(NamedTuple):
 
     def covariance(self) -> Float[np.ndarray, "points 3 3"]:
         """Return the covariance of each point due to pictures and calibration, m^2."""
+        # Independent causes: their covariances add.
         J = self.calibration_jacobian
         return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
 
@@ -124,6 +125,7 @@ def triangulate_points(
         ValueError: arrays of shapes that do not belong together, pixels outside the picture, poses
             that are not rigid, or a covariance of other parameters.
     """
+    # Everything is checked on the host before anything is computed.
     views = SeenViews.of(calibration, poses)
     measured = np.asarray(pixels, dtype=float)
     if measured.ndim != 3 or measured.shape[2] != 2:
@@ -138,6 +140,7 @@ def triangulate_points(
     ok = status == PointStatus.OK
     picture_covariance = np.where(ok[:, None, None], picture_covariance, np.nan)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    # The calibration's part costs more than the points: only where it is asked for.
     jacobian = np.zeros((len(points), 3, 0))
     if uncertainty.names:
         jacobian = _calibration_jacobian(

@@ -32,6 +32,7 @@ def as_checked_command(poses: CommandLike) -> Command:
     matrices = host_matrices(poses) if isinstance(poses, SE3) else np.asarray(poses, dtype=float)
     if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
         raise ValueError(f"poses: expected (views, 4, 4) or that many SE3; found {matrices.shape}")
+    # A pose in millimetres or with a transposed rotation is far more likely than a rare robot.
     problems = check_rigid(matrices, tuple(f"view {k}" for k in range(len(matrices))))
     if problems:
         raise ValueError(
@@ -50,6 +51,7 @@ def single_pose(pose: PoseLike) -> PoseLike:
 def padded_views(command: Command) -> Command:
     """Return the command with its last view repeated, up to a multiple of `PADDED_VIEWS`."""
     poses, joints = command.base_from_tool.wxyz_xyz, command.joints
+    # -n mod k views are missing to the next multiple of k.
     extra = -len(poses) % PADDED_VIEWS
 
     def pad(array: np.ndarray) -> np.ndarray:
@@ -111,6 +113,7 @@ class SeenViews(NamedTuple):
     @property
     def centres(self) -> Float[np.ndarray, "views 3"]:
         """The camera's centres in the world, m."""
+        # c = -R^T t
         rotations, translations = (
             self.camera_from_world[:, :3, :3],
             self.camera_from_world[:, :3, 3],
@@ -151,6 +154,7 @@ def checked_visibility(
     # Comparisons with NaN are false, as wanted.
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
+    # NaN and infinity are outside, too; the message shows which it is.
     wrong = np.argwhere(seen & ~inside)
     if len(wrong):
         view, feature = wrong[0]
@@ -181,6 +185,7 @@ def whitening_of(
         raise ValueError(
             f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2)}; found {given.shape}"
         )
+    # Equal and independent errors of u and v are a multiple of the identity.
     if given.ndim < 3:
         if not np.all(given > 0.0):
             raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
