@@ -108,10 +108,11 @@ def _alike_on_epipolar_lines(
     normals = np.cross(b.centre - a.centre, a.rays)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)
-    near = np.abs(normals @ b.rays.T) * b.focal_length < EPIPOLAR_GATE
-    similarity = a.patches @ b.patches.T
+    near = np.abs(normals @ b.rays.T) < EPIPOLAR_GATE / b.focal_length
+    # Single precision is exact enough for correlations, and the largest part of the time.
+    similarity = a.patches.astype(np.float32) @ b.patches.T.astype(np.float32)
     i, j = np.nonzero(near & (similarity > MIN_PAIR_SIMILARITY))
-    return i, j, similarity[i, j]
+    return i, j, similarity[i, j].astype(float)
 
 
 def _intersections(
