@@ -35,7 +35,7 @@ MAX_RMS = 1.0
 MIN_SIMILARITY = 0.7
 """Smallest mean correlation of the patches of a proposed point."""
 
-SAME_POINT_DISTANCE = 3.0
+SAME_POINT_DISTANCE = 2.5
 """Distance in all common views below which two proposed points are the same, px."""
 
 
