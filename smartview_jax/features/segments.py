@@ -11,6 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from .edge_points import SMOOTHING, EdgePoints
 from .ideal_plane import IdealPlane
@@ -20,6 +21,9 @@ GREY_LEVEL_BOUND = 1.0
 
 BAND_HALF_WIDTHS = (2.5, 1.5, 1.2)
 """Largest distances of edge points from the line, px, in the fits that follow one another."""
+
+MAX_EXTENSION = 30.0
+"""Length beyond twice its own by which a segment may grow in each of these fits, px."""
 
 MAX_GAP = 4.0
 """Largest distance between neighbouring points of one segment, px."""
@@ -97,8 +101,10 @@ def find_lines(
     """Return the straight segments of a picture, the longest proposals first."""
     points = plane.from_pixels(edge_points.pixels)
     normals = _ideal_normals(edge_points, plane)
+    # Points that the lens cannot place in the ideal plane are left out.
     usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     search = _Search(points[usable], normals[usable])
+    # The longest first: each takes its points, and the pieces of the same edge find them used.
     for start, end in _proposals(grey, plane):
         search.follow(start, end)
     return search.lines()
@@ -132,6 +138,7 @@ class _Search:
         self, points: Float[np.ndarray, "points 2"], normals: Float[np.ndarray, "points 2"]
     ):
         self._points, self._normals = points, normals
+        self._tree = KDTree(points) if len(points) else None
         self._used = np.zeros(len(points), dtype=bool)
         self._found: list[tuple] = []
 
@@ -140,33 +147,37 @@ class _Search:
         centre, direction = 0.5 * (start + end), end - start
         half_length = 0.5 * float(np.linalg.norm(direction))
         direction = direction / (2.0 * half_length)
-        near = self._near(centre, direction, half_length)
-        if len(near) < MIN_DENSITY * MIN_LENGTH:
-            return
-        inside = np.abs((self._points[near] - centre) @ direction) <= half_length
-        normal = self._light_side(near[inside], direction)
-        run = near
+        normal = self._light_side(centre, direction, half_length)
+        run = np.zeros(0, dtype=int)
         for half_width in BAND_HALF_WIDTHS:
+            # The tree is asked anew, because the segment may have grown.
+            near = self._near(centre, half_length)
             run = self._run(near, centre, normal, half_length, half_width)
             if len(run) < MIN_DENSITY * MIN_LENGTH or self._used[run].mean() > MAX_USED_FRACTION:
                 return
             centre, normal, half_length = self._fit(run, normal)
         self._keep(run, centre, normal)
 
-    def _near(self, centre: np.ndarray, direction: np.ndarray, half_length: float) -> np.ndarray:
-        """Return the indices of the points around the whole line that a proposal is a piece of."""
-        offset = self._points - centre
-        across = np.abs(offset @ np.array([-direction[1], direction[0]]))
-        along = np.abs(offset @ direction)
-        # A line that is extended by its own length may turn away by as much as it is wrong by now.
-        return np.nonzero(
-            across < BAND_HALF_WIDTHS[0] + 0.03 * np.maximum(along - half_length, 0.0)
-        )[0]
+    def _near(self, centre: np.ndarray, half_length: float) -> np.ndarray:
+        """Return the indices of the points around a line so far and around what may continue it."""
+        if self._tree is None:
+            return np.zeros(0, dtype=int)
+        # A disc is more than is needed, but a tree answers it quickly.
+        reach = 2.0 * half_length + MAX_EXTENSION
+        return np.array(self._tree.query_ball_point(centre, reach), dtype=int)
 
-    def _light_side(self, members: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    def _light_side(
+        self, centre: np.ndarray, direction: np.ndarray, half_length: float
+    ) -> np.ndarray:
         """Return the normal of a proposal's direction that most of its gradients agree with."""
-        normal = np.array([-direction[1], direction[0]])
+        normal, near = np.array([-direction[1], direction[0]]), self._near(centre, half_length)
+        offset = self._points[near] - centre
+        members = near[
+            (np.abs(offset @ direction) <= half_length)
+            & (np.abs(offset @ normal) < BAND_HALF_WIDTHS[0])
+        ]
         alignment = self._normals[members] @ normal
+        # Where two edges run side by side, both polarities are near: the more frequent one wins.
         lighter, darker = (alignment > MIN_ALIGNMENT).sum(), (alignment < -MIN_ALIGNMENT).sum()
         return normal if lighter >= darker else -normal
 
@@ -183,6 +194,7 @@ class _Search:
         close = np.abs((self._points[near] - centre) @ normal) < half_width
         chosen = near[aligned & close]
         along = (self._points[chosen] - centre) @ np.array([-normal[1], normal[0]])
+        # Cut into pieces at the gaps; the piece over the proposal goes on.
         order = np.argsort(along)
         pieces = np.split(order, np.nonzero(np.diff(along[order]) > MAX_GAP)[0] + 1)
         inside = [(np.abs(along[piece]) <= half_length).sum() for piece in pieces]
@@ -211,6 +223,7 @@ class _Search:
         direction = np.array([-normal[1], normal[0]])
         along = (self._points[run] - centre) @ direction
         length = float(np.ptp(along))
+        # Only what is fitted is freed of outliers; the extent is that of all points.
         fitted = self._without_outliers(self._middle(run, normal))
         if length < MIN_LENGTH or len(run) < MIN_DENSITY * length or len(fitted) < 4:
             return
@@ -261,6 +274,7 @@ def _total_least_squares(
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], float]:
     """Return mean, unit normal and variance across of the line of least squared distances."""
     mean = points.mean(axis=0)
+    # The eigenvector of the smaller eigenvalue of the scatter matrix is the normal.
     values, vectors = np.linalg.eigh((points - mean).T @ (points - mean))
     # Two numbers of a line are fitted.
     return mean, vectors[:, 0], float(max(values[0], 0.0)) / max(len(points) - 2, 1)

@@ -21,11 +21,13 @@ def project_points(
     pixels = np.empty((count, len(points), 2))
     for start in range(0, len(points), POINTS_PER_BATCH):
         part = points[start : start + POINTS_PER_BATCH]
+        # Padded to one size, for which the program is compiled once.
         padded = np.zeros((POINTS_PER_BATCH, 3))
         padded[: len(part)] = part
         projected = _project(views.camera, to_device(views.padded), to_device(padded))
         pixels[:, start : start + len(part)] = np.asarray(projected)[:count, : len(part)]
     size = np.array(views.camera.image_size)
+    # Comparisons with NaN are false: what cannot be projected counts as outside.
     with np.errstate(invalid="ignore"):
         within = (pixels > -0.5) & (pixels < size - 0.5)
     return np.where(within.all(axis=-1, keepdims=True), pixels, np.nan)
@@ -40,6 +42,6 @@ def _project(
     """Return the pixels of points in all views."""
 
     def project_in_view(matrix: Float[Array, "4 4"]) -> Float[Array, "points 2"]:
-        return camera.project(points @ matrix[:3, :3].T + matrix[:3, 3])[0]
+        return camera.project(points @ matrix[:3, :3].T + matrix[:3, 3][None])[0]
 
     return jax.vmap(project_in_view)(camera_from_world)
