@@ -27,6 +27,7 @@ BENCHMARKS = {
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
     "fuzz": "malformed files: refused by name, or their values in range",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
+    "editor": "the time from a click in the object-model editor to the drawn answer",
     "stages": "every stage timed beside OpenCV, in one run",
 }
 

@@ -160,7 +160,8 @@ class Conversation:
 
     def hover(self, view: str, pixel: Any) -> Message:
         """Return the curves of a pixel in the other views, with the depth of every sample."""
-        found = self._session.curves(view, pixel)
+        place = self._session.checked_pixel(view, pixel)
+        found = self._session.curves(view, place)
         curves = {
             name: [
                 {
@@ -174,7 +175,7 @@ class Conversation:
             ]
             for name, curve in found.items()
         }
-        return {"type": "curves", "view": view, "pixel": list(pixel), "curves": curves}
+        return {"type": "curves", "view": view, "pixel": list(place), "curves": curves}
 
     def features(self, view: str) -> Message:
         """Return the corners and segments of a view's picture, which clicks snap to."""
@@ -320,3 +321,6 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "turn_grasp": Conversation.turn_grasp,
 }
 """What a page can ask for, besides the changes of a document."""
+
+SLOW_COMMANDS = ("features", "propose")
+"""Commands that change nothing of the document and may take seconds."""

@@ -6,9 +6,11 @@ session.click("v2", (298.1, 215.0), corner)
 session.save()
 """
 
+import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -98,6 +100,7 @@ class ModelSession:
         self._position = 0
         self._saved: Document | None = None
         self._features: dict[str, Features] = {}
+        self._finding = {name: threading.Lock() for name in self.names}
         self._covariance = covariance
         self.proposals = Proposals(None, self.names, self.document)
         self._reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
@@ -295,9 +298,11 @@ class ModelSession:
 
     def features(self, view: str) -> Features:
         """Return the corners and segments found in a view's picture, which clicks snap to."""
-        if view not in self._features:
-            camera = self.calibration.camera
-            self._features[view] = find_features(self.pictures[view], camera)
+        # The page asks for them while a server's thread prepares them: one waits for the other.
+        with self._finding[view]:
+            if view not in self._features:
+                camera = self.calibration.camera
+                self._features[view] = find_features(self.pictures[view], camera)
         return self._features[view]
 
     def propose(self) -> Proposals:
@@ -379,17 +384,17 @@ class ModelSession:
     ) -> None:
         self.close()
 
-    def warm_up(self) -> Iterator[str]:
-        """Compile what the first clicks need and find features; yield a line for each step."""
-        yield "compiling"
+    def prepare(self) -> None:
+        """Compile what the first clicks need, and find the features of all pictures."""
         width, height = self.calibration.camera.image_size
         middle = (0.5 * width, 0.5 * height)
         self.geometry.estimates([dict.fromkeys(self.names, middle)])
         self.geometry.curves(self.names[0], middle)
         self.geometry.pixels_of(np.zeros((1, 3)))
         for name in self.names:
-            yield f"features of {name}"
-            self.features(name)
+            # A picture without features can still be clicked; whoever asks for them is told why.
+            with contextlib.suppress(ValueError):
+                self.features(name)
 
 
 def _checked_names(names: Sequence[str] | None, count: int) -> list[str]:

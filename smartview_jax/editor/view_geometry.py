@@ -85,18 +85,26 @@ class ViewGeometry:
         self._click_sigma = click_sigma
         self._seen = SeenViews.of(calibration, self.base_from_tool)
         self._estimates: dict[tuple, PointEstimate] = {}
+        # The clicks are kept with their estimate, so that their identity is not given again.
+        self._known: dict[int, tuple[Clicks, PointEstimate]] = {}
         self.camera_from_world = self._seen.camera_from_world
         self.centres = self._seen.centres
         self.depth_range = _depth_range(self.camera_from_world, self.centres)
 
     def estimates(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return where points are that were clicked in one view or in several."""
-        keys = [tuple(sorted(clicks.items())) for clicks in points]
-        new = list(dict.fromkeys(key for key in keys if key not in self._estimates))
-        if new:
-            for key, estimate in zip(new, self._computed([dict(key) for key in new]), strict=True):
-                self._estimates[key] = estimate
-        return [self._estimates[key] for key in keys]
+        # Documents share the clicks of the points that a change left alone, so that the same object
+        # means the same estimate; comparing a thousand of them by value takes too long.
+        unknown = [clicks for clicks in points if id(clicks) not in self._known]
+        if unknown:
+            keys = [tuple(sorted(clicks.items())) for clicks in unknown]
+            new = list(dict.fromkeys(key for key in keys if key not in self._estimates))
+            if new:
+                computed = self._computed([dict(key) for key in new])
+                self._estimates.update(zip(new, computed, strict=True))
+            for key, clicks in zip(keys, unknown, strict=True):
+                self._known[id(clicks)] = (clicks, self._estimates[key])
+        return [self._known[id(clicks)][1] for clicks in points]
 
     def _computed(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return the estimates of points, all in one program."""

@@ -103,11 +103,7 @@ class Editor {
       if (greeting.notes.length) this.say(greeting.notes.join("; "));
       this.ready = Promise.all(this.views.map((view) => this.loadPicture(view)));
       await this.ready;
-      for (const view of this.views) {
-        const found = await this.connection.ask({ do: "features", view: view.name });
-        this.model.corners.set(view.name, found.corners);
-        view.redraw("model");
-      }
+      for (const view of this.views) await this.loadFeatures(view);
       this.complete = true;
     } catch (error) { this.say(error.message, true); }
   }
@@ -117,6 +113,14 @@ class Editor {
     view.element.querySelector(".label span").textContent = "loading …";
     await view.load(await this.connection.picture(view.name));
     view.element.querySelector(".label span").textContent = "";
+  }
+
+  async loadFeatures(view) {
+    try {
+      const found = await this.connection.ask({ do: "features", view: view.name });
+      this.model.corners.set(view.name, found.corners);
+      view.redraw("model");
+    } catch (error) { this.say(error.message, true); }
   }
 
   arrange() {
@@ -235,8 +239,10 @@ class Editor {
 
   async propose() {
     this.say("matching the corners of all views …");
-    const answer = await this.change({ do: "propose" });
-    if (answer) this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
+    const answer = await this.connection.ask({ do: "propose" }).catch((error) => { this.say(error.message, true); });
+    if (!answer) return;
+    this.accept(answer);
+    this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
   }
 
   pointsDetail(id, point) {
