@@ -35,10 +35,10 @@ MAX_SEGMENTS_PER_CORNER = 6
 INTEGRATION_SIGMA = 1.0
 """Standard deviation of the window over which the structure tensor is summed, px."""
 
-STRUCTURE_GATE = 20.0
+STRUCTURE_GATE = 50.0
 """Smallest structure of a corner of the gradient, in variances of the gradient's noise."""
 
-MIN_ROUNDNESS = 0.08
+MIN_ROUNDNESS = 0.35
 """Smallest roundness 4 det / trace^2 of the structure tensor: 0 on an edge, 1 on a dot."""
 
 MAX_GRADIENT_CORNERS = 6000

@@ -16,6 +16,12 @@ from .segments import Lines, find_lines
 SAME_CORNER_DISTANCE = 1.0
 """Distance from a corner of segments within which one of the gradient is the same, px."""
 
+SAME_END_DISTANCE = 2.5
+"""Distance from a corner of segments within which a free end is the same, px."""
+
+MIN_FREE_LENGTH = 15.0
+"""Length of the shortest segment whose free ends are corners, px."""
+
 END_SIGMA = 1.0
 """Standard deviation of a free end along its segment, px; an end at a corner has the corner's."""
 
@@ -23,8 +29,9 @@ END_SIGMA = 1.0
 class Features(NamedTuple):
     """Segments and corners of one picture; everything is finite.
 
-    Corners of segments come first, then those of the gradient alone, which join none. A segment
-    that ends at a corner has its end there.
+    Corners in which segments meet come first, then free ends of long segments, which have one
+    segment each and are uncertain along it, then corners of the gradient alone, which have none. A
+    segment that ends at a corner has its end there.
 
     Attributes:
         corners: pixels.
@@ -70,21 +77,41 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
     inside = _is_inside(corners, camera.image_size)
     junctions = LineCorners(*(part[inside] for part in junctions))
     corners, covariances = corners[inside], covariances[inside]
-    ends, end_covariances = _end_pixels(lines, junctions, plane)
+    ends, end_covariances, free = _end_pixels(lines, junctions, plane)
     normals, normal_covariances = _plane_normals(lines, plane)
+    free_corners = _free_ends(ends, end_covariances, free, junctions.segments.shape[1], corners)
+    junction_parts = (corners, covariances, junctions.segments)
+    known = [np.concatenate(parts) for parts in zip(junction_parts, free_corners, strict=True)]
     others, other_covariances = gradient_corners(grey)
-    new = _far_from(others, corners)
+    new = _far_from(others, known[0], SAME_CORNER_DISTANCE)
     joined = np.full((int(new.sum()), junctions.segments.shape[1]), -1)
     return Features(
-        np.concatenate([corners, others[new]]),
-        np.concatenate([covariances, other_covariances[new]]),
-        np.concatenate([junctions.segments, joined]),
+        np.concatenate([known[0], others[new]]),
+        np.concatenate([known[1], other_covariances[new]]),
+        np.concatenate([known[2], joined]),
         ends,
         end_covariances,
         normals,
         normal_covariances,
         camera.image_size,
     )
+
+
+def _free_ends(
+    ends: Float[np.ndarray, "segments 2 2"],
+    covariances: Float[np.ndarray, "segments 2 2 2"],
+    free: Bool[np.ndarray, "segments 2"],
+    columns: int,
+    corners: Float[np.ndarray, "corners 2"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the ends of long segments where no corner is: pixels, covariances, segments."""
+    long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= MIN_FREE_LENGTH
+    segment, side = np.nonzero(free & long[:, None])
+    far = _far_from(ends[segment, side], corners, SAME_END_DISTANCE)
+    segment, side = segment[far], side[far]
+    joined = np.full((len(segment), columns), -1)
+    joined[:, 0] = segment
+    return ends[segment, side], covariances[segment, side], joined
 
 
 def _is_inside(
@@ -105,14 +132,22 @@ def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarra
 
 def _end_pixels(
     lines: Lines, junctions: LineCorners, plane: IdealPlane
-) -> tuple[Float[np.ndarray, "segments 2 2"], Float[np.ndarray, "segments 2 2 2"]]:
-    """Return pixels and covariances of the ends of segments, at a corner where there is one."""
+) -> tuple[
+    Float[np.ndarray, "segments 2 2"],
+    Float[np.ndarray, "segments 2 2 2"],
+    Bool[np.ndarray, "segments 2"],
+]:
+    """Return pixels and covariances of the ends of segments, and whether no corner is there.
+
+    An end at a corner has the corner's position.
+    """
     count = len(lines.centres)
     index = np.repeat(np.arange(count), 2)
     ends = lines.ends.reshape(-1, 2).copy()
     across, along = lines.normals[index], lines.directions[index]
     covariances = lines.variances_at(index, ends)[:, None, None] * _outer(across)
     covariances = covariances + END_SIGMA**2 * _outer(along)
+    free = np.ones(2 * count, dtype=bool)
     for k, corner in enumerate(junctions.points):
         for segment in junctions.segments[k][junctions.segments[k] >= 0]:
             # The nearer end; the corner of a T is in the middle of one of its segments.
@@ -120,9 +155,15 @@ def _end_pixels(
             if gaps.min() <= MAX_END_GAP:
                 end = 2 * segment + int(np.argmin(gaps))
                 ends[end], covariances[end] = corner, junctions.covariances[k]
+                free[end] = False
     pixels, derivatives = plane.to_pixels(ends)
     covariances = derivatives @ covariances @ derivatives.transpose(0, 2, 1)
-    return pixels.reshape(count, 2, 2), covariances.reshape(count, 2, 2, 2)
+    free &= np.isfinite(pixels).all(axis=1)
+    return (
+        pixels.reshape(count, 2, 2),
+        covariances.reshape(count, 2, 2, 2),
+        free.reshape(count, 2),
+    )
 
 
 def _outer(vectors: Float[np.ndarray, "rows 2"]) -> Float[np.ndarray, "rows 2 2"]:
@@ -159,9 +200,9 @@ def _plane_normals(
 
 
 def _far_from(
-    pixels: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"]
+    pixels: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"], distance: float
 ) -> Bool[np.ndarray, "points"]:
-    """Return which pixels are not at one of the others."""
+    """Return which pixels are farther from all others than a distance, px."""
     if not len(others):
         return np.ones(len(pixels), dtype=bool)
-    return KDTree(others).query(pixels)[0] > SAME_CORNER_DISTANCE
+    return np.asarray(KDTree(others).query(pixels)[0]) > distance

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from .edge_points import SMOOTHING, EdgePoints
 from .ideal_plane import IdealPlane
@@ -20,6 +21,9 @@ GREY_LEVEL_BOUND = 1.0
 
 BAND_HALF_WIDTHS = (2.5, 1.5, 1.2)
 """Largest distances of edge points from the line, px, in the fits that follow one another."""
+
+MAX_EXTENSION = 30.0
+"""Length beyond twice its own by which a segment may grow in each of these fits, px."""
 
 MAX_GAP = 4.0
 """Largest distance between neighbouring points of one segment, px."""
@@ -132,6 +136,7 @@ class _Search:
         self, points: Float[np.ndarray, "points 2"], normals: Float[np.ndarray, "points 2"]
     ):
         self._points, self._normals = points, normals
+        self._tree = KDTree(points) if len(points) else None
         self._used = np.zeros(len(points), dtype=bool)
         self._found: list[tuple] = []
 
@@ -140,32 +145,33 @@ class _Search:
         centre, direction = 0.5 * (start + end), end - start
         half_length = 0.5 * float(np.linalg.norm(direction))
         direction = direction / (2.0 * half_length)
-        near = self._near(centre, direction, half_length)
-        if len(near) < MIN_DENSITY * MIN_LENGTH:
-            return
-        inside = np.abs((self._points[near] - centre) @ direction) <= half_length
-        normal = self._light_side(near[inside], direction)
-        run = near
+        normal = self._light_side(centre, direction, half_length)
+        run = np.zeros(0, dtype=int)
         for half_width in BAND_HALF_WIDTHS:
+            near = self._near(centre, half_length)
             run = self._run(near, centre, normal, half_length, half_width)
             if len(run) < MIN_DENSITY * MIN_LENGTH or self._used[run].mean() > MAX_USED_FRACTION:
                 return
             centre, normal, half_length = self._fit(run, normal)
         self._keep(run, centre, normal)
 
-    def _near(self, centre: np.ndarray, direction: np.ndarray, half_length: float) -> np.ndarray:
-        """Return the indices of the points around the whole line that a proposal is a piece of."""
-        offset = self._points - centre
-        across = np.abs(offset @ np.array([-direction[1], direction[0]]))
-        along = np.abs(offset @ direction)
-        # A line that is extended by its own length may turn away by as much as it is wrong by now.
-        return np.nonzero(
-            across < BAND_HALF_WIDTHS[0] + 0.03 * np.maximum(along - half_length, 0.0)
-        )[0]
+    def _near(self, centre: np.ndarray, half_length: float) -> np.ndarray:
+        """Return the indices of the points around a line so far and around what may continue it."""
+        if self._tree is None:
+            return np.zeros(0, dtype=int)
+        reach = 2.0 * half_length + MAX_EXTENSION
+        return np.array(self._tree.query_ball_point(centre, reach), dtype=int)
 
-    def _light_side(self, members: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    def _light_side(
+        self, centre: np.ndarray, direction: np.ndarray, half_length: float
+    ) -> np.ndarray:
         """Return the normal of a proposal's direction that most of its gradients agree with."""
-        normal = np.array([-direction[1], direction[0]])
+        normal, near = np.array([-direction[1], direction[0]]), self._near(centre, half_length)
+        offset = self._points[near] - centre
+        members = near[
+            (np.abs(offset @ direction) <= half_length)
+            & (np.abs(offset @ normal) < BAND_HALF_WIDTHS[0])
+        ]
         alignment = self._normals[members] @ normal
         lighter, darker = (alignment > MIN_ALIGNMENT).sum(), (alignment < -MIN_ALIGNMENT).sum()
         return normal if lighter >= darker else -normal

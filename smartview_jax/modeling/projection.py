@@ -40,6 +40,6 @@ def _project(
     """Return the pixels of points in all views."""
 
     def project_in_view(matrix: Float[Array, "4 4"]) -> Float[Array, "points 2"]:
-        return camera.project(points @ matrix[:3, :3].T + matrix[:3, 3])[0]
+        return camera.project(points @ matrix[:3, :3].T + matrix[:3, 3][None])[0]
 
     return jax.vmap(project_in_view)(camera_from_world)

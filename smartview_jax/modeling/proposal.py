@@ -35,7 +35,7 @@ MAX_RMS = 1.0
 MIN_SIMILARITY = 0.7
 """Smallest mean correlation of the patches of a proposed point."""
 
-SAME_POINT_DISTANCE = 2.0
+SAME_POINT_DISTANCE = 3.0
 """Distance in all common views below which two proposed points are the same, px."""
 
 
@@ -167,6 +167,7 @@ def _corner_views(
                 seen.centres[k],
                 look.patches,
                 look.directions,
+                features.corner_segments[:, 1] >= 0,
                 plane.focal_length,
             )
         )
@@ -191,7 +192,8 @@ def _proposal(
     good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
     order = np.flatnonzero(good)
     order = order[_distinct(project_points(seen, points.points[order]))]
-    edges, edge_segments = _edges(seen, found, points.points[order])
+    ends = np.flatnonzero(_junction_counts(found, corners[:, order]) >= 2)
+    edges, edge_segments = _edges(seen, found, points.points[order[ends]])
     return ModelProposal(
         points.points[order],
         points.covariance()[order],
@@ -199,7 +201,7 @@ def _proposal(
         _pixels_of(found, corners[:, order]),
         rms[order],
         similarity[order],
-        edges,
+        ends[edges],
         edge_segments,
         found,
     )
@@ -276,6 +278,17 @@ def _distinct(projected: Float[np.ndarray, "views points 2"]) -> Bool[np.ndarray
         largest = np.where(np.isfinite(gap), gap, 0.0).max(axis=0)
         keep[k] = not (np.isfinite(gap).any(axis=0) & (largest < SAME_POINT_DISTANCE)).any()
     return keep
+
+
+def _junction_counts(
+    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
+) -> Int[np.ndarray, "points"]:
+    """Return in how many views two or more segments meet in the corner of each point."""
+    joins = [
+        (row >= 0) & (features.corner_segments[row, 1] >= 0)
+        for row, features in zip(corners, found, strict=True)
+    ]
+    return np.sum(joins, axis=0)
 
 
 def _edges(

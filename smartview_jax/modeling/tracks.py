@@ -38,6 +38,7 @@ class CornerView(NamedTuple):
         centre: the camera's centre in the world, m.
         patches: see `features.Appearance`.
         directions: see `features.Appearance`.
+        is_junction: whether two or more segments meet in each corner.
         focal_length: px.
     """
 
@@ -46,6 +47,7 @@ class CornerView(NamedTuple):
     centre: Float[np.ndarray, "3"]
     patches: Float[np.ndarray, "corners samples"]
     directions: Float[np.ndarray, "corners joined"]
+    is_junction: Bool[np.ndarray, "corners"]
     focal_length: float
 
 
@@ -108,10 +110,11 @@ def _alike_on_epipolar_lines(
     normals = np.cross(b.centre - a.centre, a.rays)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)
-    near = np.abs(normals @ b.rays.T) * b.focal_length < EPIPOLAR_GATE
-    similarity = a.patches @ b.patches.T
+    near = np.abs(normals @ b.rays.T) < EPIPOLAR_GATE / b.focal_length
+    # Single precision is exact enough for correlations, and the largest part of the time.
+    similarity = a.patches.astype(np.float32) @ b.patches.T.astype(np.float32)
     i, j = np.nonzero(near & (similarity > MIN_PAIR_SIMILARITY))
-    return i, j, similarity[i, j]
+    return i, j, similarity[i, j].astype(float)
 
 
 def _intersections(
@@ -166,8 +169,12 @@ def supported_tracks(
     count = (corners >= 0).sum(axis=0)
     mean_similarity = np.nansum(similarity, axis=0) / np.maximum(count, 1)
     spread = np.sqrt(np.nansum(distance**2, axis=0) / np.maximum(count, 1))
-    # More views first; among as many, those that look more alike and lie closer.
-    score = count + mean_similarity - 0.5 * spread / REPROJECTION_GATE
+    junctions = sum(
+        (row >= 0) & view.is_junction[row] for row, view in zip(corners, views, strict=True)
+    )
+    # More views first, then more junctions; among as many, those that look more alike and lie
+    # closer.
+    score = count + 0.5 * junctions + mean_similarity - 0.5 * spread / REPROJECTION_GATE
     order = np.argsort(-np.where(count >= min_views, score, -np.inf), kind="stable")
     order = order[count[order] >= min_views]
     chosen = _one_to_one(corners[:, order], [len(view.pixels) for view in views])

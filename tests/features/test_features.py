@@ -77,7 +77,7 @@ def corner_errors(rendered):
     """Errors of corners of segments at clear vertices, and their whitened squares."""
     errors, nees = [], []
     for found, pixels, _, solid in rendered:
-        joined = found.corner_segments[:, 0] >= 0
+        joined = found.corner_segments[:, 1] >= 0
         for vertex in range(len(pixels)):
             distance = np.linalg.norm(found.corners[joined] - pixels[vertex], axis=1)
             k = int(np.argmin(distance))
