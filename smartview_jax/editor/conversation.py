@@ -13,6 +13,7 @@ import numpy as np
 from ..modeling import Face, FacePlane, face_plane, points_in_loops
 from .document import CHANGES, KINDS, PlacedGrasp
 from .entries import edge_entries, face_entry, grasp_entry, point_entry
+from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
 from .session import ModelSession
 
@@ -74,6 +75,9 @@ class Conversation:
             "file": None if session.path is None else session.path.name,
             "notes": session.notes,
             "size": [width, height],
+            "facts": [
+                {"kind": name, **kind._asdict(), "build": None} for name, kind in FACT_KINDS.items()
+            ],
             "focal_px": float(camera.alpha_u),
             "views": [
                 {"name": name, "world_from_camera": pose.round(9).tolist()}
@@ -90,7 +94,7 @@ class Conversation:
             "points": {k: (clicks, estimates[k]) for k, clicks in document.points.items()},
             "edges": {k: (e, *(estimates[p] for p in e)) for k, e in document.edges.items()},
             "faces": {k: (f, *(estimates[p] for p in f.loop)) for k, f in document.faces.items()},
-            "constraints": {k: (one,) for k, one in document.constraints.items()},
+            "constraints": {k: (one, estimates) for k, one in document.constraints.items()},
         }
         surface = tuple(part for source in sources["faces"].values() for part in source)
         sources["grasps"] = {k: (g, *surface) for k, g in document.grasps.items()}
@@ -124,8 +128,11 @@ class Conversation:
 
     def _constraint_entry(self, number: int) -> Message:
         """Return a constraint in words."""
-        one = self._session.document.constraints[number]
+        one, verdict = self._session.document.constraints[number], self._session.verdicts()[number]
+        doubted = verdict.contradicts or verdict.violated
         return {
+            **({"problem": str(verdict)} if doubted else {}),
+            "words": FACT_KINDS[one.kind].words,
             "kind": one.kind,
             "items": [list(group) for group in one.items],
             "value_mm": None if one.value is None else round(1e3 * one.value, 3),

@@ -71,7 +71,7 @@ def edge_entries(
             found[number]["problem"] = f"point {missing[0]} has no position"
         else:
             whole[number] = (a, b)
-            length, sigma = _length(estimates[a], estimates[b])
+            length, sigma = estimates[a].distance_to(estimates[b])
             found[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
     if whole:
         ends = np.array([[estimates[p].position for p in pair] for pair in whole.values()])
@@ -80,17 +80,6 @@ def edge_entries(
         for number, polylines in zip(whole, _polylines(geometry, samples), strict=True):
             found[number]["in"] = polylines
     return found
-
-
-def _length(a: PointEstimate, b: PointEstimate) -> tuple[float, float]:
-    """Return the distance of two points and its standard deviation, m."""
-    # As `ObjectModel.distance`, for two points that err together through the calibration.
-    difference = b.position - a.position
-    length = float(np.linalg.norm(difference))
-    n = difference / max(length, 1e-30)
-    variance = n @ (a.picture_covariance + b.picture_covariance) @ n
-    common = n @ (b.calibration_factor - a.calibration_factor)
-    return length, float(np.sqrt(max(variance + common @ common, 0.0)))
 
 
 def _polylines(geometry: ViewGeometry, samples: Float[np.ndarray, "lines n 3"]) -> list[list[Any]]:

