@@ -100,7 +100,9 @@ def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractC
     kind = FACT_KINDS.get(fact.kind)
     if kind is None:
         raise ValueError(f"expected one of the facts {', '.join(FACT_KINDS)}; found {fact.kind!r}")
+    # The document knows points by ids that never come twice, the refinement by their place.
     groups = [tuple(number[point] for point in group) for group in fact.items]
+    # Points come as one group, edges as pairs.
     if kind.takes == "points":
         count = len(groups[0]) if len(groups) == 1 else 0
     else:

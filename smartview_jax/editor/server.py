@@ -50,6 +50,7 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     from starlette.routing import Mount, Route, WebSocketRoute
     from starlette.staticfiles import StaticFiles
 
+    # A browser calls this machine by either name.
     editor = _Editor(session, token, {f"http://{name}:{port}" for name in (HOST, "localhost")})
     return Starlette(
         routes=[
@@ -83,6 +84,7 @@ class _Editor:
                 "This address is not complete: open the one that smartview printed.", 403
             )
         response = FileResponse(PAGE / "index.html")
+        # Pictures and the socket are asked for without the address's token.
         response.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
         return response
 
@@ -91,11 +93,13 @@ class _Editor:
         from starlette.responses import PlainTextResponse, Response
 
         view = request.path_params["view"]
+        # The pictures are the user's; the page's own files are public.
         if not self._has_token(request.cookies.get(_COOKIE, "")):
             return PlainTextResponse("no token", 403)
         if view not in self._session.pictures:
             return PlainTextResponse(f"there is no view {view!r}", 404)
         if view not in self._pictures:
+            # Encoding 12 megapixels takes a tenth of a second; the page may be opened again.
             self._pictures[view] = await asyncio.to_thread(
                 encoded_picture, self._session.pictures[view]
             )
@@ -158,6 +162,7 @@ class _Editor:
 
 def encoded_picture(picture: np.ndarray) -> bytes:
     """Return a picture as JPEG, for the page."""
+    # JPEG: a lossless picture of 12 megapixels takes seconds to decode in the browser.
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes()
 
@@ -192,6 +197,7 @@ def serve(
         listener.listen()
         taken, token = listener.getsockname()[1], secrets.token_urlsafe(24)
         app = editor_app(session, token, taken)
+        # The session is opened and closed by the caller, so the server needs no lifespan events.
         config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
         # Whoever opens the page looks at the pictures first; meanwhile the first click is prepared.
         threading.Thread(target=session.prepare, daemon=True).start()

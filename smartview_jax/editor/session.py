@@ -86,6 +86,7 @@ class ModelSession:
             FileNotFoundError: a picture is missing.
             BlockingIOError: the file is open in another editor, which the message names.
         """
+        # Everything that is given is checked before a lock or a file is made.
         self.names = _checked_names(names, len(pictures))
         _check_poses(np.asarray(base_from_tool, dtype=float), self.names)
         size = calibration.camera.image_size
@@ -98,6 +99,7 @@ class ModelSession:
             calibration, base_from_tool, self.names, covariance, click_sigma
         )
         self.document = Document()
+        # Documents share what they have in common, so that keeping all of them costs little.
         self._history: list[Document] = [self.document]
         self._position = 0
         self._saved: Document | None = None
@@ -106,6 +108,7 @@ class ModelSession:
         self._finding = {name: threading.Lock() for name in self.names}
         self._covariance = covariance
         self.proposals = Proposals(None, self.names, self.document)
+        # Rounded, because the same poses read from two formats differ in the last digit.
         self._reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
         self.path = None if path is None else Path(path)
         self._lock: OwnerLock | None = None
@@ -121,15 +124,18 @@ class ModelSession:
                 f"{path} exists, and its journal {journal_path.name} does not: the clicks that it "
                 "was made from are gone, so it cannot be edited; choose another file"
             )
+        # The lock comes first: a second editor must not even read a journal that is being written.
         self._lock = OwnerLock(path.with_name(path.name + ".lock"))
         try:
             header = {"views": self.names, "base_from_tool": self._reported}
             self._journal = Journal(journal_path, header)
             for number, entry in enumerate(self._journal.entries, start=2):
+                # A line that was accepted once is accepted again, unless someone edited the file.
                 try:
                     self._apply(entry)
                 except ValueError as error:
                     raise ValueError(f"{journal_path}: line {number}: {error}") from None
+        # Or a session that could not be opened would keep others from opening it.
         except BaseException:
             self.close()
             raise
@@ -148,6 +154,7 @@ class ModelSession:
             self._saved = self.document
         else:
             changed = apply_change(self.document, entry)
+            # A new change ends what could be redone.
             self._history[self._position + 1 :] = [changed]
             self._position += 1
         self.document = self._history[self._position]
@@ -175,6 +182,7 @@ class ModelSession:
 
     def _check_clicks(self, change: Mapping[str, Any]) -> None:
         """Raise an error for a click in an unknown view or outside of its picture."""
+        # A change of several parts is checked as a whole before any of it is made.
         clicks = dict(change.get("clicks") or {})
         if change.get("do") == "click":
             clicks[change.get("view")] = change.get("pixel")
@@ -210,6 +218,7 @@ class ModelSession:
         """
         u, v = self.checked_pixel(view, pixel)
         if point is None:
+            # Ids are given in order.
             number = self.document.next_id
             self.change({"do": "add_point", "clicks": {view: [u, v]}})
             return number
@@ -228,6 +237,7 @@ class ModelSession:
         Raises:
             ValueError: a point without a position, or a face that is not planar or crosses itself.
         """
+        # The journal gets the loop as it was turned, so that repeating it needs no geometry.
         outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
         number = self.document.next_id
         self.change({"do": "add_face", "loop": list(outward), "name": name, "graspable": graspable})
@@ -249,6 +259,7 @@ class ModelSession:
 
     def _check_grasps(self, document: Document, grasp: int) -> None:
         """Raise an error if a grasp cannot be made on its face as it is now."""
+        # Other grasps may have problems of their own, which are no reason to refuse this one.
         only = dataclasses.replace(document, grasps={grasp: document.existing("grasps", grasp)})
         reason = problems_of(only, self.estimates(only)).get(("grasps", grasp))
         if reason is not None:
@@ -336,6 +347,7 @@ class ModelSession:
 
         The offer is not part of the session's file; what is accepted of it is.
         """
+        # Features were found for snapping; they are not searched for again.
         found = propose_model(
             self.calibration,
             self.geometry.base_from_tool,
@@ -388,6 +400,7 @@ class ModelSession:
         if not len(model.vertices):
             raise ValueError("save: no point has a position yet; click each in two views")
         written = save_object_model(model, target)
+        # A copy elsewhere does not make this file saved.
         if target == self.path:
             self._write({"saved": target.name})
             self._saved = self.document
@@ -416,6 +429,7 @@ class ModelSession:
     def prepare(self) -> None:
         """Compile what the first clicks need, and find the features of all pictures."""
         width, height = self.calibration.camera.image_size
+        # Any pixel will do: the first call of each program is the slow one.
         middle = (0.5 * width, 0.5 * height)
         self.geometry.estimates([dict.fromkeys(self.names, middle)])
         self.geometry.curves(self.names[0], middle)

@@ -115,6 +115,7 @@ class ViewGeometry:
         # means the same estimate; comparing a thousand of them by value takes too long.
         unknown = [clicks for clicks in points if id(clicks) not in self._known]
         if unknown:
+            # By value, too: undo and redo make equal clicks anew.
             keys = [tuple(sorted(clicks.items())) for clicks in unknown]
             new = list(dict.fromkeys(key for key in keys if key not in self._estimates))
             if new:
@@ -166,12 +167,14 @@ class ViewGeometry:
         """Return the estimates of points that were triangulated or refined."""
         # The program takes finite points only; what is predicted for the others is not read.
         jacobians = pixel_jacobians(self._seen, np.where(found.ok[:, None], found.points, 0.0))
+        # With C = R R^T the calibration's part J C J^T is F F^T for F = J R.
         root = _square_root(found.calibration_covariance)
         total, failures = found.covariance(), found.failures
         size = np.array(self._calibration.camera.image_size)
         results = []
         for k, clicks in enumerate(points):
             J, seen_at = jacobians.by_point[:, k], jacobians.pixels[:, k]
+            # Behind the border of a picture a point is predicted, but not drawn.
             within = ((seen_at > -0.5) & (seen_at < size - 0.5)).all(axis=1)
             residuals = {
                 name: tuple(found.residuals[self.names.index(name), k].tolist()) for name in clicks
@@ -216,6 +219,7 @@ class ViewGeometry:
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """Return the camera's centre and the unit direction of a pixel's ray in the world."""
         curves = self.curves(view, pixel)
+        # Every curve of the pixel has its ray; two views at least are there.
         curve = next(iter(curves.values()))
         return curve.origin, curve.direction
 
@@ -229,6 +233,7 @@ class ViewGeometry:
 
 def _square_root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return a matrix R with R R^T equal to a covariance, which may be singular."""
+    # Rounding may make the smallest eigenvalues of a singular matrix slightly negative.
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(values.clip(0.0))
 
@@ -241,10 +246,12 @@ def _depth_range(
     # The point nearest to all optical axes: sum_v (I - a a^T) (x - c) = 0.
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix, right = projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, centres)
+    # The baseline sets what can be triangulated at all.
     spread = float(np.linalg.norm(np.ptp(centres, axis=0)))
     point = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
     distances = np.linalg.norm(point - centres, axis=1)
     in_front = np.einsum("vi,vi->v", point - centres, axes) > 0.0
     if spread == 0.0 or not in_front.all() or distances.max() > MAX_DEPTH_SCALE * spread:
+        # Cameras that look in parallel or apart: from a baseline away to infinity.
         return [(max(spread, 1e-3), np.inf)] * len(centres)
     return [(DEPTH_RANGE[0] * d, DEPTH_RANGE[1] * d) for d in distances.tolist()]

@@ -69,6 +69,7 @@ def widget_script() -> str:
     for name in MODULES:
         text = (PAGE / name).read_text(encoding="utf-8")
         # A module imports others by names; here each name becomes the address it was given.
+        # The script adds texts and addresses up: an address is known only in the browser.
         parts: list[str] = []
         end = 0
         for match in re.finditer(r"""(from ?|import ?)(["'])(three|\./[\w./]+)\2""", text):
@@ -76,6 +77,7 @@ def widget_script() -> str:
             parts += [json.dumps(text[end : match.start()] + match[1] + match[2])]
             parts += [f"addresses[{json.dumps(target)}]", json.dumps(match[2])]
             end = match.end()
+        # JSON's texts are JavaScript's, too.
         parts.append(json.dumps(text[end:]))
         lines.append(
             f"addresses[{json.dumps(name)}] = URL.createObjectURL("
@@ -104,6 +106,7 @@ def editor_widget(session: ModelSession) -> "anywidget.AnyWidget":
     anywidget = import_extra("anywidget")
     conversation = Conversation(session)
 
+    # Made here, because anywidget is imported only where a widget is wanted.
     class EditorWidget(anywidget.AnyWidget):
         """The editor's page in a notebook."""
 

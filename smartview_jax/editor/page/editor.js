@@ -67,7 +67,7 @@ class Editor {
         <button data-do="propose" title="match all views and offer points">Propose all</button><button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
         <button data-do="save" class="sv-save" title="Ctrl S">Save</button><button data-do="help" title="?">?</button></div>
       <div class="sv-tools">${tools}</div><div class="sv-views"></div>
-      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object</h3><div class="list"></div></div>
+      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
       <div class="sv-foot"><span class="grow said"></span><span class="counts"></span></div>
       <div class="sv-help" hidden><div><h2>Keys</h2><table>${keys}</table></div></div>
       <div class="sv-veil"><span>connecting …</span></div></div>`);
@@ -199,7 +199,7 @@ class Editor {
     label.className = `sv-kept ${saved ? "saved" : kept ? "kept" : ""}`;
     label.textContent = saved ? `all saved in ${this.model.file}` : kept ? `every change kept · ${this.model.file} not written yet` : "in memory only";
     const { points, edges, faces, grasps } = this.model;
-    this.find(".counts").textContent = `${points.size} points · ${edges.size} edges · ${faces.size} faces · ${grasps.size} grasps`;
+    this.find(".counts").textContent = [[points, "point"], [edges, "edge"], [faces, "face"], [grasps, "grasp"]].map(([all, word]) => `${all.size} ${word}${all.size === 1 ? "" : "s"}`).join(" · ");
   }
 
   // What is chosen, in numbers; the one place where positions are read.
@@ -324,7 +324,7 @@ class Editor {
   makeList() {
     const { points, edges, faces, grasps, constraints } = this.model, rows = [], most = 150;
     const row = (kind, id, mark, text, number) => rows.push(`<div class="sv-row ${this.selection.has(`${kind}:${id}`) || (kind === "points" && id === this.active) ? "on" : ""}" data-row="${kind}:${id}"><i class="${mark}"></i><span class="grow">${text}</span><span class="num">${number}</span></div>`);
-    for (const [id, one] of grasps) row("grasps", id, one.problem ? "bad" : "grasp", this.escape(one.name || `grasp ${id}`), one.problem ? "" : `${one.opening_mm} mm`);
+    for (const [id, one] of grasps) row("grasps", id, one.problem ? "bad" : "grasp", this.escape(one.name || `grasp ${id}`), one.problem ? "" : `opens ${one.opening_mm}`);
     for (const [id, one] of faces) row("faces", id, one.problem ? "bad" : "face", this.escape(one.name || `face ${id}`), one.graspable === true ? "graspable" : one.graspable === false ? "not" : "");
     for (const [id, one] of constraints) row("constraints", id, one.problem ? "bad" : "fact", this.escape(one.words), one.value_mm === null ? one.items.map((group) => group.join("–")).join(" ") : `${one.value_mm} mm`);
     for (const [id, one] of [...edges].slice(-most)) row("edges", id, one.problem ? "bad" : "edge", `${one.ends[0]} – ${one.ends[1]}`, one.mm === undefined ? "" : `${one.mm.toFixed(2)} ± ${one.sigma_mm.toFixed(2)}`);

@@ -94,7 +94,7 @@ export class SpaceView {
     geometry.setIndex(THREE.ShapeUtils.triangulateShape(flat, []).flat());
     geometry.computeVertexNormals();
     const colour = selected ? 0xffb224 : face.graspable === true ? 0x58d68d : face.graspable === false ? 0xff6b5e : 0xa78bfa;
-    this.parts.add(new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.32, side: THREE.DoubleSide, depthWrite: false })));
+    this.parts.add(new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.42, side: THREE.DoubleSide, depthWrite: false })));
   }
 
   addPoints(placed) {
@@ -150,7 +150,7 @@ export class SpaceView {
     const forward = new THREE.Vector3().crossVectors(aside.normalize(), up).negate();
     // From the side and above, so far away that what is to be seen fills the view.
     const extent = points.length ? new THREE.Box3().setFromPoints(points.map((p) => new THREE.Vector3(...p))).getBoundingSphere(new THREE.Sphere()).radius : 0;
-    const distance = points.length > 3 ? Math.min(5 * extent, 3 * this.radius) : 2.6 * this.radius;
+    const distance = points.length > 3 ? Math.min(3.9 * extent, 3 * this.radius) : 2.6 * this.radius;
     if (points.length <= 3) target.addScaledVector(up, 0.45 * this.radius);
     const direction = aside.multiplyScalar(0.6).addScaledVector(forward, 0.75).addScaledVector(up, 0.5).normalize();
     this.camera.position.copy(target).addScaledVector(direction, distance);
