@@ -13,6 +13,7 @@ import numpy as np
 from ..modeling import Face, FacePlane, face_plane, points_in_loops
 from .document import CHANGES, KINDS, PlacedGrasp
 from .entries import edge_entries, face_entry, grasp_entry, point_entry
+from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
 from .session import ModelSession
 
@@ -31,6 +32,7 @@ class Conversation:
 
     def answer(self, message: Mapping[str, Any]) -> Message:
         """Return the answer to a message; an error is an answer too, and changes nothing."""
+        # The page matches answers by this number, because slow ones come out of order.
         content = dict(message)
         number, name = content.pop("message", None), content.get("do")
         try:
@@ -40,6 +42,8 @@ class Conversation:
                 found = command(self, **content)
             else:
                 found = self._changed(content)
+        # A page of another version may send other arguments (TypeError), and a disk may be full
+        # (OSError): neither ends the conversation.
         except (ValueError, TypeError, OSError) as error:
             found = {"type": "error", "text": str(error)}
         return {**found, "reply_to": number}
@@ -50,6 +54,7 @@ class Conversation:
             raise ValueError(f"the page asked for {change.get('do')!r}, which nobody knows")
         # Faces and grasps are checked against the geometry, which the document does not know.
         session, before = self._session, self._session.document.next_id
+        # The session turns a new face's loop towards the cameras, and refuses one that is not flat.
         if change["do"] == "add_face":
             session.add_face(
                 change.get("loop", ()), change.get("name", ""), change.get("graspable")
@@ -64,8 +69,10 @@ class Conversation:
     def greeting(self) -> Message:
         """Return the views, and everything that there is; the first message to a page."""
         session = self._session
+        # A page that was reloaded has forgotten everything.
         self._shown = {kind: {} for kind in KINDS}
         width, height = session.calibration.camera.image_size
+        # The page draws the cameras, for which it needs their poses in the world.
         poses = np.linalg.inv(session.geometry.camera_from_world)
         camera = session.calibration.camera
         return {
@@ -74,6 +81,9 @@ class Conversation:
             "file": None if session.path is None else session.path.name,
             "notes": session.notes,
             "size": [width, height],
+            "facts": [
+                {"kind": name, **kind._asdict(), "build": None} for name, kind in FACT_KINDS.items()
+            ],
             "focal_px": float(camera.alpha_u),
             "views": [
                 {"name": name, "world_from_camera": pose.round(9).tolist()}
@@ -90,14 +100,17 @@ class Conversation:
             "points": {k: (clicks, estimates[k]) for k, clicks in document.points.items()},
             "edges": {k: (e, *(estimates[p] for p in e)) for k, e in document.edges.items()},
             "faces": {k: (f, *(estimates[p] for p in f.loop)) for k, f in document.faces.items()},
-            "constraints": {k: (one,) for k, one in document.constraints.items()},
+            "constraints": {k: (one, estimates) for k, one in document.constraints.items()},
         }
+        # The width between the fingers depends on all faces, so a grasp is made anew with any of
+        # them.
         surface = tuple(part for source in sources["faces"].values() for part in source)
         sources["grasps"] = {k: (g, *surface) for k, g in document.grasps.items()}
         parts: dict[str, dict[int, Any]] = {}
         for kind, source in sources.items():
             shown = self._shown[kind]
             new = [k for k, made_from in source.items() if not _same(shown.get(k), made_from)]
+            # None tells the page that a part is gone.
             gone = [k for k in shown if k not in source]
             parts[kind] = {**self._entries(kind, new, estimates), **dict.fromkeys(gone)}
             self._shown[kind] = source
@@ -124,8 +137,12 @@ class Conversation:
 
     def _constraint_entry(self, number: int) -> Message:
         """Return a constraint in words."""
-        one = self._session.document.constraints[number]
+        one, verdict = self._session.document.constraints[number], self._session.verdicts()[number]
+        # What contradicts the pictures is shown in red with its cost.
+        doubted = verdict.contradicts or verdict.violated
         return {
+            **({"problem": str(verdict)} if doubted else {}),
+            "words": FACT_KINDS[one.kind].words,
             "kind": one.kind,
             "items": [list(group) for group in one.items],
             "value_mm": None if one.value is None else round(1e3 * one.value, 3),
@@ -144,6 +161,7 @@ class Conversation:
     def _face_index(self, face: int) -> int:
         """Return the number in the model of a face with an id."""
         session = self._session
+        # The model has only faces that are whole, in the document's order.
         wrong = problems_of(session.document, session.estimates())
         return [k for k in session.document.faces if ("faces", k) not in wrong].index(face)
 
@@ -160,7 +178,9 @@ class Conversation:
 
     def hover(self, view: str, pixel: Any) -> Message:
         """Return the curves of a pixel in the other views, with the depth of every sample."""
-        found = self._session.curves(view, pixel)
+        # The mouse may be beside the picture, which is an error with words, not a curve.
+        place = self._session.checked_pixel(view, pixel)
+        found = self._session.curves(view, place)
         curves = {
             name: [
                 {
@@ -174,7 +194,7 @@ class Conversation:
             ]
             for name, curve in found.items()
         }
-        return {"type": "curves", "view": view, "pixel": list(pixel), "curves": curves}
+        return {"type": "curves", "view": view, "pixel": list(place), "curves": curves}
 
     def features(self, view: str) -> Message:
         """Return the corners and segments of a view's picture, which clicks snap to."""
@@ -211,6 +231,7 @@ class Conversation:
     def accept(self, points: list[int]) -> Message:
         """Add proposed points to the model."""
         self._session.accept(points)
+        # Both what was added and what remains to be decided.
         return {**self.update(), **self._offer(), "type": "update"}
 
     def reject(self, points: list[int]) -> Message:
@@ -242,6 +263,7 @@ class Conversation:
         """Place a grasp where a pixel's ray meets the nearest face that is turned to the view."""
         face, point = self._face_under(view, pixel)
         plane = self._plane(face)
+        # Kept relative to the face, so that the grasp follows when clicks move the face.
         offset = plane.coordinates(point[None])[0].tolist()
         number = self._session.add_grasp(face, offset=offset, depth=depth)
         return {**self.update(), "new": number}
@@ -252,11 +274,13 @@ class Conversation:
         placed = session.document.existing("grasps", grasp)
         plane = self._plane(placed.face)
         origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
+        # Where the pixel's ray meets the face's plane; the fingers open towards that place.
         x, y = plane.coordinates((origin + _meets(plane, origin, direction) * direction)[None])[0]
         angle = float(np.arctan2(y - placed.offset[1], x - placed.offset[0]))
         if commit:
             session.change_grasp(grasp, angle=angle)
             return self.update()
+        # While the mouse moves nothing is kept: the journal gets one turn, not hundreds.
         turned = PlacedGrasp(**{**vars(placed), "angle": angle})
         made = placed_grasp(session.model(), self._face_index(placed.face), turned)
         entry = grasp_entry(made, placed.face, session)
@@ -278,6 +302,8 @@ class Conversation:
             if face_problem(face.loop, estimates):
                 continue
             plane = self._plane(number)
+            # A hit counts if it is in front of the camera, inside the loop, and on the face's
+            # outside.
             depth = _meets(plane, origin, direction)
             point = origin + depth * direction
             loop = plane.coordinates(np.array([estimates[p].position for p in face.loop]))
@@ -286,12 +312,14 @@ class Conversation:
                 hits.append((depth, number, point))
         if not hits:
             raise ValueError("there is no face here that is turned to this view; draw one first")
+        # Other faces are hidden behind the nearest one.
         _, number, point = min(hits, key=lambda hit: hit[0])
         return number, point
 
 
 def _meets(plane: FacePlane, origin: np.ndarray, direction: np.ndarray) -> float:
     """Return how far along a ray it meets a plane, m; infinite where it never does."""
+    # normal . (origin + s direction - p) = 0 for a point p of the plane.
     slope = float(plane.normal @ direction)
     return float(plane.normal @ (plane.origin - origin)) / slope if slope else float("inf")
 
@@ -320,3 +348,6 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "turn_grasp": Conversation.turn_grasp,
 }
 """What a page can ask for, besides the changes of a document."""
+
+SLOW_COMMANDS = ("features", "propose")
+"""Commands that change nothing of the document and may take seconds."""

@@ -100,6 +100,7 @@ class Document:
         return parts[number]
 
     def _added(self, kind: str, part: Any) -> "Document":
+        # Copied, never changed in place: earlier documents are what undo goes back to.
         parts = {**getattr(self, kind), self.next_id: part}
         return dataclasses.replace(self, **{kind: parts}, next_id=self.next_id + 1)
 
@@ -118,6 +119,7 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
     Raises:
         ValueError: an unknown change, a missing or unknown argument, or a part that does not exist.
     """
+    # The journal has changes as plain mappings; here they become calls with named arguments.
     content = dict(change)
     name = content.pop("do", None)
     function = CHANGES.get(str(name))
@@ -125,6 +127,7 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
         raise ValueError(f"expected one of the changes {', '.join(CHANGES)}; found {name!r}")
     try:
         return function(document, **content)
+    # A missing or misspelt argument; Python's message names it after the function's name.
     except TypeError as error:
         raise ValueError(f"{name}: {str(error).split('() ')[-1]}") from None
 
@@ -132,6 +135,7 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
 def _pixel(pixel: Any) -> tuple[float, float]:
     """Return a pixel as two floats."""
     u, v = map(float, pixel)
+    # JSON has no NaN, but scripts do.
     if not (math.isfinite(u) and math.isfinite(v)):
         raise ValueError(f"a pixel is two finite numbers; found {u}, {v}")
     return u, v
@@ -153,6 +157,7 @@ def _remove_click(document: Document, point: int, view: str) -> Document:
     clicks = document.existing("points", point)
     if view not in clicks:
         raise ValueError(f"point {point} was not clicked in view {view!r}")
+    # A point that is clicked nowhere could not be found again on the page.
     left = {name: pixel for name, pixel in clicks.items() if name != view}
     return document._changed("points", point, left) if left else _delete(document, "points", point)
 
@@ -186,6 +191,7 @@ def _add_edge(document: Document, ends: Any) -> Document:
         document.existing("points", point)
     if a == b:
         raise ValueError(f"an edge joins two points; found point {a} twice")
+    # In either direction: edges have none.
     if {a, b} in [set(edge) for edge in document.edges.values()]:
         raise ValueError(f"there is an edge between points {a} and {b} already")
     return document._added("edges", (a, b))
@@ -200,6 +206,7 @@ def _add_face(
         document.existing("points", point)
     if len(set(points)) != len(points) or len(points) < 3:
         raise ValueError(f"a face goes around 3 or more different points; found {list(points)}")
+    # The face comes first, so that its id is the one that was next before the change.
     document = document._added("faces", DrawnFace(points, name, graspable))
     drawn = {frozenset(edge) for edge in document.edges.values()}
     for a, b in zip(points, points[1:] + points[:1], strict=True):
@@ -210,6 +217,7 @@ def _add_face(
 
 def _change_face(document: Document, id: int, **values: Any) -> Document:
     """Change the name of a face, whether it is graspable, or its loop."""
+    # JSON has lists only; a face's loop is compared and hashed as a tuple.
     if "loop" in values:
         values["loop"] = tuple(values["loop"])
     return document._changed(
@@ -246,6 +254,7 @@ def _add_constraint(
     sigma: float | None = None,
 ) -> Document:
     """Add a fact that binds groups of points."""
+    # Several groups for edges, one for points; what fits is checked where it is used.
     groups = tuple(tuple(int(point) for point in group) for group in items)
     for group in groups:
         for point in group:
@@ -269,6 +278,7 @@ def _confirm_symmetry(document: Document, confirmed: bool | None) -> Document:
 
 def _several(document: Document, changes: Any) -> Document:
     """Make several changes that are undone together."""
+    # Each sees what the earlier ones made, so that an edge may join points added with it.
     for change in changes:
         document = apply_change(document, change)
     return document

@@ -26,6 +26,7 @@ def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
     if estimate.failure:
         seen = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
         return {**entry, "problem": seen}
+    # The half axes of the error ellipsoid are the eigenvectors times the roots of the eigenvalues.
     values, vectors = np.linalg.eigh(estimate.covariance)
     ellipses = [_ellipse(covariance) for covariance in estimate.ellipses]
     return {
@@ -49,8 +50,10 @@ def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
 
 def _ellipse(covariance: Float[np.ndarray, "2 2"]) -> list[float]:
     """Return half axes, px, and the angle of the long one, rad, of one standard deviation."""
+    # A point behind a view has no pixel there; it is not drawn.
     if not np.isfinite(covariance).all():
         return [0.0, 0.0, 0.0]
+    # NumPy sorts eigenvalues ascending: the long half axis is the last.
     values, vectors = np.linalg.eigh(covariance)
     short, long = np.sqrt(values.clip(0.0)).tolist()
     return [round(long, 3), round(short, 3), round(float(np.arctan2(*vectors[::-1, 1])), 4)]
@@ -71,8 +74,9 @@ def edge_entries(
             found[number]["problem"] = f"point {missing[0]} has no position"
         else:
             whole[number] = (a, b)
-            length, sigma = _length(estimates[a], estimates[b])
+            length, sigma = estimates[a].distance_to(estimates[b])
             found[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
+    # All edges in one program, however many there are.
     if whole:
         ends = np.array([[estimates[p].position for p in pair] for pair in whole.values()])
         t = np.linspace(0.0, 1.0, EDGE_SAMPLES)[None, :, None]
@@ -82,20 +86,10 @@ def edge_entries(
     return found
 
 
-def _length(a: PointEstimate, b: PointEstimate) -> tuple[float, float]:
-    """Return the distance of two points and its standard deviation, m."""
-    # As `ObjectModel.distance`, for two points that err together through the calibration.
-    difference = b.position - a.position
-    length = float(np.linalg.norm(difference))
-    n = difference / max(length, 1e-30)
-    variance = n @ (a.picture_covariance + b.picture_covariance) @ n
-    common = n @ (b.calibration_factor - a.calibration_factor)
-    return length, float(np.sqrt(max(variance + common @ common, 0.0)))
-
-
 def _polylines(geometry: ViewGeometry, samples: Float[np.ndarray, "lines n 3"]) -> list[list[Any]]:
     """Return lines in space as polylines in every view, None where they are not seen whole."""
     lines, count, _ = samples.shape
+    # A line that is partly behind a camera would be drawn across the whole picture.
     pixels, valid = geometry.pixels_of(samples.reshape(-1, 3))
     views = len(pixels)
     pixels = pixels.reshape(views, lines, count, 2).round(_PIXEL_DIGITS)
@@ -136,6 +130,7 @@ def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any
         session: of the model.
     """
     # A gripper as in the paper's Fig. 3: two fingers, the bar between them, and the approach.
+    # The fingers reach `depth` below the face; the bar between them stands clear of it.
     half, back = 0.5 * grasp.opening, grasp.depth + 0.6 * grasp.opening
     tool = np.array(
         [

@@ -40,7 +40,9 @@ class Journal:
         self.cut_off = 0
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = self._whole_lines()
+        # Compared after a round through JSON, in which tuples become lists.
         first = {"smartview_journal": FORMAT_VERSION, **header}
+        # A journal of other views would put clicks on pictures that they are not of.
         if lines:
             self._check_header(lines[0], json.loads(json.dumps(first)))
             self.entries = lines[1:]
@@ -52,6 +54,7 @@ class Journal:
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write an entry, and return when it is on the disk."""
         self._file.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
+        # Python's buffer, then the system's: after `fsync` a power cut loses nothing either.
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -64,6 +67,7 @@ class Journal:
         if not self.path.is_file():
             return []
         data = self.path.read_bytes()
+        # A line counts once its line feed is there; what follows the last one is torn.
         *whole, rest = data.split(b"\n")
         entries = []
         for number, line in enumerate(whole, start=1):

@@ -33,6 +33,7 @@ def build_model(document: Document, estimates: Estimates, names: Sequence[str]) 
         names: of the views, for the provenance.
     """
     wrong = problems_of(document, estimates)
+    # A vertex needs a position; a point clicked once waits for its second view.
     placed = [point for point in document.points if not estimates[point].failure]
     number = {point: k for k, point in enumerate(placed)}
     face_ids = [face for face in document.faces if ("faces", face) not in wrong]
@@ -47,12 +48,15 @@ def build_model(document: Document, estimates: Estimates, names: Sequence[str]) 
         for edge, (a, b) in document.edges.items()
         if ("edges", edge) not in wrong
     ]
+    # Whoever finds the file later sees how much it rests on.
     clicks = sum(len(document.points[point]) for point in placed)
     covariance, factor = None, None
     if placed:
         covariance = np.stack([estimates[point].picture_covariance for point in placed])
         factors = np.concatenate([estimates[point].calibration_factor for point in placed])
+        # Without a covariance of the calibration there are no columns, and no second part.
         factor = factors if factors.shape[1] else None
+    # Grasps and symmetry are computed from the model that they belong to, so that comes first.
     bare = ObjectModel(
         vertices,
         np.array(edges, int).reshape(-1, 2),
@@ -89,6 +93,7 @@ def placed_grasp(model: ObjectModel, face: int, grasp: PlacedGrasp) -> Grasp:
         ValueError: it is not on the face, or the fingers are not wide enough there.
     """
     plane = face_plane(model.vertices, model.faces[face])
+    # Offsets and angles are in the plane's own axes, which move with it.
     x, y = plane.axes[:2]
     return grasp_on_face(
         model,
@@ -106,6 +111,7 @@ def problems_of(document: Document, estimates: Estimates) -> dict[tuple[str, int
     found: dict[tuple[str, int], str] = {}
     for point, clicks in document.points.items():
         if estimates[point].failure:
+            # The plain reason first: most points without a position lack only a second click.
             seen = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else ""
             found["points", point] = seen or estimates[point].failure
     for edge, ends in document.edges.items():
@@ -129,6 +135,7 @@ def face_problem(loop: Sequence[int], estimates: Estimates) -> str:
     if missing:
         return f"point {missing[0]} has no position"
     vertices = _positions(loop, estimates)
+    # A clicked corner may be off the plane by its own uncertainty.
     sigma = np.sqrt([np.linalg.eigvalsh(estimates[p].covariance)[-1].clip(0.0) for p in loop])
     try:
         check_face(vertices, Face(tuple(range(len(loop)))), sigma)
@@ -173,11 +180,13 @@ def checked_loop(
         document.existing("points", point)
     if len(points) < 3:
         raise ValueError(f"a face goes around 3 or more points; found {list(points)}")
+    # Said before anything is journalled, so that a refused face leaves no trace.
     reason = face_problem(points, estimates)
     if reason:
         raise ValueError(f"face {list(points)}: {reason}")
     plane = face_plane(_positions(points, estimates), Face(tuple(range(len(points)))))
     centres = geometry.centres
+    # Cameras that did not see the face may be on either side of it.
     clicked = {view for point in points for view in document.points[point]}
     seen = [k for k, name in enumerate(geometry.names) if name in clicked]
     # Each camera that saw the face votes for its own side.

@@ -37,6 +37,7 @@ class OwnerLock:
 
     def _create(self) -> None:
         """Create the file with the name of this process, or raise a FileExistsError."""
+        # O_EXCL: exactly one of several processes makes the file.
         descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
         with os.fdopen(descriptor, "w") as file:
             json.dump(_this_process(), file)
@@ -53,6 +54,8 @@ class OwnerLock:
 
     def release(self) -> None:
         """Remove the lock; a second call does nothing."""
+        # Another editor may have taken over a lock that looked stale to it; that is not ours to
+        # remove.
         if self._read() == _this_process():
             self.path.unlink(missing_ok=True)
 
@@ -81,6 +84,7 @@ def _is_stale(owner: dict[str, Any]) -> bool:
         return False
     try:
         os.kill(pid, 0)
+    # Signal 0 reaches a process that exists without disturbing it.
     except ProcessLookupError:
         return True
     except OSError:

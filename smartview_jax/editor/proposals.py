@@ -49,6 +49,7 @@ class Proposals:
                 for name, (u, v) in zip(names, found.pixels[:, k], strict=True)
                 if np.isfinite(u)
             }
+            # What was clicked by hand already need not be decided again, but edges may end there.
             known = _known_point(clicks, document)
             if known is None:
                 self.points[k] = ProposedPoint(
@@ -64,6 +65,7 @@ class Proposals:
             ValueError: a number that is not offered.
         """
         changes: list[dict[str, Any]] = []
+        # Ids are given in order, so the ids of what is added are known before it is.
         made, next_id = dict(self._made), document.next_id
         for number in numbers:
             if number not in self.points:
@@ -100,6 +102,7 @@ def _known_point(clicks: dict[str, tuple[float, float]], document: Document) -> 
     """Return the point of a document that was clicked where a proposed one is, or None."""
     for number, made in document.points.items():
         common = set(made) & set(clicks)
+        # In every common view: two corners may lie on one ray in one view.
         near = [np.hypot(*np.subtract(made[v], clicks[v])) <= SAME_POINT_DISTANCE for v in common]
         if near and all(near):
             return number

@@ -7,6 +7,7 @@ this machine's, are refused.
 
 import asyncio
 import secrets
+import threading
 from collections.abc import Callable
 from http.cookies import SimpleCookie
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from .conversation import Conversation
+from .conversation import SLOW_COMMANDS, Conversation
 from .session import ModelSession
 
 HOST = "127.0.0.1"
@@ -42,13 +43,14 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     Raises:
         ImportError: starlette is not installed.
     """
-    _import("starlette")
+    import_extra("starlette")
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
     from starlette.middleware.trustedhost import TrustedHostMiddleware
     from starlette.routing import Mount, Route, WebSocketRoute
     from starlette.staticfiles import StaticFiles
 
+    # A browser calls this machine by either name.
     editor = _Editor(session, token, {f"http://{name}:{port}" for name in (HOST, "localhost")})
     return Starlette(
         routes=[
@@ -82,6 +84,7 @@ class _Editor:
                 "This address is not complete: open the one that smartview printed.", 403
             )
         response = FileResponse(PAGE / "index.html")
+        # Pictures and the socket are asked for without the address's token.
         response.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
         return response
 
@@ -90,11 +93,13 @@ class _Editor:
         from starlette.responses import PlainTextResponse, Response
 
         view = request.path_params["view"]
+        # The pictures are the user's; the page's own files are public.
         if not self._has_token(request.cookies.get(_COOKIE, "")):
             return PlainTextResponse("no token", 403)
         if view not in self._session.pictures:
             return PlainTextResponse(f"there is no view {view!r}", 404)
         if view not in self._pictures:
+            # Encoding 12 megapixels takes a tenth of a second; the page may be opened again.
             self._pictures[view] = await asyncio.to_thread(
                 encoded_picture, self._session.pictures[view]
             )
@@ -112,20 +117,35 @@ class _Editor:
             return
         await socket.accept()
         conversation = self._pages[socket] = Conversation(self._session)
+        slow: set[asyncio.Task[None]] = set()
         try:
             while True:
                 message = await socket.receive_json()
+                if isinstance(message, dict) and message.get("do") in SLOW_COMMANDS:
+                    # Features of large pictures take seconds, in which clicks are answered.
+                    task = asyncio.create_task(self._answer_later(socket, conversation, message))
+                    slow.add(task)
+                    task.add_done_callback(slow.discard)
+                    continue
                 document = self._session.document
                 async with self._turn:
                     answer = await asyncio.to_thread(conversation.answer, message)
                 await socket.send_json(answer)
                 if self._session.document is not document:
                     await self._tell_others(socket)
-        except (WebSocketDisconnect, ValueError):
-            # A message that is not JSON is not from the page: its socket ends here.
+        except (WebSocketDisconnect, ValueError, TypeError):
+            # A message that is no mapping in JSON is not from the page: its socket ends here.
             pass
         finally:
+            for task in slow:
+                task.cancel()
             del self._pages[socket]
+
+    async def _answer_later(self, socket: Any, conversation: Conversation, message: Any) -> None:
+        """Answer a message that changes nothing and may take long."""
+        answer = await asyncio.to_thread(conversation.answer, message)
+        if socket in self._pages:
+            await socket.send_json(answer)
 
     async def _tell_others(self, changer: Any) -> None:
         """Send what has changed to all pages but the one that changed it."""
@@ -142,6 +162,7 @@ class _Editor:
 
 def encoded_picture(picture: np.ndarray) -> bytes:
     """Return a picture as JPEG, for the page."""
+    # JPEG: a lossless picture of 12 megapixels takes seconds to decode in the browser.
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes()
 
@@ -162,7 +183,7 @@ def serve(
         ImportError: starlette or uvicorn is not installed.
         OSError: the port is in use.
     """
-    uvicorn = _import("uvicorn")
+    uvicorn = import_extra("uvicorn")
     import socket as sockets
 
     listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
@@ -176,12 +197,15 @@ def serve(
         listener.listen()
         taken, token = listener.getsockname()[1], secrets.token_urlsafe(24)
         app = editor_app(session, token, taken)
+        # The session is opened and closed by the caller, so the server needs no lifespan events.
         config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
+        # Whoever opens the page looks at the pictures first; meanwhile the first click is prepared.
+        threading.Thread(target=session.prepare, daemon=True).start()
         announce(f"http://{HOST}:{taken}/?token={token}")
         uvicorn.Server(config).run([listener])
 
 
-def _import(name: str) -> Any:
+def import_extra(name: str) -> Any:
     """Return a module of the extra `editor`, or raise an error that says how to install it."""
     import importlib
 

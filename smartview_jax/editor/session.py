@@ -6,9 +6,12 @@ session.click("v2", (298.1, 215.0), corner)
 session.save()
 """
 
+import contextlib
 import dataclasses
+import operator
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,9 +26,10 @@ from ..features import Features
 from ..features import find as find_features
 from ..geometry import check_rigid
 from ..io import save_object_model
-from ..modeling import EpipolarCurve, ObjectModel, propose_model
+from ..modeling import ConstraintVerdict, EpipolarCurve, ObjectModel, propose_model
 from .document import Document, apply_change
 from .journal import Journal
+from .known_facts import constraint_of
 from .model_building import build_model, checked_loop, problems_of
 from .owner_lock import OwnerLock
 from .proposals import Proposals
@@ -82,6 +86,7 @@ class ModelSession:
             FileNotFoundError: a picture is missing.
             BlockingIOError: the file is open in another editor, which the message names.
         """
+        # Everything that is given is checked before a lock or a file is made.
         self.names = _checked_names(names, len(pictures))
         _check_poses(np.asarray(base_from_tool, dtype=float), self.names)
         size = calibration.camera.image_size
@@ -94,12 +99,16 @@ class ModelSession:
             calibration, base_from_tool, self.names, covariance, click_sigma
         )
         self.document = Document()
+        # Documents share what they have in common, so that keeping all of them costs little.
         self._history: list[Document] = [self.document]
         self._position = 0
         self._saved: Document | None = None
         self._features: dict[str, Features] = {}
+        self._refinement: tuple[tuple, dict, dict] | None = None
+        self._finding = {name: threading.Lock() for name in self.names}
         self._covariance = covariance
         self.proposals = Proposals(None, self.names, self.document)
+        # Rounded, because the same poses read from two formats differ in the last digit.
         self._reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
         self.path = None if path is None else Path(path)
         self._lock: OwnerLock | None = None
@@ -115,15 +124,18 @@ class ModelSession:
                 f"{path} exists, and its journal {journal_path.name} does not: the clicks that it "
                 "was made from are gone, so it cannot be edited; choose another file"
             )
+        # The lock comes first: a second editor must not even read a journal that is being written.
         self._lock = OwnerLock(path.with_name(path.name + ".lock"))
         try:
             header = {"views": self.names, "base_from_tool": self._reported}
             self._journal = Journal(journal_path, header)
             for number, entry in enumerate(self._journal.entries, start=2):
+                # A line that was accepted once is accepted again, unless someone edited the file.
                 try:
                     self._apply(entry)
                 except ValueError as error:
                     raise ValueError(f"{journal_path}: line {number}: {error}") from None
+        # Or a session that could not be opened would keep others from opening it.
         except BaseException:
             self.close()
             raise
@@ -142,6 +154,7 @@ class ModelSession:
             self._saved = self.document
         else:
             changed = apply_change(self.document, entry)
+            # A new change ends what could be redone.
             self._history[self._position + 1 :] = [changed]
             self._position += 1
         self.document = self._history[self._position]
@@ -156,7 +169,7 @@ class ModelSession:
         self._check_clicks(change)
         changed = apply_change(self.document, change)
         # Everything that can fail is tried before the journal has the change.
-        self.geometry.estimates(list(changed.points.values()))
+        self.estimates(changed)
         self._write(change)
         self._history[self._position + 1 :] = [changed]
         self._position += 1
@@ -169,6 +182,7 @@ class ModelSession:
 
     def _check_clicks(self, change: Mapping[str, Any]) -> None:
         """Raise an error for a click in an unknown view or outside of its picture."""
+        # A change of several parts is checked as a whole before any of it is made.
         clicks = dict(change.get("clicks") or {})
         if change.get("do") == "click":
             clicks[change.get("view")] = change.get("pixel")
@@ -204,6 +218,7 @@ class ModelSession:
         """
         u, v = self.checked_pixel(view, pixel)
         if point is None:
+            # Ids are given in order.
             number = self.document.next_id
             self.change({"do": "add_point", "clicks": {view: [u, v]}})
             return number
@@ -222,6 +237,7 @@ class ModelSession:
         Raises:
             ValueError: a point without a position, or a face that is not planar or crosses itself.
         """
+        # The journal gets the loop as it was turned, so that repeating it needs no geometry.
         outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
         number = self.document.next_id
         self.change({"do": "add_face", "loop": list(outward), "name": name, "graspable": graspable})
@@ -243,6 +259,7 @@ class ModelSession:
 
     def _check_grasps(self, document: Document, grasp: int) -> None:
         """Raise an error if a grasp cannot be made on its face as it is now."""
+        # Other grasps may have problems of their own, which are no reason to refuse this one.
         only = dataclasses.replace(document, grasps={grasp: document.existing("grasps", grasp)})
         reason = problems_of(only, self.estimates(only)).get(("grasps", grasp))
         if reason is not None:
@@ -285,9 +302,32 @@ class ModelSession:
 
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
         """Return where all points are, by id."""
-        points = (document or self.document).points
+        document = document or self.document
+        points = document.points
+        if document.constraints:
+            return self._refined(document)[0]
         found = self.geometry.estimates(list(points.values()))
         return dict(zip(points, found, strict=True))
+
+    def verdicts(self) -> dict[int, ConstraintVerdict]:
+        """Return how each constraint agrees with the pictures and the others, by id."""
+        return self._refined(self.document)[1] if self.document.constraints else {}
+
+    def _refined(
+        self, document: Document
+    ) -> tuple[dict[int, PointEstimate], dict[int, ConstraintVerdict]]:
+        """Return points and verdicts of a document with constraints, refined together."""
+        made_from = (document.points, document.constraints)
+        # The same objects mean the same answer; a document shares what a change left alone.
+        if self._refinement is None or not all(map(operator.is_, self._refinement[0], made_from)):
+            number = {point: k for k, point in enumerate(document.points)}
+            constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
+            points = list(document.points.values())
+            found, verdicts = self.geometry.refined(points, constraints)
+            named = dict(zip(document.points, found, strict=True))
+            judged = dict(zip(document.constraints, verdicts, strict=True))
+            self._refinement = (made_from, named, judged)
+        return self._refinement[1], self._refinement[2]
 
     def curves(self, view: str, pixel: Sequence[float]) -> dict[str, EpipolarCurve]:
         """Return the epipolar curves of a pixel in all other views, by the view's name."""
@@ -295,9 +335,11 @@ class ModelSession:
 
     def features(self, view: str) -> Features:
         """Return the corners and segments found in a view's picture, which clicks snap to."""
-        if view not in self._features:
-            camera = self.calibration.camera
-            self._features[view] = find_features(self.pictures[view], camera)
+        # The page asks for them while a server's thread prepares them: one waits for the other.
+        with self._finding[view]:
+            if view not in self._features:
+                camera = self.calibration.camera
+                self._features[view] = find_features(self.pictures[view], camera)
         return self._features[view]
 
     def propose(self) -> Proposals:
@@ -305,6 +347,7 @@ class ModelSession:
 
         The offer is not part of the session's file; what is accepted of it is.
         """
+        # Features were found for snapping; they are not searched for again.
         found = propose_model(
             self.calibration,
             self.geometry.base_from_tool,
@@ -332,9 +375,12 @@ class ModelSession:
 
     def distance(self, a: int, b: int) -> tuple[float, float]:
         """Return the distance of two points and its standard deviation, m."""
-        kept = {p: self.document.existing("points", p) for p in (a, b)}
-        only = Document(points=kept)
-        return self.model(only).distance(0, 1)
+        estimates = self.estimates()
+        for point in (a, b):
+            self.document.existing("points", point)
+            if estimates[point].failure:
+                raise ValueError(f"point {point} has no position: {estimates[point].failure}")
+        return estimates[a].distance_to(estimates[b])
 
     def model(self, document: Document | None = None) -> ObjectModel:
         """Return the object model of everything that has a position."""
@@ -354,6 +400,7 @@ class ModelSession:
         if not len(model.vertices):
             raise ValueError("save: no point has a position yet; click each in two views")
         written = save_object_model(model, target)
+        # A copy elsewhere does not make this file saved.
         if target == self.path:
             self._write({"saved": target.name})
             self._saved = self.document
@@ -379,17 +426,18 @@ class ModelSession:
     ) -> None:
         self.close()
 
-    def warm_up(self) -> Iterator[str]:
-        """Compile what the first clicks need and find features; yield a line for each step."""
-        yield "compiling"
+    def prepare(self) -> None:
+        """Compile what the first clicks need, and find the features of all pictures."""
         width, height = self.calibration.camera.image_size
+        # Any pixel will do: the first call of each program is the slow one.
         middle = (0.5 * width, 0.5 * height)
         self.geometry.estimates([dict.fromkeys(self.names, middle)])
         self.geometry.curves(self.names[0], middle)
         self.geometry.pixels_of(np.zeros((1, 3)))
         for name in self.names:
-            yield f"features of {name}"
-            self.features(name)
+            # A picture without features can still be clicked; whoever asks for them is told why.
+            with contextlib.suppress(ValueError):
+                self.features(name)
 
 
 def _checked_names(names: Sequence[str] | None, count: int) -> list[str]:

@@ -87,6 +87,7 @@ def grasp_on_face(
         raise ValueError(f"face {face} does not exist: the model has {len(model.faces)} faces")
     plane = face_plane(model.vertices, model.faces[face])
     point = plane.origin if position is None else np.asarray(position, dtype=float)
+    # A clicked or computed position is on the plane only up to rounding.
     point = point - plane.normal * (plane.normal @ (point - plane.origin))
     loops = [plane.coordinates(model.vertices[list(loop)]) for loop in model.faces[face].loops]
     if not points_in_loops(plane.coordinates(point[None]), loops)[0]:
@@ -97,11 +98,13 @@ def grasp_on_face(
     object_from_tool = np.eye(4)
     object_from_tool[:3, :3] = frame
     object_from_tool[:3, 3] = point - depth * plane.normal
+    # At the fingertips' depth, which is where they close.
     width = width_between_fingers(model, object_from_tool)
     if opening is None:
         # Where the model is open its width is not known; the face's own extent stands for it.
         corners = model.vertices[model.faces[face].indices]
         opening = 1.2 * (float(np.ptp(corners @ frame[:, 0])) if width is None else width)
+    # Half of the room is on either side of the object.
     room = opening - (0.0 if width is None else width)
     if not (opening > 0.0 and room > 0.0 and depth >= 0.0):
         raise ValueError(
@@ -115,6 +118,7 @@ def _tool_axes(
     normal: Float[np.ndarray, "3"], opening_direction: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3 3"]:
     """Return the tool's axes as columns: x in the face along the opening, z inward."""
+    # Only the part of the direction within the face counts.
     wanted = np.asarray(opening_direction, dtype=float)
     x = wanted - normal * (normal @ wanted)
     length = float(np.linalg.norm(x))
@@ -125,6 +129,7 @@ def _tool_axes(
 
 def turned(grasp: Grasp, angle: float) -> Grasp:
     """Return a grasp turned about its approach by an angle, rad."""
+    # About the tool's own z axis, so the turn is applied on the right.
     sine, cosine = np.sin(angle), np.cos(angle)
     turn = np.eye(4)
     turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
@@ -140,6 +145,7 @@ def width_between_fingers(
     outermost; None where the model has no face on one of the sides.
     """
     origin, direction = object_from_tool[:3, 3], object_from_tool[:3, 0]
+    # The outermost hits on both sides: fingers close from outside, over hollows.
     reached = []
     for face in model.faces:
         plane = face_plane(model.vertices, face)

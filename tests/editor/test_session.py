@@ -331,3 +331,54 @@ def test_changes_do_not_touch_the_old_document():
     assert apply_change(three, {"do": "remove_click", "point": 0, "view": "v2"}).points == {}
     both = {"do": "several", "changes": [{"do": "add_point", "clicks": {}}] * 2}
     assert apply_change(one, both).next_id == 3
+
+
+def test_what_a_person_knows_moves_the_points(session, scene):
+    ids = click_all(session, scene, views=(0, 1))
+    loose, sigma = session.distance(ids[0], ids[5])
+    assert loose != pytest.approx(0.05, abs=1e-6)
+    session.change(
+        {"do": "add_constraint", "kind": "known_length", "items": [[ids[0], ids[5]]], "value": 0.05}
+    )
+    known, remaining = session.distance(ids[0], ids[5])
+    assert known == pytest.approx(0.05, abs=1e-9)
+    assert remaining < sigma
+    (verdict,) = session.verdicts().values()
+    assert not verdict.contradicts
+    floor = [ids[v] for v in scene.truth.faces[2].loop]
+    session.change({"do": "add_constraint", "kind": "on_table", "items": [floor]})
+    positions = [session.estimates()[point].position[2] for point in floor]
+    np.testing.assert_allclose(positions, 0.0, atol=1e-9)
+    # A length that is wrong by a fifth contradicts the clicks, and is named.
+    session.change(
+        {
+            "do": "add_constraint",
+            "kind": "known_length",
+            "items": [[ids[2], ids[7]]],
+            "value": 0.06,
+            "sigma": 1e-4,
+        }
+    )
+    doubted = [k for k, one in session.verdicts().items() if one.contradicts]
+    assert doubted == [session.document.next_id - 1]
+    session.undo()
+    assert not any(one.contradicts for one in session.verdicts().values())
+
+
+@pytest.mark.parametrize(
+    ("fact", "said"),
+    [
+        ({"kind": "round", "items": [[0, 1]]}, "expected one of the facts same_plane"),
+        ({"kind": "same_plane", "items": [[0, 1, 2]]}, "expected 4 or more points"),
+        ({"kind": "parallel", "items": [[0, 1]]}, "expected 2 or more edges"),
+        ({"kind": "known_length", "items": [[0, 1]]}, "needs its length"),
+        ({"kind": "known_length", "items": [[0, 1]], "value": -1.0}, "above 0 m"),
+        ({"kind": "known_length", "items": [[0, 77]], "value": 1.0}, "no point 77"),
+    ],
+)
+def test_a_fact_that_cannot_be_is_refused(session, scene, fact, said):
+    click_all(session, scene, views=(0, 1))
+    before = session.document
+    with pytest.raises(ValueError, match=said):
+        session.change({"do": "add_constraint", **fact})
+    assert session.document is before

@@ -15,7 +15,7 @@ const TOOLS = {
   grasp: { key: "g", label: "Grasps", icon: '<path d="M4 18V9a6 6 0 0 1 12 0v9M10 3V1"/>',
     help: "Click on a face to place the gripper, and drag to turn it." },
   select: { key: "s", label: "Select", icon: '<path d="M5 3l11 6-5 1.5L8.5 16z"/>',
-    help: "Click points to choose them; two chosen points show their distance. Delete removes what is chosen." },
+    help: "Click points or edges, with Shift for several: see distances, say what you know of them, or delete them." },
 };
 const KEYS = [
   ["P E F G S", "tools: points, edges, faces, grasps, select"],
@@ -67,7 +67,7 @@ class Editor {
         <button data-do="propose" title="match all views and offer points">Propose all</button><button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
         <button data-do="save" class="sv-save" title="Ctrl S">Save</button><button data-do="help" title="?">?</button></div>
       <div class="sv-tools">${tools}</div><div class="sv-views"></div>
-      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object</h3><div class="list"></div></div>
+      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
       <div class="sv-foot"><span class="grow said"></span><span class="counts"></span></div>
       <div class="sv-help" hidden><div><h2>Keys</h2><table>${keys}</table></div></div>
       <div class="sv-veil"><span>connecting …</span></div></div>`);
@@ -103,11 +103,7 @@ class Editor {
       if (greeting.notes.length) this.say(greeting.notes.join("; "));
       this.ready = Promise.all(this.views.map((view) => this.loadPicture(view)));
       await this.ready;
-      for (const view of this.views) {
-        const found = await this.connection.ask({ do: "features", view: view.name });
-        this.model.corners.set(view.name, found.corners);
-        view.redraw("model");
-      }
+      for (const view of this.views) await this.loadFeatures(view);
       this.complete = true;
     } catch (error) { this.say(error.message, true); }
   }
@@ -117,6 +113,14 @@ class Editor {
     view.element.querySelector(".label span").textContent = "loading …";
     await view.load(await this.connection.picture(view.name));
     view.element.querySelector(".label span").textContent = "";
+  }
+
+  async loadFeatures(view) {
+    try {
+      const found = await this.connection.ask({ do: "features", view: view.name });
+      this.model.corners.set(view.name, found.corners);
+      view.redraw("model");
+    } catch (error) { this.say(error.message, true); }
   }
 
   arrange() {
@@ -195,7 +199,7 @@ class Editor {
     label.className = `sv-kept ${saved ? "saved" : kept ? "kept" : ""}`;
     label.textContent = saved ? `all saved in ${this.model.file}` : kept ? `every change kept · ${this.model.file} not written yet` : "in memory only";
     const { points, edges, faces, grasps } = this.model;
-    this.find(".counts").textContent = `${points.size} points · ${edges.size} edges · ${faces.size} faces · ${grasps.size} grasps`;
+    this.find(".counts").textContent = [[points, "point"], [edges, "edge"], [faces, "face"], [grasps, "grasp"]].map(([all, word]) => `${all.size} ${word}${all.size === 1 ? "" : "s"}`).join(" · ");
   }
 
   // What is chosen, in numbers; the one place where positions are read.
@@ -203,11 +207,14 @@ class Editor {
     const box = this.find(".detail"), chosen = [...this.selection].map((key) => key.split(":"));
     const points = chosen.filter(([kind]) => kind === "points").map(([, id]) => +id);
     if (this.active !== null && !points.includes(this.active)) points.unshift(this.active);
-    const [kind, id] = chosen.find(([one]) => one !== "points") ?? [];
-    if (kind) box.innerHTML = this[`${kind}Detail`](+id, this.model[kind].get(+id));
+    const others = chosen.filter(([one]) => one !== "points"), [kind, id] = others[0] ?? [];
+    if (others.length > 1) box.innerHTML = `<div class="big">${others.length} ${kind}</div>`;
+    else if (kind) box.innerHTML = this[`${kind}Detail`](+id, this.model[kind].get(+id));
     else if (points.length === 2) this.distanceDetail(box, points);
     else if (points.length === 1) box.innerHTML = this.pointsDetail(points[0], this.model.points.get(points[0]));
-    else box.innerHTML = points.length ? `<span class="dim">${points.length} points</span>` : `<span class="dim">nothing</span>`;
+    else if (points.length) box.innerHTML = `<div class="big">${points.length} points</div>`;
+    else box.innerHTML = `<span class="dim">nothing</span>`;
+    this.offerFacts(box, chosen);
     for (const button of box.querySelectorAll("[data-change]")) button.onclick = () => this.change(JSON.parse(button.dataset.change));
     for (const input of box.querySelectorAll("[data-key]")) {
       input.onchange = () => this.change({ ...JSON.parse(input.dataset.ask), [input.dataset.key]: input.dataset.mm ? input.value / 1000 : input.value });
@@ -235,8 +242,30 @@ class Editor {
 
   async propose() {
     this.say("matching the corners of all views …");
-    const answer = await this.change({ do: "propose" });
-    if (answer) this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
+    const answer = await this.connection.ask({ do: "propose" }).catch((error) => { this.say(error.message, true); });
+    if (!answer) return;
+    this.accept(answer);
+    this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
+  }
+
+  // What can be said of what is chosen: buttons that make constraints.
+  offerFacts(box, chosen) {
+    const kinds = new Set(chosen.map(([kind]) => kind));
+    if (!this.model.facts || kinds.size !== 1 || !(kinds.has("points") || kinds.has("edges")) || this.tool !== "select") return;
+    const [takes] = kinds, ids = chosen.map(([, id]) => +id);
+    const fitting = this.model.facts.filter((fact) => fact.takes === takes && fact.least <= ids.length && ids.length <= fact.most && !(fact.kind === "symmetric" && ids.length % 2));
+    if (takes === "points" && ids.length === 2) fitting.push(this.model.facts.find((fact) => fact.kind === "known_length"));
+    if (!fitting.length) return;
+    const items = takes === "points" ? [ids] : ids.map((id) => this.model.edges.get(id).ends);
+    const buttons = fitting.map((fact) => (fact.kind === "known_length"
+      ? `<input type="number" step="0.1" placeholder="length" data-mm="1" data-key="value" data-ask='${this.escape(JSON.stringify({ do: "add_constraint", kind: fact.kind, items }))}'> mm`
+      : this.button(fact.words, { do: "add_constraint", kind: fact.kind, items })));
+    box.insertAdjacentHTML("beforeend", `<div class="dim" style="margin-top:8px">I know that they are</div><div class="sv-buttons">${buttons.join("")}</div>`);
+  }
+
+  constraintsDetail(id, one) {
+    return `<div class="big">${this.escape(one.words)} <small>${one.value_mm === null ? "" : `${one.value_mm} mm`}</small></div>
+      <span class="dim">${one.items.map((group) => group.join(" – ")).join(", ")}</span>${one.problem ? `<div class="bad">${this.escape(one.problem)}</div>` : ""}`;
   }
 
   pointsDetail(id, point) {
@@ -293,10 +322,11 @@ class Editor {
   }
 
   makeList() {
-    const { points, edges, faces, grasps } = this.model, rows = [], most = 150;
+    const { points, edges, faces, grasps, constraints } = this.model, rows = [], most = 150;
     const row = (kind, id, mark, text, number) => rows.push(`<div class="sv-row ${this.selection.has(`${kind}:${id}`) || (kind === "points" && id === this.active) ? "on" : ""}" data-row="${kind}:${id}"><i class="${mark}"></i><span class="grow">${text}</span><span class="num">${number}</span></div>`);
-    for (const [id, one] of grasps) row("grasps", id, one.problem ? "bad" : "grasp", this.escape(one.name || `grasp ${id}`), one.problem ? "" : `${one.opening_mm} mm`);
+    for (const [id, one] of grasps) row("grasps", id, one.problem ? "bad" : "grasp", this.escape(one.name || `grasp ${id}`), one.problem ? "" : `opens ${one.opening_mm}`);
     for (const [id, one] of faces) row("faces", id, one.problem ? "bad" : "face", this.escape(one.name || `face ${id}`), one.graspable === true ? "graspable" : one.graspable === false ? "not" : "");
+    for (const [id, one] of constraints) row("constraints", id, one.problem ? "bad" : "fact", this.escape(one.words), one.value_mm === null ? one.items.map((group) => group.join("–")).join(" ") : `${one.value_mm} mm`);
     for (const [id, one] of [...edges].slice(-most)) row("edges", id, one.problem ? "bad" : "edge", `${one.ends[0]} – ${one.ends[1]}`, one.mm === undefined ? "" : `${one.mm.toFixed(2)} ± ${one.sigma_mm.toFixed(2)}`);
     for (const [id, one] of [...points].slice(-most)) row("points", id, one.problem ? "bad" : "", `point ${id}`, one.at ? `${Object.keys(one.clicks).length} views · ${Math.max(...one.sigma_mm).toFixed(2)}` : `${Object.keys(one.clicks).length} view`);
     const list = this.find(".list");
@@ -350,11 +380,12 @@ class Editor {
   async released(view, target, drag, event) {
     if (this.tool === "grasp") return this.releasedGrasp(view, target, drag);
     if (this.tool === "point") return this.releasedPoint(view, target, drag);
-    if (target.point === null) { if (this.tool === "select") { this.selection.clear(); this.chooseOther(view, target.pixel); this.refresh(); } return; }
+    if (target.point === null) { if (this.tool === "select") { if (!event.shiftKey && !event.ctrlKey) this.selection.clear(); this.chooseOther(view, target.pixel); this.refresh(); } return; }
     if (this.tool === "edge") await this.joinTo(target.point);
     else if (this.tool === "face") await this.turnTo(target.point);
     else {
       if (!event.shiftKey && !event.ctrlKey && this.selection.size > 1) this.selection.clear();
+      for (const key of this.selection) if (!key.startsWith("points:")) this.selection.delete(key);
       this.toggle(`points:${target.point}`);
       this.refresh();
     }

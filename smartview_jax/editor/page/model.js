@@ -9,7 +9,7 @@ export class Model {
   }
   greet(message) {
     for (const kind of KINDS) this[kind].clear();
-    Object.assign(this, { views: message.views, size: message.size, focal: message.focal_px, file: message.file });
+    Object.assign(this, { views: message.views, size: message.size, focal: message.focal_px, facts: message.facts, file: message.file });
     this.update(message);
   }
   update(message) {

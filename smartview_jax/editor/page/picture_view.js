@@ -11,6 +11,7 @@ const COLOURS = {
 };
 const SNAP = 9;         // px of the screen
 const ELLIPSE_SIGMAS = 3;
+const LARGE_RESIDUAL = 2;  // px of the picture
 const FEW_POINTS = 60;  // above it, names of points are shown only when the picture is zoomed
 
 export class PictureView {
@@ -93,17 +94,15 @@ export class PictureView {
     const context = this.context(1), { model, selection, active, tool } = this.owner;
     if (tool === "point") this.drawCorners(context, model);
     this.drawFaces(context, model, selection);
-    context.lineWidth = 1.6;
-    for (const [id, edge] of model.edges) {
-      const line = edge.in?.[this.index];
-      const ends = edge.ends.map((end) => model.pixel(end, this.index));
-      context.strokeStyle = selection.has(`edges:${id}`) ? COLOURS.active : edge.problem ? COLOURS.bad : COLOURS.edge;
-      context.setLineDash(edge.problem ? [4, 4] : []);
-      if (line) this.path(context, line); else if (ends.every(Boolean)) this.path(context, ends.flat()); else continue;
-      context.stroke();
+    this.drawEdges(context, model, selection);
+    // What is usual is one path for all of it: a stroke for each of a thousand points takes long.
+    const usual = [];
+    for (const [id, point] of model.points) {
+      const special = id === active || point.problem || selection.has(`points:${id}`);
+      if (special) this.drawPoints(context, [[id, point]], point.problem && id !== active ? COLOURS.bad : COLOURS.active, 2);
+      else usual.push([id, point]);
     }
-    context.setLineDash([]);
-    for (const [id, point] of model.points) this.drawPoint(context, id, point, selection.has(`points:${id}`), id === active);
+    this.drawPoints(context, usual, COLOURS.point, 1.3);
     this.drawOffer(context, this.owner.offer);
     for (const [id, grasp] of model.grasps) this.drawGrasp(context, this.owner.previews.get(id) ?? grasp, selection.has(`grasps:${id}`));
   }
@@ -151,44 +150,76 @@ export class PictureView {
     }
   }
 
-  drawPoint(context, id, point, selected, active) {
-    const seen = point.in?.[this.index], clicked = point.clicks[this.name];
-    const colour = active || selected ? COLOURS.active : point.problem ? COLOURS.bad : COLOURS.point;
+  drawEdges(context, model, selection) {
+    context.lineWidth = 1.6; context.strokeStyle = COLOURS.edge;
+    context.beginPath();
+    const others = [];
+    for (const [id, edge] of model.edges) {
+      if (edge.problem || selection.has(`edges:${id}`)) others.push([id, edge]);
+      else if (edge.in[this.index]) this.trace(context, edge.in[this.index]);
+    }
+    context.stroke();
+    for (const [id, edge] of others) {
+      const ends = edge.ends.map((end) => model.pixel(end, this.index));
+      const line = edge.in?.[this.index] ?? (ends.every(Boolean) ? ends.flat() : null);
+      if (!line) continue;
+      context.strokeStyle = selection.has(`edges:${id}`) ? COLOURS.active : COLOURS.bad;
+      context.setLineDash(edge.problem ? [4, 4] : []);
+      this.path(context, line); context.stroke();
+    }
+    context.setLineDash([]);
+  }
+
+  // Ellipses of three standard deviations, a cross where the point was clicked, the residual, and
+  // the number of the point where there is room for it.
+  drawPoints(context, points, colour, width) {
     context.strokeStyle = context.fillStyle = colour;
-    context.lineWidth = active || selected ? 2 : 1.3;
-    if (seen) {
-      const [x, y] = this.toScreen(seen);
-      context.globalAlpha = clicked ? 0.9 : 0.65;
-      context.beginPath();
-      const [long, short] = [seen[2], seen[3]].map((sigma) => Math.max(ELLIPSE_SIGMAS * sigma * this.scale, 1.5));
-      context.ellipse(x, y, long, short, seen[4], 0, 2 * Math.PI);
-      context.stroke();
-      context.globalAlpha = 1;
+    context.lineWidth = width;
+    context.beginPath();
+    for (const [, point] of points) {
+      const seen = point.in?.[this.index], clicked = point.clicks[this.name];
+      if (seen) {
+        const [x, y] = this.toScreen(seen);
+        const [long, short] = [seen[2], seen[3]].map((sigma) => Math.max(ELLIPSE_SIGMAS * sigma * this.scale, 1.5));
+        context.moveTo(x + long * Math.cos(seen[4]), y + long * Math.sin(seen[4]));
+        context.ellipse(x, y, long, short, seen[4], 0, 2 * Math.PI);
+      }
+      if (clicked) {
+        const [x, y] = this.toScreen(clicked);
+        context.moveTo(x - 5, y); context.lineTo(x + 5, y); context.moveTo(x, y - 5); context.lineTo(x, y + 5);
+      }
     }
-    if (clicked) {
-      const [x, y] = this.toScreen(clicked);
-      context.beginPath();
-      context.moveTo(x - 5, y); context.lineTo(x + 5, y); context.moveTo(x, y - 5); context.lineTo(x, y + 5);
-      context.stroke();
-      if (seen) this.drawResidual(context, clicked, seen);
-    }
-    const at = clicked ?? seen;
-    if (at && (active || selected || this.owner.model.points.size <= FEW_POINTS || this.scale > 3 * this.smallest)) {
+    context.stroke();
+    this.drawResiduals(context, points);
+    const chosen = width > 1.5 || this.owner.model.points.size <= FEW_POINTS || this.scale > 3 * this.smallest;
+    if (!chosen) return;
+    context.font = "10.5px ui-monospace, 'DejaVu Sans Mono', monospace";
+    context.lineWidth = 3; context.strokeStyle = "rgba(8,9,12,.75)";
+    for (const [id, point] of points) {
+      const at = point.clicks[this.name] ?? point.in?.[this.index];
+      if (!at) continue;
       const [x, y] = this.toScreen(at);
-      context.font = "10.5px ui-monospace, 'DejaVu Sans Mono', monospace";
-      context.lineWidth = 3; context.strokeStyle = "rgba(8,9,12,.75)";
       context.strokeText(id, x + 7, y - 6); context.fillText(id, x + 7, y - 6);
     }
   }
 
-  // From where the point is predicted to where it was clicked, ten times as long as it is.
-  drawResidual(context, clicked, seen) {
-    const [x, y] = this.toScreen(seen);
-    const [dx, dy] = [clicked[0] - seen[0], clicked[1] - seen[1]].map((d) => 10 * d * this.scale);
-    if (Math.hypot(dx, dy) < 2) return;
+  // From where a point is predicted to where it was clicked, ten times as long as it is.
+  drawResiduals(context, points) {
+    const paths = { "#ffffff": [], [COLOURS.bad]: [] };
+    for (const [, point] of points) {
+      const seen = point.in?.[this.index], clicked = point.clicks[this.name];
+      if (!seen || !clicked) continue;
+      const [du, dv] = [clicked[0] - seen[0], clicked[1] - seen[1]], [x, y] = this.toScreen(seen);
+      const [dx, dy] = [10 * du * this.scale, 10 * dv * this.scale];
+      if (Math.hypot(dx, dy) >= 2) paths[Math.hypot(du, dv) > LARGE_RESIDUAL ? COLOURS.bad : "#ffffff"].push([x, y, x + dx, y + dy]);
+    }
     context.lineWidth = 1.4;
-    context.strokeStyle = Math.hypot(clicked[0] - seen[0], clicked[1] - seen[1]) > 2 ? COLOURS.bad : "#ffffff";
-    context.beginPath(); context.moveTo(x, y); context.lineTo(x + dx, y + dy); context.stroke();
+    for (const [colour, lines] of Object.entries(paths)) {
+      context.strokeStyle = colour;
+      context.beginPath();
+      for (const [x, y, x2, y2] of lines) { context.moveTo(x, y); context.lineTo(x2, y2); }
+      context.stroke();
+    }
   }
 
   drawGrasp(context, grasp, selected) {
@@ -242,6 +273,10 @@ export class PictureView {
 
   path(context, pixels) {
     context.beginPath();
+    this.trace(context, pixels);
+  }
+
+  trace(context, pixels) {
     for (let k = 0; k < pixels.length; k += 2) {
       const [x, y] = this.toScreen([pixels[k], pixels[k + 1]]);
       if (k) context.lineTo(x, y); else context.moveTo(x, y);

@@ -4,6 +4,8 @@ import * as THREE from "three";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 
 const SIGMAS = 3;
+const PAUSE = 200;       // ms
+const MANY_POINTS = 200; // above it, ellipsoids are drawn with fewer triangles
 
 export class SpaceView {
   constructor(owner) {
@@ -26,6 +28,7 @@ export class SpaceView {
     this.cameras = new THREE.Group();
     this.scene.add(this.parts, this.cameras);
     this.sphere = new THREE.SphereGeometry(1, 16, 12);
+    this.coarse = new THREE.OctahedronGeometry(1, 1);
     this.framed = "";
     new ResizeObserver(() => this.resize()).observe(this.element);
     this.element.addEventListener("dblclick", () => owner.enlarge(this));
@@ -41,14 +44,15 @@ export class SpaceView {
     this.draw();
   }
 
-  // Called after an answer; many answers in one frame are drawn once.
+  // Called after an answer. The pictures come first: space is drawn when no answer came for a while.
   update() {
-    if (!this.renderer || this.waiting) return;
-    this.waiting = setTimeout(() => { this.waiting = null; this.rebuild(); }, 60);
+    if (!this.renderer) return;
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => this.rebuild(), PAUSE);
   }
 
   rebuild() {
-    for (const child of [...this.parts.children]) { this.parts.remove(child); if (child.geometry !== this.sphere) child.geometry?.dispose(); }
+    for (const child of [...this.parts.children]) { this.parts.remove(child); if (child.geometry !== this.sphere && child.geometry !== this.coarse) child.geometry.dispose(); }
     const { model, selection } = this.owner;
     const at = (id) => model.points.get(id)?.at;
     const placed = [...model.points].filter(([, point]) => point.at);
@@ -90,13 +94,13 @@ export class SpaceView {
     geometry.setIndex(THREE.ShapeUtils.triangulateShape(flat, []).flat());
     geometry.computeVertexNormals();
     const colour = selected ? 0xffb224 : face.graspable === true ? 0x58d68d : face.graspable === false ? 0xff6b5e : 0xa78bfa;
-    this.parts.add(new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.32, side: THREE.DoubleSide, depthWrite: false })));
+    this.parts.add(new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.42, side: THREE.DoubleSide, depthWrite: false })));
   }
 
   addPoints(placed) {
     if (!placed.length) return;
     // One mesh for all: ellipsoids of three standard deviations, and a dot that is always seen.
-    const ellipsoids = new THREE.InstancedMesh(this.sphere, new THREE.MeshLambertMaterial({ color: 0x2fd4bd, transparent: true, opacity: 0.55, depthWrite: false }), placed.length);
+    const ellipsoids = new THREE.InstancedMesh(placed.length > MANY_POINTS ? this.coarse : this.sphere, new THREE.MeshLambertMaterial({ color: 0x2fd4bd, transparent: true, opacity: 0.55, depthWrite: false }), placed.length);
     const positions = [], colours = [], matrix = new THREE.Matrix4();
     placed.forEach(([id, point], k) => {
       const [a, b, c] = point.ellipsoid.map((axis) => new THREE.Vector3(...axis).multiplyScalar(SIGMAS));
@@ -146,7 +150,7 @@ export class SpaceView {
     const forward = new THREE.Vector3().crossVectors(aside.normalize(), up).negate();
     // From the side and above, so far away that what is to be seen fills the view.
     const extent = points.length ? new THREE.Box3().setFromPoints(points.map((p) => new THREE.Vector3(...p))).getBoundingSphere(new THREE.Sphere()).radius : 0;
-    const distance = points.length > 3 ? Math.min(5 * extent, 3 * this.radius) : 2.6 * this.radius;
+    const distance = points.length > 3 ? Math.min(3.9 * extent, 3 * this.radius) : 2.6 * this.radius;
     if (points.length <= 3) target.addScaledVector(up, 0.45 * this.radius);
     const direction = aside.multiplyScalar(0.6).addScaledVector(forward, 0.75).addScaledVector(up, 0.5).normalize();
     this.camera.position.copy(target).addScaledVector(direction, distance);
