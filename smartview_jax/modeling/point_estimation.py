@@ -2,8 +2,8 @@
 
 The start is linear: the point nearest to all rays. Each step of Levenberg-Marquardt then minimises
 the squared whitened pixel residuals through the real lens, for all points at once. The result is
-differentiable: the last step is a Newton step from the optimum, whose derivative is that of the
-optimum itself, to first order in the residuals.
+differentiable, by one Newton step from the optimum, whose derivative is that of the optimum itself
+to first order in the residuals.
 """
 
 from enum import IntEnum
@@ -132,17 +132,43 @@ def estimate_points(
     return PointSolution(points, covariance, residuals[:, :count], status)
 
 
+@jax.custom_jvp
 def _estimate(problem: "_Problem") -> PointSolution:
     """Estimate all points of a problem at once."""
-    fixed = jax.lax.stop_gradient(problem)
-    start, degenerate, enough = _nearest_to_rays(fixed)
-    points, decrement = _minimise(fixed, start, degenerate | ~enough)
-    at = _linearise(problem, points)
-    # One more Newton step, x - H^-1 g(x), with H held: its derivative is that of the optimum. The
-    # step itself is far below the errors, so that all else is taken before it.
-    _, step = _solve(jax.lax.stop_gradient(at.normal), at.gradient)
-    distance = _mean_distance(fixed, points)
-    points = points - jnp.where(at.valid[:, None], jnp.stack(step, axis=-1), 0.0)
+    start, degenerate, enough = _nearest_to_rays(problem)
+    points, at, decrement = _minimise(problem, start, degenerate | ~enough)
+    return _solution(problem, points, at, (decrement, degenerate, enough))
+
+
+@_estimate.defjvp
+def _estimate_jvp(
+    primals: tuple["_Problem"], tangents: tuple["_Problem"]
+) -> tuple[PointSolution, PointSolution]:
+    """Return the estimate and its directional derivative, without those of the iterations."""
+    (problem,), found = primals, _estimate(*primals)
+    points = jax.lax.stop_gradient(found.points)
+
+    def one_step(problem: _Problem) -> PointSolution:
+        # One more Newton step, x - H^-1 g(x) with H held, stays at the optimum, and its derivative
+        # is that of the optimum.
+        at = _linearise(problem, points)
+        _, step = _solve(jax.lax.stop_gradient(at.normal), at.gradient)
+        moved = points - jnp.where(at.valid[:, None], jnp.stack(step, axis=-1), 0.0)
+        settled = jnp.zeros(len(points)), jnp.zeros(len(points), bool), jnp.ones(len(points), bool)
+        return _solution(problem, moved, at, settled)
+
+    return found, jax.jvp(one_step, (problem,), tangents)[1]
+
+
+def _solution(
+    problem: "_Problem",
+    points: Float[Array, "points 3"],
+    at: "_Linearisation",
+    outcome: tuple[Float[Array, "points"], Bool[Array, "points"], Bool[Array, "points"]],
+) -> PointSolution:
+    """Return points with covariance and status, from the last linearisation and the outcome."""
+    decrement, degenerate, enough = outcome
+    distance = _mean_distance(problem, points)
     trace, (a, b, c, d, e, f) = _inverse(at.normal)
     degenerate |= at.valid & (trace > (MAX_RELATIVE_STD * distance) ** 2)
     status = jnp.where(decrement > CONVERGED_DECREMENT, PointStatus.NOT_CONVERGED, PointStatus.OK)
@@ -318,11 +344,12 @@ def _mean_distance(problem: _Problem, points: Float[Array, "points 3"]) -> Float
 
 def _minimise(
     problem: _Problem, start: Float[Array, "points 3"], skip: Bool[Array, "points"]
-) -> tuple[Float[Array, "points 3"], Float[Array, "points"]]:
+) -> tuple[Float[Array, "points 3"], _Linearisation, Float[Array, "points"]]:
     """Minimise the costs of all points together, each with its own damping.
 
     Returns:
-        The points, and the squared length of the last undamped step in standard deviations.
+        The points, their linearisation, and the squared length of the next undamped step in
+        standard deviations.
     """
     # Each trial is linearised at once, whether it is accepted or not: in all but a few points it
     # is, and one pass over the pixels then does both.
@@ -361,4 +388,4 @@ def _minimise(
         return count + 1, points, kept, damping
 
     _, points, at, _ = jax.lax.while_loop(unfinished, step, (0, start, first, damping))
-    return points, decrement(at)
+    return points, at, decrement(at)
