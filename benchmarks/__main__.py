@@ -28,6 +28,7 @@ BENCHMARKS = {
     "object_features": "corners and proposed models on pictures of objects, against references",
     "fuzz": "malformed files: refused by name, or their values in range",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
+    "editor": "the time from a click in the object-model editor to the drawn answer",
     "stages": "every stage timed beside OpenCV, in one run",
 }
 

@@ -6,6 +6,7 @@ from . import compilation as compilation
 from . import compilation_cache as compilation_cache
 from . import dataset as dataset
 from . import detection as detection
+from . import editor as editor
 from . import engine as engine
 from . import evaluation as evaluation
 from . import features as features
@@ -28,6 +29,7 @@ from .calibration_pipeline import calibrate as calibrate
 from .cameras import Camera as Camera
 from .dataset import Dataset as Dataset
 from .detection import correct_circle_centres as correct_circle_centres
+from .editor import ModelSession as ModelSession
 from .engine import Noise as Noise
 from .engine import Prior as Prior
 from .evaluation import compare as compare

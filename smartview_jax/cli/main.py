@@ -7,6 +7,7 @@ import typer
 from .calibrate import calibrate
 from .compare import compare
 from .export import export
+from .model import model
 from .schema import schema
 from .viewpoint import viewpoint
 
@@ -38,5 +39,5 @@ def main(
     """
 
 
-for _subcommand in (calibrate, compare, export, schema, viewpoint):
+for _subcommand in (calibrate, compare, export, model, schema, viewpoint):
     app.command()(_subcommand)

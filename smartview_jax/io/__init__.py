@@ -25,6 +25,7 @@ from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict
 from .object_models import save_object_model as save_object_model
+from .object_views import OBJECT_VIEWS_FILE as OBJECT_VIEWS_FILE
 from .object_views import ObjectViews as ObjectViews
 from .object_views import load_object_views as load_object_views
 from .object_views import write_object_views as write_object_views
@@ -36,6 +37,8 @@ from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import object_sample_folder as object_sample_folder
 from .sample import sample_folder as sample_folder
 from .urdf import load_urdf as load_urdf
+from .view_pictures import ViewPictures as ViewPictures
+from .view_pictures import load_view_pictures as load_view_pictures
 from .viewpoints import Viewpoints as Viewpoints
 from .viewpoints import pose_columns as pose_columns
 from .viewpoints import read_viewpoints as read_viewpoints

@@ -75,11 +75,11 @@ def load_dataset_folder(
     readings = read_robot_readings(folder, content, description_path, bad_views)
     if "pictures" in content:
         table_path = folder / content["poses" if "poses" in content else "joints"]["file"]
-        picture_files = _picture_files(
+        files = picture_files(
             folder, content["pictures"], readings.view_ids, target, table_path, description_path
         )
         data = dataset_from_pictures(
-            picture_files,
+            files,
             readings.poses,
             target,
             mount,
@@ -203,7 +203,7 @@ def write_dataset_folder(
     write_atomically(folder / DESCRIPTION_FILE, dump_yaml(description))
 
 
-def _picture_files(
+def picture_files(
     folder: Path,
     content: dict[str, Any],
     view_ids: Sequence[str],

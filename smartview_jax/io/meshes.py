@@ -70,6 +70,7 @@ def read_mesh(
     # A broken file can raise anything in a parser of another library.
     except Exception as error:
         raise ValueError(f"{path}: not readable as {kind}: {error}") from error
+    # The glTF standard fixes metres; the other formats have no unit.
     scale = 1.0 if kind in ("glb", "gltf") else LENGTH_UNITS[unit]
     try:
         return model_from_triangles(scale * vertices, triangles, sharp_angle, path.stem, str(path))
@@ -111,6 +112,7 @@ def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
     if not model.faces:
         raise ValueError(f"model {model.name!r} has no faces, only a wireframe, so it is no mesh")
     trimesh = import_trimesh()
+    # Vertices stay those of the model, in its order.
     parts = [face_triangles(model.vertices, face) for face in model.faces]
     owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     mesh = trimesh.Trimesh(model.vertices, np.concatenate(parts), process=False)
@@ -129,6 +131,7 @@ def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.nda
     except ImportError as error:
         raise ImportError(_INSTALL.format("mapbox-earcut")) from error
     plane = face_plane(vertices, face)
+    # Earcut works in the plane; the loops follow one another.
     flat = plane.coordinates(vertices[face.indices])
     ends = np.cumsum([len(loop) for loop in face.loops]).astype(np.uint32)
     corners = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3)
@@ -181,6 +184,7 @@ def model_from_triangles(
     mesh = _welded(vertices, triangles)
     owners = _flat_groups(mesh)
     loops_by_face = [_boundary_loops(mesh.faces[owners == k]) for k in range(owners.max() + 1)]
+    # A vertex in the middle of a straight edge came from another program's triangles.
     kept = _corners(mesh.vertices, loops_by_face)
     shortened = [[tuple(v for v in loop if kept[v]) for loop in loops] for loops in loops_by_face]
     faces = [_face_from_loops(mesh.vertices, loops) for loops in shortened]
@@ -206,12 +210,14 @@ def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"
         raise ValueError("the mesh has coordinates that are not finite")
     radius = WELD_DISTANCE * float(np.ptp(vertices, axis=0).max())
     # The first of each cluster stands for all of it.
+    # Joined by distance, not by rounding, which would part neighbours at its steps.
     first = np.arange(len(vertices))
     for a, b in sorted(KDTree(vertices).query_pairs(radius)):
         first[b] = min(first[b], first[a])
     joined = first[triangles]
     distinct = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
     mesh = import_trimesh().Trimesh(vertices, joined[distinct], process=False)
+    # Slivers without an area have no normal.
     mesh.update_faces(mesh.area_faces > 1e-12 * np.ptp(vertices, axis=0).max() ** 2)
     if not len(mesh.faces):
         raise ValueError("the mesh has no triangles with an area")
@@ -225,6 +231,7 @@ def _flat_groups(mesh: Any) -> Int[np.ndarray, "T"]:
 
     pairs = mesh.face_adjacency[mesh.face_adjacency_angles <= COPLANAR_ANGLE]
     count = len(mesh.faces)
+    # Flat faces are the connected parts of the graph of coplanar neighbours.
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
@@ -234,9 +241,11 @@ def _boundary_loops(triangles: Int[np.ndarray, "T 3"]) -> list[tuple[int, ...]]:
     sides = {(int(t[k]), int(t[(k + 1) % 3])) for t in triangles for k in range(3)}
     following: dict[int, list[int]] = {}
     for a, b in sides:
+        # An inner side is run through in both directions.
         if (b, a) not in sides:
             following.setdefault(a, []).append(b)
     loops = []
+    # Each side is used once; where two loops touch in a vertex, it has two followers.
     while following:
         loop = [min(following)]
         while not (len(loop) > 1 and loop[-1] == loop[0]):
@@ -285,6 +294,7 @@ def _sharp_edges(
         for loop in loops:
             for pair in zip(loop, loop[1:] + loop[:1], strict=True):
                 normals.setdefault(frozenset(pair), []).append(normal)
+    # An edge with one face is the border of an open surface, and sharp in any case.
     sharp = [
         tuple(sorted(pair))
         for pair, sides in normals.items()

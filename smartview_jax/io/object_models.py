@@ -138,6 +138,7 @@ def parse_json(text: str, path: str | os.PathLike[str]) -> Any:
         raise ValueError(f"{name} is not a number that JSON has")
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        # Python's parser would silently keep the last of two equal keys.
         content = dict(pairs)
         if len(content) < len(pairs):
             keys = [key for key, _ in pairs]
@@ -159,6 +160,7 @@ def parse_json(text: str, path: str | os.PathLike[str]) -> Any:
 
 def _readable_json(content: dict[str, Any]) -> str:
     """Return JSON in which every row of numbers, and every short mapping, is on one line."""
+    # A person compares two versions line by line: one vertex, edge or loop in each.
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     strings: list[str] = []
 
@@ -199,6 +201,7 @@ def _grasp_to_dict(grasp: Grasp) -> dict[str, Any]:
 
 def _grasp_from_entry(entry: Any, scale: float) -> Grasp:
     """Return the grasp of a file's entry, converted to metres."""
+    # Rotations have no unit; everything else is converted.
     pose = np.eye(4)
     pose[:3, :3] = _rotation(entry.object_from_tool.quaternion_wxyz)
     pose[:3, 3] = scale * np.array(entry.object_from_tool.translation)
@@ -208,6 +211,7 @@ def _grasp_from_entry(entry: Any, scale: float) -> Grasp:
 
 def _quaternion(rotation: np.ndarray) -> list[float]:
     """Return the unit quaternion of a rotation matrix, real part first."""
+    # Canonical: of the two quaternions of a rotation the one with w >= 0, so that files repeat.
     x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
     return [w, x, y, z]
 
@@ -224,6 +228,7 @@ def _covariance(entry: Any) -> np.ndarray:
     """Return the covariance of an entry, in the file's unit squared."""
     if entry.full is not None:
         return _matrix(entry.full, "covariance.full")
+    # Both triangles of the symmetric matrix from its upper one.
     rows = np.array(entry.per_vertex, float).reshape(-1, 6)
     covariance = np.zeros((len(rows), 3, 3))
     covariance[:, *_UPPER] = covariance[:, *_UPPER[::-1]] = rows

@@ -25,6 +25,7 @@ from .faces import face_array as face_array
 from .faces import face_plane as face_plane
 from .faces import open_edges as open_edges
 from .faces import oriented_outward as oriented_outward
+from .faces import points_in_loops as points_in_loops
 from .faces import signed_volume as signed_volume
 from .grasp_frames import Grasp as Grasp
 from .grasp_frames import grasp_on_face as grasp_on_face
@@ -36,6 +37,8 @@ from .line_triangulation import triangulate_lines as triangulate_lines
 from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
 from .picture_equations import ModelObservations as ModelObservations
+from .pixel_jacobians import PixelJacobians as PixelJacobians
+from .pixel_jacobians import pixel_jacobians as pixel_jacobians
 from .point_estimation import PointStatus as PointStatus
 from .proposal import ModelProposal as ModelProposal
 from .proposal import propose_model as propose_model
@@ -45,3 +48,4 @@ from .symmetry import Symmetry as Symmetry
 from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points
+from .view_poses import SeenViews as SeenViews

@@ -107,11 +107,13 @@ def face_plane(vertices: Float[np.ndarray, "V 3"], face: Face) -> FacePlane:
             raise ValueError("it crosses itself, so that its two halves cancel")
         raise ValueError("its vertices are on one line or in one point, so it has no area")
     normal = vector / area
+    # The frame's x is along the longest edge: a person sees where it points.
     sides = np.roll(outer, -1, axis=0) - outer
     longest = sides[np.argmax(np.linalg.norm(sides, axis=1))]
     x = longest - normal * (normal @ longest)
     x /= np.linalg.norm(x)
     origin = outer.mean(axis=0)
+    # A hole takes away what it encloses.
     holes = sum(float(np.linalg.norm(area_vector(vertices[list(hole)]))) for hole in face.holes)
     distances = (vertices[face.indices] - origin) @ normal
     return FacePlane(origin, np.stack([x, np.cross(normal, x), normal]), area - holes, distances)
@@ -148,6 +150,7 @@ def check_face(
     for loop in face.loops:
         _check_loop(loop, len(vertices))
     plane = face_plane(vertices, face)
+    # A large face may bend by more millimetres than a small one.
     extent = float(np.ptp(vertices[list(face.loop)], axis=0).max())
     allowed = np.full(len(face.indices), planar_tolerance * extent)
     if vertex_sigma is not None:
@@ -172,6 +175,7 @@ def _check_loop(loop: tuple[int, ...], vertex_count: int) -> None:
         raise ValueError(
             f"vertex {missing[0]} does not exist: the model has {vertex_count} vertices, from 0"
         )
+    # A vertex that is met twice would make two faces that touch in a point.
     index, count = Counter(loop).most_common(1)[0]
     if count > 1:
         raise ValueError(f"it meets vertex {index} {count} times")
@@ -179,6 +183,7 @@ def _check_loop(loop: tuple[int, ...], vertex_count: int) -> None:
 
 def _check_crossings(plane: FacePlane, vertices: Float[np.ndarray, "V 3"], face: Face) -> None:
     """Raise an error if two sides of a face cross, or a hole is not inside the outer loop."""
+    # Sides of the holes, too: a hole may not cross the outer loop.
     pairs = np.array(face.directed_edges)
     starts, ends = (plane.coordinates(vertices[pairs[:, k]]) for k in (0, 1))
     crossing = _segments_cross(starts, ends)
@@ -223,6 +228,7 @@ def points_in_loops(
     crossings = np.zeros(len(points), int)
     for loop in loops:
         a, b = loop, np.roll(loop, -1, axis=0)
+        # Half-open at the ends, so that a ray through a corner counts it once.
         above = (a[:, 1] > points[:, None, 1]) != (b[:, 1] > points[:, None, 1])
         rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
         x = a[:, 0] + (points[:, None, 1] - a[:, 1]) / rise * (b[:, 0] - a[:, 0])
@@ -235,6 +241,7 @@ def open_edges(faces: Sequence[Face]) -> list[tuple[int, int]]:
 
     In a closed and consistently oriented surface every edge is used twice, once in each direction.
     """
+    # Directed, so that two neighbours of opposite orientation are an open edge as well.
     uses = Counter(pair for face in faces for pair in face.directed_edges)
     return sorted(
         {
@@ -248,6 +255,7 @@ def open_edges(faces: Sequence[Face]) -> list[tuple[int, int]]:
 def signed_volume(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) -> float:
     """Return the volume inside a closed surface, m^3; negative if its normals point inward."""
     # By the divergence theorem 3 V = sum over faces of (point on the face) . (area vector).
+    # About the mean, or the difference of large products would lose digits.
     centred = vertices - vertices.mean(axis=0)
     return sum(
         float(centred[loop[0]] @ area_vector(centred[list(loop)])) / 3.0

@@ -74,7 +74,8 @@ def grasp_on_face(
         position: a point, moved along the normal onto the face, m; by default the mean of the
             face's corners.
         opening_direction: turned into the plane of the face; by default across the longest edge.
-        opening: distance between the open fingers, m; by default 1.2 times the width there.
+        opening: distance between the open fingers, m; by default 1.2 times the width there,
+            or the extent of the face where the model is open and has no width.
         depth: of the fingertips below the face, m.
         name: for people.
 
@@ -86,28 +87,28 @@ def grasp_on_face(
         raise ValueError(f"face {face} does not exist: the model has {len(model.faces)} faces")
     plane = face_plane(model.vertices, model.faces[face])
     point = plane.origin if position is None else np.asarray(position, dtype=float)
+    # A clicked or computed position is on the plane only up to rounding.
     point = point - plane.normal * (plane.normal @ (point - plane.origin))
     loops = [plane.coordinates(model.vertices[list(loop)]) for loop in model.faces[face].loops]
     if not points_in_loops(plane.coordinates(point[None]), loops)[0]:
-        raise ValueError(f"grasp {name!r}: its position is not on face {face}")
+        raise ValueError(f"its position is not on face {face}")
     frame = _tool_axes(
         plane.normal, plane.axes[1] if opening_direction is None else opening_direction
     )
     object_from_tool = np.eye(4)
     object_from_tool[:3, :3] = frame
     object_from_tool[:3, 3] = point - depth * plane.normal
+    # At the fingertips' depth, which is where they close.
     width = width_between_fingers(model, object_from_tool)
     if opening is None:
-        if width is None:
-            raise ValueError(
-                f"grasp {name!r}: give its opening, because the model is open where the fingers "
-                "would close and its width there is not known"
-            )
-        opening = 1.2 * width
+        # Where the model is open its width is not known; the face's own extent stands for it.
+        corners = model.vertices[model.faces[face].indices]
+        opening = 1.2 * (float(np.ptp(corners @ frame[:, 0])) if width is None else width)
+    # Half of the room is on either side of the object.
     room = opening - (0.0 if width is None else width)
     if not (opening > 0.0 and room > 0.0 and depth >= 0.0):
         raise ValueError(
-            f"grasp {name!r}: an opening of {1e3 * opening:.3g} mm at a depth of "
+            f"an opening of {1e3 * opening:.3g} mm at a depth of "
             f"{1e3 * depth:.3g} mm; the object is {1e3 * (width or 0.0):.3g} mm wide there"
         )
     return Grasp(name, face, object_from_tool, float(opening), float(depth), 0.5 * float(room))
@@ -117,6 +118,7 @@ def _tool_axes(
     normal: Float[np.ndarray, "3"], opening_direction: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3 3"]:
     """Return the tool's axes as columns: x in the face along the opening, z inward."""
+    # Only the part of the direction within the face counts.
     wanted = np.asarray(opening_direction, dtype=float)
     x = wanted - normal * (normal @ wanted)
     length = float(np.linalg.norm(x))
@@ -127,6 +129,7 @@ def _tool_axes(
 
 def turned(grasp: Grasp, angle: float) -> Grasp:
     """Return a grasp turned about its approach by an angle, rad."""
+    # About the tool's own z axis, so the turn is applied on the right.
     sine, cosine = np.sin(angle), np.cos(angle)
     turn = np.eye(4)
     turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
@@ -142,6 +145,7 @@ def width_between_fingers(
     outermost; None where the model has no face on one of the sides.
     """
     origin, direction = object_from_tool[:3, 3], object_from_tool[:3, 0]
+    # The outermost hits on both sides: fingers close from outside, over hollows.
     reached = []
     for face in model.faces:
         plane = face_plane(model.vertices, face)

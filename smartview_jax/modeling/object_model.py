@@ -82,6 +82,7 @@ class ObjectModel:
             except ValueError as error:
                 raise ValueError(f"face {face_label(k, face)}: {error}") from None
             faces.append(with_oriented_holes(self.vertices, face))
+        # The class is frozen; holes are put in order before anyone sees the model.
         object.__setattr__(self, "faces", tuple(faces))
         for grasp in self.grasps:
             if not 0 <= grasp.face < len(self.faces):
@@ -96,6 +97,7 @@ class ObjectModel:
             raise ValueError(
                 f"vertex {wrong[0]}: not finite: {self.vertices[wrong[0]].round(6).tolist()}"
             )
+        # Millimetres that were given as metres make a house of a bracket.
         extent = float(np.ptp(self.vertices, axis=0).max()) if len(self.vertices) else 0.0
         if extent > MAX_EXTENT:
             raise ValueError(
@@ -114,6 +116,7 @@ class ObjectModel:
                     )
             if a == b:
                 raise ValueError(f"edge {k} leads from vertex {a} to itself")
+            # Edges have no direction.
             if frozenset((a, b)) in seen:
                 raise ValueError(f"edge {k} {(a, b)} is there twice")
             seen.add(frozenset((a, b)))
@@ -144,6 +147,7 @@ class ObjectModel:
     def vertex_covariances(self) -> Float[np.ndarray, "V 3 3"]:
         """The covariance of every vertex, pictures and calibration together, m^2."""
         count = len(self.vertices)
+        # The 3 x 3 blocks on the diagonal of a matrix of all coordinates.
         rows = np.arange(3 * count).reshape(count, 3)
         blocks = np.zeros((count, 3, 3))
         if self.covariance is not None:
@@ -173,6 +177,7 @@ class ObjectModel:
         length = float(np.linalg.norm(difference))
         if length == 0.0:
             raise ValueError(f"vertices {a} and {b} are in one place")
+        # dd/dp_b = n and dd/dp_a = -n; all other derivatives are zero.
         gradient = np.zeros((len(self.vertices), 3))
         gradient[b], gradient[a] = difference / length, -difference / length
         variance = 0.0
@@ -217,6 +222,7 @@ class ObjectModel:
         if covariance is not None and covariance.ndim == 3:
             covariance = R @ covariance @ R.T
         elif covariance is not None:
+            # The same rotation for every vertex.
             turns = np.kron(np.eye(count), R)
             covariance = turns @ covariance @ turns.T
         if factor is not None:
@@ -246,6 +252,7 @@ class ObjectModel:
         """Return the transform to the frame on a face, z along its outward normal."""
         plane = self.plane(face)
         transform = np.eye(4)
+        # x_face = axes (x - origin): the rows of the rotation are the axes of the face.
         transform[:3, :3] = plane.axes
         transform[:3, 3] = -plane.axes @ plane.origin
         return transform

@@ -75,6 +75,7 @@ def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symme
         tolerance = max(SYMMETRY_TOLERANCE * float(np.ptp(points, axis=0).max()), 3.0 * sigma)
     centre = points.mean(axis=0)
     centred = points - centre
+    # The second singular value measures the extent across the longest direction.
     singular_values = np.linalg.svd(centred, compute_uv=False)
     if len(points) < 3 or singular_values[1] < tolerance:
         raise ValueError("the symmetry of vertices on one line is not finite; add more vertices")
@@ -86,6 +87,7 @@ def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symme
         # A rotation is not near one that was accepted already if some vertex goes elsewhere.
         known = any(np.abs(centred @ (rotation - one).T).max() < tolerance for one in accepted)
         if not known and np.max(distances) <= tolerance and _keeps_structure(model, targets):
+            # Fitted to all vertices, because two of them give it only as accurately as they are.
             accepted.append(_nearest_rotation(centred, centred[targets]))
     rotations = np.stack(accepted)
     return Symmetry(rotations, centre, _revolution_axis(rotations))
@@ -97,6 +99,8 @@ def _candidate_rotations(
     """Return the rotations that take one pair of vertices to another of the same shape."""
     # A rotation is given by where it takes two vertices that are not on one line with the centre.
     radii = np.linalg.norm(centred, axis=1)
+    # The farthest vertex, and the one that spans the largest triangle with it and the centre, give the
+    # rotation most accurately.
     first = int(np.argmax(radii))
     areas = np.linalg.norm(np.cross(centred[first], centred), axis=1)
     second = int(np.argmax(areas))
@@ -124,6 +128,7 @@ def _nearest_rotation(
 
 def _keeps_structure(model: "ObjectModel", targets: Int[np.ndarray, "V"]) -> bool:
     """Return whether a permutation of the vertices takes edges to edges and faces to faces."""
+    # Two vertices may meet the same one where the tolerance is large.
     if len(set(targets.tolist())) != len(targets):
         return False
     edges = {frozenset(edge) for edge in model.edges.tolist()}

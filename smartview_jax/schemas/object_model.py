@@ -15,6 +15,7 @@ MAX_VERTICES = 100_000
 
 ModelUnit = Literal["m", "cm", "mm"]
 
+# Up to 100 m, in millimetres; the model itself checks the object's extent in metres.
 _Number = Annotated[float, Field(ge=-1e5, le=1e5), Expected("a number from -1e5 to 1e5")]
 _Index = Annotated[
     int, Field(ge=0, lt=MAX_VERTICES), Expected("the number of a vertex or face, from 0")
@@ -130,6 +131,7 @@ class ObjectModelFile(Entry):
     calibration_factor: _SquareMatrix | None = None
     end: Literal["smartview_object"]
 
+    # Before the entries: of another kind of file every single entry would be reported.
     @model_validator(mode="before")
     @classmethod
     def _check_kind(cls, content: Any) -> Any:

@@ -184,6 +184,8 @@ def test_a_grasp_approaches_along_the_inward_normal():
     assert grasp.opening == pytest.approx(0.048)
     assert grasp.tolerance == pytest.approx(0.004)
     assert np.linalg.det(grasp.object_from_tool[:3, :3]) == pytest.approx(1.0)
+    # Below the box nothing is between the fingers; then the face's own extent is taken.
+    assert grasp_on_face(model, 1, depth=0.5).opening == pytest.approx(0.048)
     quarter = turned(grasp, np.pi / 2)
     np.testing.assert_allclose(np.abs(quarter.opening_direction), [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(quarter.position, grasp.position, atol=1e-12)
@@ -196,7 +198,7 @@ def test_a_grasp_approaches_along_the_inward_normal():
         ({"position": np.array([0.2, 0.0, 0.0])}, "not on face"),
         ({"opening_direction": np.array([0.0, 0.0, 1.0])}, "along the normal"),
         ({"opening": 0.03}, "40 mm wide there"),
-        ({"depth": 0.5}, "give its opening"),
+        ({"depth": -0.01}, "at a depth of -10 mm"),
     ],
 )
 def test_an_impossible_grasp_is_refused(given, said):

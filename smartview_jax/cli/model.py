@@ -1,0 +1,93 @@
+"""Define `smartview model`, which opens the editor of object models in a browser."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import DebugOption
+from .terminal import errors_reported
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..calibration import Calibration
+
+
+def model(
+    dataset: Annotated[Path, typer.Argument(help="Data-set folder with pictures of the object.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The model's file, a .json; by default object.json in the folder."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="A calibration.yaml; by default the one in the folder."),
+    ] = None,
+    port: Annotated[int, typer.Option(help="Port of the page; 0 takes a free one.")] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
+    debug: DebugOption = False,
+) -> None:
+    """Model an object by clicking its features in several calibrated pictures.
+
+    The page is on this machine only. Every click is kept at once beside the model's file, so that
+    the same command goes on where an earlier one ended.
+    """
+    with errors_reported(debug):
+        from ..editor import ModelSession, serve
+
+        names, pictures, base_from_tool = _load_views(dataset)
+        target = out or dataset / "object.json"
+        try:
+            with ModelSession(
+                _load_calibration(dataset, calibration),
+                base_from_tool,
+                pictures,
+                names,
+                target,
+            ) as session:
+                for note in session.notes:
+                    typer.echo(note)
+                serve(session, port, lambda address: _announce(address, target, browser))
+        except ImportError as error:
+            # An extra that is not installed is for the user to install, not a fault to trace.
+            raise ValueError(str(error)) from error
+
+
+def _load_views(dataset: Path) -> "tuple[list[str], list[Path], np.ndarray]":
+    """Return names, pictures and reported poses of the views in a folder."""
+    from ..geometry import host_matrices
+    from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
+
+    # A data set of a board may have the pictures of the object in a folder of their own.
+    for folder in (dataset, dataset / "object"):
+        if (folder / OBJECT_VIEWS_FILE).is_file():
+            found = load_object_views(folder)
+            return list(found.view_ids), list(found.paths), host_matrices(found.base_from_tool)
+    views = load_view_pictures(dataset)
+    return views.view_ids, views.pictures, views.base_from_tool
+
+
+def _load_calibration(dataset: Path, calibration: Path | None) -> "Calibration":
+    """Return the calibration of the option, or the one in the folder."""
+    from ..calibration import Calibration
+
+    candidates = [dataset / "calibration.yaml", dataset / "calibration" / "calibration.yaml"]
+    found = calibration or next((path for path in candidates if path.is_file()), None)
+    if found is None:
+        raise FileNotFoundError(
+            f"{candidates[0]}: no such file; name the camera's calibration by --calibration "
+            "(smartview calibrate makes one)"
+        )
+    return Calibration.load(found)
+
+
+def _announce(address: str, target: Path, browser: bool) -> None:
+    """Print the page's address, and open it if that is wanted."""
+    import webbrowser
+
+    typer.echo(f"the editor of {target} is at\n{address}\nCtrl-C ends it; nothing is lost")
+    if browser:
+        webbrowser.open(address)

@@ -1,0 +1,10 @@
+"""Edit object models by clicking features in several views: session, page and widget."""
+
+from .conversation import Conversation as Conversation
+from .document import DrawnConstraint as DrawnConstraint
+from .document import DrawnFace as DrawnFace
+from .document import PlacedGrasp as PlacedGrasp
+from .server import serve as serve
+from .session import ModelSession as ModelSession
+from .view_geometry import PointEstimate as PointEstimate
+from .widget import editor_widget as editor_widget

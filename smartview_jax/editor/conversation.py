@@ -1,0 +1,353 @@
+"""Answer the page's messages: one conversation for each page that shows a session.
+
+A message is a mapping with `do`, the name of a change or of one of the commands here, and
+`message`, a number by which the page knows the answer. What a change moved is sent, not the whole
+model: with a thousand features an answer has a few of them.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..modeling import Face, FacePlane, face_plane, points_in_loops
+from .document import CHANGES, KINDS, PlacedGrasp
+from .entries import edge_entries, face_entry, grasp_entry, point_entry
+from .known_facts import FACT_KINDS
+from .model_building import face_problem, placed_grasp, problems_of
+from .session import ModelSession
+
+Message = dict[str, Any]
+"""A mapping of plain values, as JSON has them."""
+
+
+class Conversation:
+    """The exchange with one page, which knows what the page has been shown."""
+
+    def __init__(self, session: ModelSession):
+        """Begin a conversation in which nothing has been shown."""
+        self._session = session
+        # By kind and id, the objects that the page's entry was made from.
+        self._shown: dict[str, dict[int, tuple]] = {kind: {} for kind in KINDS}
+
+    def answer(self, message: Mapping[str, Any]) -> Message:
+        """Return the answer to a message; an error is an answer too, and changes nothing."""
+        # The page matches answers by this number, because slow ones come out of order.
+        content = dict(message)
+        number, name = content.pop("message", None), content.get("do")
+        try:
+            command = _COMMANDS.get(str(name))
+            if command is not None:
+                content.pop("do")
+                found = command(self, **content)
+            else:
+                found = self._changed(content)
+        # A page of another version may send other arguments (TypeError), and a disk may be full
+        # (OSError): neither ends the conversation.
+        except (ValueError, TypeError, OSError) as error:
+            found = {"type": "error", "text": str(error)}
+        return {**found, "reply_to": number}
+
+    def _changed(self, change: Message) -> Message:
+        """Make a change of the document, and return what it moved."""
+        if change.get("do") not in CHANGES:
+            raise ValueError(f"the page asked for {change.get('do')!r}, which nobody knows")
+        # Faces and grasps are checked against the geometry, which the document does not know.
+        session, before = self._session, self._session.document.next_id
+        # The session turns a new face's loop towards the cameras, and refuses one that is not flat.
+        if change["do"] == "add_face":
+            session.add_face(
+                change.get("loop", ()), change.get("name", ""), change.get("graspable")
+            )
+        elif change["do"] == "change_grasp":
+            values = {key: value for key, value in change.items() if key not in ("do", "id")}
+            session.change_grasp(change.get("id", -1), **values)
+        else:
+            session.change(change)
+        return {**self.update(), "new": before if session.document.next_id > before else None}
+
+    def greeting(self) -> Message:
+        """Return the views, and everything that there is; the first message to a page."""
+        session = self._session
+        # A page that was reloaded has forgotten everything.
+        self._shown = {kind: {} for kind in KINDS}
+        width, height = session.calibration.camera.image_size
+        # The page draws the cameras, for which it needs their poses in the world.
+        poses = np.linalg.inv(session.geometry.camera_from_world)
+        camera = session.calibration.camera
+        return {
+            **self.update(),
+            "type": "greeting",
+            "file": None if session.path is None else session.path.name,
+            "notes": session.notes,
+            "size": [width, height],
+            "facts": [
+                {"kind": name, **kind._asdict(), "build": None} for name, kind in FACT_KINDS.items()
+            ],
+            "focal_px": float(camera.alpha_u),
+            "views": [
+                {"name": name, "world_from_camera": pose.round(9).tolist()}
+                for name, pose in zip(session.names, poses, strict=True)
+            ],
+        }
+
+    def update(self) -> Message:
+        """Return what has changed since the page was shown anything last."""
+        session = self._session
+        document, estimates = session.document, session.estimates()
+        # A part's entry is made anew if it or a point that it needs is another object than before.
+        sources: dict[str, dict[int, tuple]] = {
+            "points": {k: (clicks, estimates[k]) for k, clicks in document.points.items()},
+            "edges": {k: (e, *(estimates[p] for p in e)) for k, e in document.edges.items()},
+            "faces": {k: (f, *(estimates[p] for p in f.loop)) for k, f in document.faces.items()},
+            "constraints": {k: (one, estimates) for k, one in document.constraints.items()},
+        }
+        # The width between the fingers depends on all faces, so a grasp is made anew with any of
+        # them.
+        surface = tuple(part for source in sources["faces"].values() for part in source)
+        sources["grasps"] = {k: (g, *surface) for k, g in document.grasps.items()}
+        parts: dict[str, dict[int, Any]] = {}
+        for kind, source in sources.items():
+            shown = self._shown[kind]
+            new = [k for k, made_from in source.items() if not _same(shown.get(k), made_from)]
+            # None tells the page that a part is gone.
+            gone = [k for k in shown if k not in source]
+            parts[kind] = {**self._entries(kind, new, estimates), **dict.fromkeys(gone)}
+            self._shown[kind] = source
+        return {"type": "update", "parts": parts, **self.status()}
+
+    def _entries(self, kind: str, numbers: list[int], estimates: Any) -> dict[int, Any]:
+        """Return the entries of parts of one kind."""
+        session, document = self._session, self._session.document
+        if kind == "points":
+            return {k: point_entry(document.points[k], estimates[k]) for k in numbers}
+        if kind == "edges":
+            edges = {k: document.edges[k] for k in numbers}
+            return edge_entries(edges, estimates, session.geometry)
+        if kind == "faces":
+            return {
+                k: face_entry(
+                    document.faces[k], face_problem(document.faces[k].loop, estimates), estimates
+                )
+                for k in numbers
+            }
+        if kind == "constraints":
+            return {k: self._constraint_entry(k) for k in numbers}
+        return {k: self._grasp_entry(k, document.grasps[k]) for k in numbers}
+
+    def _constraint_entry(self, number: int) -> Message:
+        """Return a constraint in words."""
+        one, verdict = self._session.document.constraints[number], self._session.verdicts()[number]
+        # What contradicts the pictures is shown in red with its cost.
+        doubted = verdict.contradicts or verdict.violated
+        return {
+            **({"problem": str(verdict)} if doubted else {}),
+            "words": FACT_KINDS[one.kind].words,
+            "kind": one.kind,
+            "items": [list(group) for group in one.items],
+            "value_mm": None if one.value is None else round(1e3 * one.value, 3),
+            "sigma": one.sigma,
+        }
+
+    def _grasp_entry(self, number: int, grasp: PlacedGrasp) -> Message:
+        """Return a grasp, or why there is none."""
+        session = self._session
+        problem = problems_of(session.document, session.estimates()).get(("grasps", number))
+        if problem:
+            return {"face": grasp.face, "name": grasp.name, "problem": problem}
+        model, index = session.model(), self._face_index(grasp.face)
+        return grasp_entry(placed_grasp(model, index, grasp), grasp.face, session)
+
+    def _face_index(self, face: int) -> int:
+        """Return the number in the model of a face with an id."""
+        session = self._session
+        # The model has only faces that are whole, in the document's order.
+        wrong = problems_of(session.document, session.estimates())
+        return [k for k in session.document.faces if ("faces", k) not in wrong].index(face)
+
+    def status(self) -> Message:
+        """Return what the status bar shows."""
+        session = self._session
+        return {
+            "can_undo": session.can_undo,
+            "can_redo": session.can_redo,
+            "saved": session.is_saved,
+            "kept": session.path is not None,
+            "name": session.document.name,
+        }
+
+    def hover(self, view: str, pixel: Any) -> Message:
+        """Return the curves of a pixel in the other views, with the depth of every sample."""
+        # The mouse may be beside the picture, which is an error with words, not a curve.
+        place = self._session.checked_pixel(view, pixel)
+        found = self._session.curves(view, place)
+        curves = {
+            name: [
+                {
+                    "pixels": curve.pixels[curve.piece == k].round(1).ravel().tolist(),
+                    # A depth may be infinite, which JSON has no number for.
+                    "mm": np.nan_to_num(1e3 * curve.depths[curve.piece == k], posinf=-1.0)
+                    .round(2)
+                    .tolist(),
+                }
+                for k in np.unique(curve.piece)
+            ]
+            for name, curve in found.items()
+        }
+        return {"type": "curves", "view": view, "pixel": list(place), "curves": curves}
+
+    def features(self, view: str) -> Message:
+        """Return the corners and segments of a view's picture, which clicks snap to."""
+        found = self._session.features(view)
+        return {
+            "type": "features",
+            "view": view,
+            "corners": found.corners.round(3).tolist(),
+            "segments": found.segments.round(2).reshape(-1, 4).tolist(),
+        }
+
+    def undo(self) -> Message:
+        """Take back the last change."""
+        self._session.undo()
+        return self.update()
+
+    def redo(self) -> Message:
+        """Make the change again that was taken back last."""
+        self._session.redo()
+        return self.update()
+
+    def save(self) -> Message:
+        """Write the model's file."""
+        path = self._session.save()
+        left_out = self._session.problems()
+        words = f"; {len(left_out)} parts are not whole yet and left out" if left_out else ""
+        return {**self.update(), "note": f"saved to {path}{words}"}
+
+    def propose(self) -> Message:
+        """Match all views by themselves, and offer the points and edges found."""
+        self._session.propose()
+        return self._offer()
+
+    def accept(self, points: list[int]) -> Message:
+        """Add proposed points to the model."""
+        self._session.accept(points)
+        # Both what was added and what remains to be decided.
+        return {**self.update(), **self._offer(), "type": "update"}
+
+    def reject(self, points: list[int]) -> Message:
+        """Take proposed points from the offer."""
+        self._session.reject(points)
+        return self._offer()
+
+    def _offer(self) -> Message:
+        """Return the points that are not decided yet, the best supported first."""
+        offer, names = self._session.proposals, self._session.names
+        points = [
+            {
+                "number": number,
+                "in": [point.clicks.get(name) for name in names],
+                "views": len(point.clicks),
+                "rms": round(point.rms, 2),
+            }
+            for number, point in offer.points.items()
+        ]
+        edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
+        return {"type": "proposals", "offer": {"points": points, "edges": edges}}
+
+    def distance(self, a: int, b: int) -> Message:
+        """Return the distance of two points with its standard deviation."""
+        length, sigma = self._session.distance(a, b)
+        return {"type": "distance", "a": a, "b": b, "mm": 1e3 * length, "sigma_mm": 1e3 * sigma}
+
+    def grasp_at(self, view: str, pixel: Any, depth: float = 0.01) -> Message:
+        """Place a grasp where a pixel's ray meets the nearest face that is turned to the view."""
+        face, point = self._face_under(view, pixel)
+        plane = self._plane(face)
+        # Kept relative to the face, so that the grasp follows when clicks move the face.
+        offset = plane.coordinates(point[None])[0].tolist()
+        number = self._session.add_grasp(face, offset=offset, depth=depth)
+        return {**self.update(), "new": number}
+
+    def turn_grasp(self, grasp: int, view: str, pixel: Any, commit: bool = False) -> Message:
+        """Turn a grasp so that its fingers open towards a pixel; kept only on `commit`."""
+        session = self._session
+        placed = session.document.existing("grasps", grasp)
+        plane = self._plane(placed.face)
+        origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
+        # Where the pixel's ray meets the face's plane; the fingers open towards that place.
+        x, y = plane.coordinates((origin + _meets(plane, origin, direction) * direction)[None])[0]
+        angle = float(np.arctan2(y - placed.offset[1], x - placed.offset[0]))
+        if commit:
+            session.change_grasp(grasp, angle=angle)
+            return self.update()
+        # While the mouse moves nothing is kept: the journal gets one turn, not hundreds.
+        turned = PlacedGrasp(**{**vars(placed), "angle": angle})
+        made = placed_grasp(session.model(), self._face_index(placed.face), turned)
+        entry = grasp_entry(made, placed.face, session)
+        return {"type": "preview", "grasp": grasp, "entry": entry}
+
+    def _plane(self, face: int) -> FacePlane:
+        """Return the plane of a face with an id."""
+        session = self._session
+        loop, estimates = session.document.existing("faces", face).loop, session.estimates()
+        vertices = np.array([estimates[p].position for p in loop])
+        return face_plane(vertices, Face(tuple(range(len(loop)))))
+
+    def _face_under(self, view: str, pixel: Any) -> tuple[int, np.ndarray]:
+        """Return the nearest face under a pixel that is turned to the view, and the point on it."""
+        session = self._session
+        origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
+        estimates, hits = session.estimates(), []
+        for number, face in session.document.faces.items():
+            if face_problem(face.loop, estimates):
+                continue
+            plane = self._plane(number)
+            # A hit counts if it is in front of the camera, inside the loop, and on the face's
+            # outside.
+            depth = _meets(plane, origin, direction)
+            point = origin + depth * direction
+            loop = plane.coordinates(np.array([estimates[p].position for p in face.loop]))
+            inside = points_in_loops(plane.coordinates(point[None]), [loop])[0]
+            if plane.normal @ direction < 0.0 and depth > 0.0 and inside:
+                hits.append((depth, number, point))
+        if not hits:
+            raise ValueError("there is no face here that is turned to this view; draw one first")
+        # Other faces are hidden behind the nearest one.
+        _, number, point = min(hits, key=lambda hit: hit[0])
+        return number, point
+
+
+def _meets(plane: FacePlane, origin: np.ndarray, direction: np.ndarray) -> float:
+    """Return how far along a ray it meets a plane, m; infinite where it never does."""
+    # normal . (origin + s direction - p) = 0 for a point p of the plane.
+    slope = float(plane.normal @ direction)
+    return float(plane.normal @ (plane.origin - origin)) / slope if slope else float("inf")
+
+
+def _same(one: tuple | None, other: tuple) -> bool:
+    """Return whether two tuples have the same objects, not only equal ones."""
+    return one is not None and len(one) == len(other) and all(map(_is, one, other))
+
+
+def _is(a: object, b: object) -> bool:
+    return a is b
+
+
+_COMMANDS: dict[str, Callable[..., Message]] = {
+    "hello": Conversation.greeting,
+    "hover": Conversation.hover,
+    "features": Conversation.features,
+    "undo": Conversation.undo,
+    "redo": Conversation.redo,
+    "save": Conversation.save,
+    "distance": Conversation.distance,
+    "propose": Conversation.propose,
+    "accept": Conversation.accept,
+    "reject": Conversation.reject,
+    "grasp_at": Conversation.grasp_at,
+    "turn_grasp": Conversation.turn_grasp,
+}
+"""What a page can ask for, besides the changes of a document."""
+
+SLOW_COMMANDS = ("features", "propose")
+"""Commands that change nothing of the document and may take seconds."""

@@ -1,0 +1,302 @@
+"""Hold what a person has made in the editor, and apply one change after another to it.
+
+A document is immutable: a change returns a new one, so that undo is a step back to the old one.
+Every change is a mapping of plain values, as the journal and the page send it; `apply_change` is
+the only way to make one. Points are known by ids that never come twice.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+Clicks = Mapping[str, tuple[float, float]]
+"""The pixel of a point by the name of the view."""
+
+KINDS = ("points", "edges", "faces", "grasps", "constraints")
+"""The parts of a document that have ids, by which they are deleted."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawnFace:
+    """A face that was drawn by clicking its points.
+
+    Attributes:
+        loop: ids of its points, counter-clockwise as seen from outside.
+        name: for people.
+        graspable: whether a finger may touch it; None if nobody has said so.
+    """
+
+    loop: tuple[int, ...]
+    name: str = ""
+    graspable: bool | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class PlacedGrasp:
+    """A grasp on a face, placed relative to the face so that it moves with it.
+
+    Attributes:
+        face: id of the face.
+        offset: of its position from the mean of the face's corners, along the face's x and y, m.
+        angle: of the opening direction from the face's x, rad.
+        opening: distance between the open fingers, m; None for 1.2 times the object's width.
+        depth: of the fingertips below the face, m.
+        name: for people.
+    """
+
+    face: int
+    offset: tuple[float, float] = (0.0, 0.0)
+    angle: float = math.pi / 2
+    opening: float | None = None
+    depth: float = 0.01
+    name: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawnConstraint:
+    """A fact that a person knows about the object.
+
+    Attributes:
+        kind: name of the constraint.
+        items: ids of the points that it binds, in groups.
+        value: known length, m; None where there is none.
+        sigma: standard deviation of the fact; None if it is exact.
+    """
+
+    kind: str
+    items: tuple[tuple[int, ...], ...]
+    value: float | None = None
+    sigma: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Document:
+    """Everything that a person has made: clicks, edges, faces, grasps and constraints, by id.
+
+    Attributes:
+        points: for every point its clicks.
+        edges: pairs of points.
+        faces, grasps, constraints: what their classes say.
+        next_id: the id of what is added next.
+        name: of the object.
+        symmetry_confirmed: whether the symmetry that was found is meant; None if not said.
+    """
+
+    points: Mapping[int, Clicks] = dataclasses.field(default_factory=dict)
+    edges: Mapping[int, tuple[int, int]] = dataclasses.field(default_factory=dict)
+    faces: Mapping[int, DrawnFace] = dataclasses.field(default_factory=dict)
+    grasps: Mapping[int, PlacedGrasp] = dataclasses.field(default_factory=dict)
+    constraints: Mapping[int, DrawnConstraint] = dataclasses.field(default_factory=dict)
+    next_id: int = 0
+    name: str = ""
+    symmetry_confirmed: bool | None = None
+
+    def existing(self, kind: str, number: int) -> Any:
+        """Return a part by its id, or raise a ValueError that names it."""
+        parts = getattr(self, kind)
+        if number not in parts:
+            raise ValueError(f"there is no {kind.removesuffix('s')} {number}")
+        return parts[number]
+
+    def _added(self, kind: str, part: Any) -> "Document":
+        # Copied, never changed in place: earlier documents are what undo goes back to.
+        parts = {**getattr(self, kind), self.next_id: part}
+        return dataclasses.replace(self, **{kind: parts}, next_id=self.next_id + 1)
+
+    def _changed(self, kind: str, number: int, part: Any) -> "Document":
+        self.existing(kind, number)
+        return dataclasses.replace(self, **{kind: {**getattr(self, kind), number: part}})
+
+
+def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
+    """Return the document after a change.
+
+    Args:
+        document: before the change.
+        change: `{"do": name, ...}` with the arguments of the change of that name.
+
+    Raises:
+        ValueError: an unknown change, a missing or unknown argument, or a part that does not exist.
+    """
+    # The journal has changes as plain mappings; here they become calls with named arguments.
+    content = dict(change)
+    name = content.pop("do", None)
+    function = CHANGES.get(str(name))
+    if function is None:
+        raise ValueError(f"expected one of the changes {', '.join(CHANGES)}; found {name!r}")
+    try:
+        return function(document, **content)
+    # A missing or misspelt argument; Python's message names it after the function's name.
+    except TypeError as error:
+        raise ValueError(f"{name}: {str(error).split('() ')[-1]}") from None
+
+
+def _pixel(pixel: Any) -> tuple[float, float]:
+    """Return a pixel as two floats."""
+    u, v = map(float, pixel)
+    # JSON has no NaN, but scripts do.
+    if not (math.isfinite(u) and math.isfinite(v)):
+        raise ValueError(f"a pixel is two finite numbers; found {u}, {v}")
+    return u, v
+
+
+def _add_point(document: Document, clicks: Mapping[str, Any]) -> Document:
+    """Add a point that was clicked in one view or in several."""
+    return document._added("points", {view: _pixel(pixel) for view, pixel in clicks.items()})
+
+
+def _click(document: Document, point: int, view: str, pixel: Any) -> Document:
+    """Add the click of a point in a further view, or move the one that it has there."""
+    clicks = document.existing("points", point)
+    return document._changed("points", point, {**clicks, view: _pixel(pixel)})
+
+
+def _remove_click(document: Document, point: int, view: str) -> Document:
+    """Remove the click of a point in one view; a point without clicks is deleted."""
+    clicks = document.existing("points", point)
+    if view not in clicks:
+        raise ValueError(f"point {point} was not clicked in view {view!r}")
+    # A point that is clicked nowhere could not be found again on the page.
+    left = {name: pixel for name, pixel in clicks.items() if name != view}
+    return document._changed("points", point, left) if left else _delete(document, "points", point)
+
+
+def _delete(document: Document, kind: str, id: int) -> Document:
+    """Delete a part, and with it every other part that needs it."""
+    if kind not in KINDS:
+        raise ValueError(f"expected one of {', '.join(KINDS)}; found {kind!r}")
+    document.existing(kind, id)
+    kept = {name: dict(getattr(document, name)) for name in KINDS}
+    del kept[kind][id]
+    # Edges, faces and constraints need their points, grasps their face.
+    points, constraints = kept["points"], kept["constraints"]
+    kept["edges"] = {k: ends for k, ends in kept["edges"].items() if all(p in points for p in ends)}
+    kept["faces"] = {
+        k: face for k, face in kept["faces"].items() if all(p in points for p in face.loop)
+    }
+    kept["grasps"] = {k: one for k, one in kept["grasps"].items() if one.face in kept["faces"]}
+    kept["constraints"] = {
+        k: one
+        for k, one in constraints.items()
+        if all(p in points for group in one.items for p in group)
+    }
+    return dataclasses.replace(document, **kept)
+
+
+def _add_edge(document: Document, ends: Any) -> Document:
+    """Add an edge between two points."""
+    a, b = (int(end) for end in ends)
+    for point in (a, b):
+        document.existing("points", point)
+    if a == b:
+        raise ValueError(f"an edge joins two points; found point {a} twice")
+    # In either direction: edges have none.
+    if {a, b} in [set(edge) for edge in document.edges.values()]:
+        raise ValueError(f"there is an edge between points {a} and {b} already")
+    return document._added("edges", (a, b))
+
+
+def _add_face(
+    document: Document, loop: Any, name: str = "", graspable: bool | None = None
+) -> Document:
+    """Add a face around three or more points, and the edges around it that are missing."""
+    points = tuple(int(point) for point in loop)
+    for point in points:
+        document.existing("points", point)
+    if len(set(points)) != len(points) or len(points) < 3:
+        raise ValueError(f"a face goes around 3 or more different points; found {list(points)}")
+    # The face comes first, so that its id is the one that was next before the change.
+    document = document._added("faces", DrawnFace(points, name, graspable))
+    drawn = {frozenset(edge) for edge in document.edges.values()}
+    for a, b in zip(points, points[1:] + points[:1], strict=True):
+        if frozenset((a, b)) not in drawn:
+            document = document._added("edges", (a, b))
+    return document
+
+
+def _change_face(document: Document, id: int, **values: Any) -> Document:
+    """Change the name of a face, whether it is graspable, or its loop."""
+    # JSON has lists only; a face's loop is compared and hashed as a tuple.
+    if "loop" in values:
+        values["loop"] = tuple(values["loop"])
+    return document._changed(
+        "faces", id, dataclasses.replace(document.existing("faces", id), **values)
+    )
+
+
+def _add_grasp(document: Document, face: int, **values: Any) -> Document:
+    """Add a grasp on a face."""
+    document.existing("faces", face)
+    return document._added("grasps", _checked_grasp(PlacedGrasp(face), values))
+
+
+def _change_grasp(document: Document, id: int, **values: Any) -> Document:
+    """Move, turn, open or rename a grasp."""
+    return document._changed("grasps", id, _checked_grasp(document.existing("grasps", id), values))
+
+
+def _checked_grasp(grasp: PlacedGrasp, values: dict[str, Any]) -> PlacedGrasp:
+    """Return a grasp with changed values, which are finite."""
+    if "offset" in values:
+        values["offset"] = _pixel(values["offset"])
+    numbers = [values.get(name) for name in ("angle", "opening", "depth")]
+    if any(number is not None and not math.isfinite(number) for number in numbers):
+        raise ValueError("a grasp's angle, opening and depth are finite numbers")
+    return dataclasses.replace(grasp, **values)
+
+
+def _add_constraint(
+    document: Document,
+    kind: str,
+    items: Any,
+    value: float | None = None,
+    sigma: float | None = None,
+) -> Document:
+    """Add a fact that binds groups of points."""
+    # Several groups for edges, one for points; what fits is checked where it is used.
+    groups = tuple(tuple(int(point) for point in group) for group in items)
+    for group in groups:
+        for point in group:
+            document.existing("points", point)
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"a known length is above 0 m; found {value}")
+    return document._added("constraints", DrawnConstraint(kind, groups, value, sigma))
+
+
+def _rename(document: Document, name: str) -> Document:
+    """Give the object a name."""
+    if not isinstance(name, str) or len(name) > 200 or not name.isprintable():
+        raise ValueError("a name has up to 200 printable characters")
+    return dataclasses.replace(document, name=name)
+
+
+def _confirm_symmetry(document: Document, confirmed: bool | None) -> Document:
+    """Say whether the symmetry that was found is meant."""
+    return dataclasses.replace(document, symmetry_confirmed=confirmed)
+
+
+def _several(document: Document, changes: Any) -> Document:
+    """Make several changes that are undone together."""
+    # Each sees what the earlier ones made, so that an edge may join points added with it.
+    for change in changes:
+        document = apply_change(document, change)
+    return document
+
+
+CHANGES: dict[str, Callable[..., Document]] = {
+    "add_point": _add_point,
+    "click": _click,
+    "remove_click": _remove_click,
+    "delete": _delete,
+    "add_edge": _add_edge,
+    "add_face": _add_face,
+    "change_face": _change_face,
+    "add_grasp": _add_grasp,
+    "change_grasp": _change_grasp,
+    "add_constraint": _add_constraint,
+    "rename": _rename,
+    "confirm_symmetry": _confirm_symmetry,
+    "several": _several,
+}
+"""What can be done to a document, by name."""

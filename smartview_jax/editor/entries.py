@@ -1,0 +1,155 @@
+"""Describe points, edges, faces and grasps as the page draws them: plain numbers, few digits.
+
+Lengths are millimetres here, because that is what people read; positions stay metres.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..modeling import Face, Grasp, face_plane, width_between_fingers
+from .document import Clicks, DrawnFace
+from .session import ModelSession
+from .view_geometry import PointEstimate, ViewGeometry
+
+EDGE_SAMPLES = 7
+"""Points of an edge as drawn in a picture, because a lens bends a straight edge."""
+
+_PIXEL_DIGITS, _METRE_DIGITS, _MILLIMETRE_DIGITS = 2, 7, 3
+
+
+def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
+    """Return a point: its clicks, its position, and where it is predicted in every view."""
+    entry: dict[str, Any] = {"clicks": {view: list(pixel) for view, pixel in clicks.items()}}
+    if estimate.failure:
+        seen = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
+        return {**entry, "problem": seen}
+    # The half axes of the error ellipsoid are the eigenvectors times the roots of the eigenvalues.
+    values, vectors = np.linalg.eigh(estimate.covariance)
+    ellipses = [_ellipse(covariance) for covariance in estimate.ellipses]
+    return {
+        **entry,
+        "at": estimate.position.round(_METRE_DIGITS).tolist(),
+        "sigma_mm": (1e3 * np.sqrt(np.diag(estimate.covariance))).round(4).tolist(),
+        # Columns are the half axes of the ellipsoid of one standard deviation, m.
+        "ellipsoid": (vectors * np.sqrt(values.clip(0.0))).T.round(9).tolist(),
+        "in": [
+            [*pixel.round(_PIXEL_DIGITS).tolist(), *ellipse] if visible else None
+            for pixel, ellipse, visible in zip(
+                estimate.predicted, ellipses, estimate.visible, strict=True
+            )
+        ],
+        "residuals": {
+            view: [round(u, _PIXEL_DIGITS), round(v, _PIXEL_DIGITS)]
+            for view, (u, v) in estimate.residuals.items()
+        },
+    }
+
+
+def _ellipse(covariance: Float[np.ndarray, "2 2"]) -> list[float]:
+    """Return half axes, px, and the angle of the long one, rad, of one standard deviation."""
+    # A point behind a view has no pixel there; it is not drawn.
+    if not np.isfinite(covariance).all():
+        return [0.0, 0.0, 0.0]
+    # NumPy sorts eigenvalues ascending: the long half axis is the last.
+    values, vectors = np.linalg.eigh(covariance)
+    short, long = np.sqrt(values.clip(0.0)).tolist()
+    return [round(long, 3), round(short, 3), round(float(np.arctan2(*vectors[::-1, 1])), 4)]
+
+
+def edge_entries(
+    edges: Mapping[int, tuple[int, int]],
+    estimates: Mapping[int, PointEstimate],
+    geometry: ViewGeometry,
+) -> dict[int, dict[str, Any]]:
+    """Return edges with their lengths, and as polylines in every view, by id."""
+    found: dict[int, dict[str, Any]] = {}
+    whole = {}
+    for number, (a, b) in edges.items():
+        missing = [p for p in (a, b) if estimates[p].failure]
+        found[number] = {"ends": [a, b]}
+        if missing:
+            found[number]["problem"] = f"point {missing[0]} has no position"
+        else:
+            whole[number] = (a, b)
+            length, sigma = estimates[a].distance_to(estimates[b])
+            found[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
+    # All edges in one program, however many there are.
+    if whole:
+        ends = np.array([[estimates[p].position for p in pair] for pair in whole.values()])
+        t = np.linspace(0.0, 1.0, EDGE_SAMPLES)[None, :, None]
+        samples = (1.0 - t) * ends[:, :1] + t * ends[:, 1:]
+        for number, polylines in zip(whole, _polylines(geometry, samples), strict=True):
+            found[number]["in"] = polylines
+    return found
+
+
+def _polylines(geometry: ViewGeometry, samples: Float[np.ndarray, "lines n 3"]) -> list[list[Any]]:
+    """Return lines in space as polylines in every view, None where they are not seen whole."""
+    lines, count, _ = samples.shape
+    # A line that is partly behind a camera would be drawn across the whole picture.
+    pixels, valid = geometry.pixels_of(samples.reshape(-1, 3))
+    views = len(pixels)
+    pixels = pixels.reshape(views, lines, count, 2).round(_PIXEL_DIGITS)
+    seen = np.asarray(valid.reshape(views, lines, count).all(axis=2))
+    return [
+        [pixels[v, k].ravel().tolist() if seen[v, k] else None for v in range(views)]
+        for k in range(lines)
+    ]
+
+
+def face_entry(
+    face: DrawnFace, problem: str, estimates: Mapping[int, PointEstimate]
+) -> dict[str, Any]:
+    """Return a face with its normal, or with why it is none."""
+    entry: dict[str, Any] = {
+        "loop": list(face.loop),
+        "name": face.name,
+        "graspable": face.graspable,
+    }
+    if problem:
+        return {**entry, "problem": problem}
+    vertices = np.array([estimates[p].position for p in face.loop])
+    plane = face_plane(vertices, Face(tuple(range(len(face.loop)))))
+    return {
+        **entry,
+        "centre": plane.origin.round(_METRE_DIGITS).tolist(),
+        "normal": plane.normal.round(6).tolist(),
+        "area_mm2": round(1e6 * plane.area, 1),
+    }
+
+
+def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any]:
+    """Return a grasp with the gripper's lines in space and in every view.
+
+    Args:
+        grasp: as placed on the model.
+        face: id of its face.
+        session: of the model.
+    """
+    # A gripper as in the paper's Fig. 3: two fingers, the bar between them, and the approach.
+    # The fingers reach `depth` below the face; the bar between them stands clear of it.
+    half, back = 0.5 * grasp.opening, grasp.depth + 0.6 * grasp.opening
+    tool = np.array(
+        [
+            [[-half, 0, 0], [-half, 0, -back]],
+            [[half, 0, 0], [half, 0, -back]],
+            [[-half, 0, -back], [half, 0, -back]],
+            [[0, 0, -1.5 * back], [0, 0, -grasp.depth]],
+        ]
+    )
+    R, t = grasp.object_from_tool[:3, :3], grasp.object_from_tool[:3, 3]
+    lines = tool @ R.T + t
+    width = width_between_fingers(session.model(), grasp.object_from_tool)
+    return {
+        "face": face,
+        "name": grasp.name,
+        "opening_mm": round(1e3 * grasp.opening, 2),
+        "depth_mm": round(1e3 * grasp.depth, 2),
+        "tolerance_mm": round(1e3 * grasp.tolerance, 2),
+        "width_mm": None if width is None else round(1e3 * width, 2),
+        "lines": lines.round(_METRE_DIGITS).tolist(),
+        "in": _polylines(session.geometry, lines),
+    }

@@ -1,0 +1,122 @@
+"""Keep every change on disk before it is answered, so that no killed process loses one.
+
+The journal is a text file with one JSON mapping per line: a header that names the views, and then
+the changes in their order, undo and redo among them. A line counts once its end is on the disk. A
+process that is killed while it writes leaves a torn last line, which is cut off when the journal is
+opened again.
+"""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+FORMAT_VERSION = 1
+"""Version of the format."""
+
+
+class Journal:
+    """An append-only file of changes.
+
+    Attributes:
+        path: of the file.
+        entries: the changes that it has had when it was opened.
+        cut_off: number of bytes of a torn last line that were cut off.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any]):
+        """Open a journal, or begin one.
+
+        Args:
+            path: of the file.
+            header: what the changes refer to; that of an existing journal must be the same.
+
+        Raises:
+            ValueError: it belongs to something else, or a line before the last is broken.
+        """
+        self.path = path
+        self.entries: list[dict[str, Any]] = []
+        self.cut_off = 0
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lines = self._whole_lines()
+        # Compared after a round through JSON, in which tuples become lists.
+        first = {"smartview_journal": FORMAT_VERSION, **header}
+        # A journal of other views would put clicks on pictures that they are not of.
+        if lines:
+            self._check_header(lines[0], json.loads(json.dumps(first)))
+            self.entries = lines[1:]
+        self._file = open(path, "ab")  # noqa: SIM115 (it stays open until `close`)
+        if not lines:
+            self.append(first)
+            _sync_folder(path.parent)
+
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Write an entry, and return when it is on the disk."""
+        self._file.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
+        # Python's buffer, then the system's: after `fsync` a power cut loses nothing either.
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file; nothing is left to be written."""
+        self._file.close()
+
+    def _whole_lines(self) -> list[dict[str, Any]]:
+        """Return the entries of all whole lines, after cutting off a torn last one."""
+        if not self.path.is_file():
+            return []
+        data = self.path.read_bytes()
+        # A line counts once its line feed is there; what follows the last one is torn.
+        *whole, rest = data.split(b"\n")
+        entries = []
+        for number, line in enumerate(whole, start=1):
+            entry = _parsed(line)
+            if entry is None and number == len(whole) and not rest:
+                # A disk may write a file's end before its middle: this line has its end only.
+                rest = line + b"\n"
+                break
+            if entry is None:
+                raise ValueError(f"{self.path}: line {number} is not a change: {line[:60]!r}")
+            entries.append(entry)
+        if rest:
+            self.cut_off = len(rest)
+            with open(self.path, "r+b") as file:
+                file.truncate(len(data) - len(rest))
+                os.fsync(file.fileno())
+        return entries
+
+    def _check_header(self, found: dict[str, Any], expected: dict[str, Any]) -> None:
+        """Raise an error if a journal belongs to other views."""
+        if "smartview_journal" not in found:
+            raise ValueError(f"{self.path}: line 1: not a journal of the object-model editor")
+        for key, value in expected.items():
+            if found.get(key) != value:
+                raise ValueError(
+                    f"{self.path}: the journal's {key} are {found.get(key)!r}, those of this "
+                    f"session {value!r}: choose another file, or the data set of that journal"
+                )
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    """Return the mapping that a line has, or None."""
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return entry if isinstance(entry, dict) else None
+
+
+def _sync_folder(folder: Path) -> None:
+    """Wait until a new file's name is on the disk, where the system can be asked to."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        # Some file systems do not sync folders; the file itself is synced.
+        pass
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,114 @@
+"""Turn what a person says of chosen points and edges into constraints of the refinement."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from ..modeling import (
+    AbstractConstraint,
+    EqualLength,
+    KnownLength,
+    OnPlane,
+    Parallel,
+    RightAngle,
+    SamePlane,
+    Symmetric,
+)
+from .document import DrawnConstraint
+
+Groups = Sequence[tuple[int, ...]]
+"""Groups of points' numbers: pairs for edges, one group for points."""
+
+
+class FactKind(NamedTuple):
+    """A kind of fact that a person can state.
+
+    Attributes:
+        words: how the page calls it.
+        takes: what is chosen for it: "points" or "edges".
+        least: smallest number of them.
+        most: largest number of them.
+        build: makes the constraint of groups of vertex numbers, a length (m) and a sigma.
+    """
+
+    words: str
+    takes: str
+    least: int
+    most: int
+    build: Callable[[Groups, float | None, float | None], AbstractConstraint]
+
+
+def _pair(group: tuple[int, ...]) -> tuple[int, int]:
+    """Return the two ends of an edge."""
+    a, b = group
+    return a, b
+
+
+def _length(groups: Groups, value: float | None, sigma: float | None) -> AbstractConstraint:
+    """Return the constraint of a known length."""
+    if value is None:
+        raise ValueError("a known length needs its length")
+    return KnownLength(_pair(groups[0]), value, sigma=sigma)
+
+
+FACT_KINDS: Mapping[str, FactKind] = {
+    "same_plane": FactKind(
+        "in one plane", "points", 4, 1000, lambda g, _, s: SamePlane(tuple(g[0]), sigma=s)
+    ),
+    "on_table": FactKind(
+        "on the table, z = 0", "points", 1, 1000, lambda g, _, s: OnPlane(tuple(g[0]), sigma=s)
+    ),
+    "symmetric": FactKind(
+        "mirrored in pairs",
+        "points",
+        2,
+        1000,
+        # Points were chosen pair by pair: the first and its mirror image, then the next two.
+        lambda g, _, s: Symmetric(tuple(zip(g[0][::2], g[0][1::2], strict=True)), sigma=s),
+    ),
+    "parallel": FactKind(
+        "parallel", "edges", 2, 2, lambda g, _, s: Parallel(_pair(g[0]), _pair(g[1]), sigma=s)
+    ),
+    "right_angle": FactKind(
+        "at right angles",
+        "edges",
+        2,
+        2,
+        lambda g, _, s: RightAngle(_pair(g[0]), _pair(g[1]), sigma=s),
+    ),
+    "equal_length": FactKind(
+        "equally long",
+        "edges",
+        2,
+        2,
+        lambda g, _, s: EqualLength(_pair(g[0]), _pair(g[1]), sigma=s),
+    ),
+    "known_length": FactKind("length", "edges", 1, 1, _length),
+}
+"""Facts by name; an edge is a pair of points."""
+
+
+def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractConstraint:
+    """Return the constraint of a fact.
+
+    Args:
+        fact: as it was stated.
+        number: of the vertex by the id of the point.
+
+    Raises:
+        ValueError: an unknown kind, or another number of points or edges than it takes.
+    """
+    kind = FACT_KINDS.get(fact.kind)
+    if kind is None:
+        raise ValueError(f"expected one of the facts {', '.join(FACT_KINDS)}; found {fact.kind!r}")
+    # The document knows points by ids that never come twice, the refinement by their place.
+    groups = [tuple(number[point] for point in group) for group in fact.items]
+    # Points come as one group, edges as pairs.
+    if kind.takes == "points":
+        count = len(groups[0]) if len(groups) == 1 else 0
+    else:
+        count = len(groups) if all(len(group) == 2 for group in groups) else 0
+    if not kind.least <= count <= kind.most:
+        raise ValueError(
+            f"{kind.words}: expected {kind.least} or more {kind.takes}, found {fact.items}"
+        )
+    return kind.build(groups, fact.value, fact.sigma)

@@ -1,0 +1,79 @@
+// What the page knows of the session: entries by kind and id, as the server's answers bring them.
+
+export class Model {
+  constructor() {
+    this.points = new Map(); this.edges = new Map(); this.faces = new Map();
+    this.grasps = new Map(); this.constraints = new Map();
+    this.views = []; this.size = [1, 1]; this.status = {};
+    this.corners = new Map(); this.segments = new Map();
+  }
+  greet(message) {
+    for (const kind of KINDS) this[kind].clear();
+    Object.assign(this, { views: message.views, size: message.size, focal: message.focal_px, facts: message.facts, file: message.file });
+    this.update(message);
+  }
+  update(message) {
+    for (const kind of KINDS) {
+      for (const [id, entry] of Object.entries(message.parts?.[kind] ?? {})) {
+        if (entry === null) this[kind].delete(+id); else this[kind].set(+id, entry);
+      }
+    }
+    for (const key of ["can_undo", "can_redo", "saved", "kept", "name"]) {
+      if (key in message) this.status[key] = message[key];
+    }
+  }
+  viewIndex(name) { return this.views.findIndex((view) => view.name === name); }
+  // Where a point is drawn in a view: where it was clicked, else where it is predicted.
+  pixel(id, view) {
+    const entry = this.points.get(id);
+    if (!entry) return null;
+    const clicked = entry.clicks[this.views[view].name];
+    if (clicked) return clicked;
+    const seen = entry.in?.[view];
+    return seen ? [seen[0], seen[1]] : null;
+  }
+  // The point whose mark is nearest to a pixel, within a radius in px of the picture.
+  pointAt(view, pixel, radius) {
+    let best = null, least = radius;
+    for (const id of this.points.keys()) {
+      const p = this.pixel(id, view);
+      if (!p) continue;
+      const distance = Math.hypot(p[0] - pixel[0], p[1] - pixel[1]);
+      if (distance <= least) { least = distance; best = id; }
+    }
+    return best;
+  }
+  // The candidate that a click snaps to.
+  cornerAt(view, pixel, radius) {
+    let best = null, least = radius;
+    for (const corner of this.corners.get(this.views[view].name) ?? []) {
+      const distance = Math.hypot(corner[0] - pixel[0], corner[1] - pixel[1]);
+      if (distance <= least) { least = distance; best = corner; }
+    }
+    return best;
+  }
+}
+
+const KINDS = ["points", "edges", "faces", "grasps", "constraints"];
+
+// The nearest place on a curve to a pixel: {pixel, mm, distance}, or null for an empty curve.
+export function nearestOnCurve(pieces, pixel) {
+  let best = null;
+  for (const { pixels, mm } of pieces) {
+    for (let k = 0; k + 3 < pixels.length; k += 2) {
+      const [ax, ay, bx, by] = [pixels[k], pixels[k + 1], pixels[k + 2], pixels[k + 3]];
+      const [dx, dy] = [bx - ax, by - ay];
+      const length = Math.max(dx * dx + dy * dy, 1e-12);
+      const t = Math.min(1, Math.max(0, ((pixel[0] - ax) * dx + (pixel[1] - ay) * dy) / length));
+      const x = ax + t * dx, y = ay + t * dy;
+      const distance = Math.hypot(pixel[0] - x, pixel[1] - y);
+      if (!best || distance < best.distance) {
+        // Depth is linear along a segment in its inverse; -1 stands for an infinite depth.
+        const [i, j] = [mm[k / 2] < 0 ? 0 : 1 / mm[k / 2], mm[k / 2 + 1] < 0 ? 0 : 1 / mm[k / 2 + 1]];
+        const inverse = (1 - t) * i + t * j;
+        best = { pixel: [x, y], distance, mm: inverse > 0 ? 1 / inverse : Infinity };
+      }
+    }
+  }
+  return best;
+}

@@ -1,0 +1,217 @@
+"""Serve the editor's page on this machine: `smartview model`, and the tests' browser.
+
+The server listens on 127.0.0.1 only. The address that it prints has a token, without which neither
+pictures nor the model are given; requests that come from another page, or under another name than
+this machine's, are refused.
+"""
+
+import asyncio
+import secrets
+import threading
+from collections.abc import Callable
+from http.cookies import SimpleCookie
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from .conversation import SLOW_COMMANDS, Conversation
+from .session import ModelSession
+
+HOST = "127.0.0.1"
+"""The only address that the server listens on."""
+
+JPEG_QUALITY = 93
+"""Of the pictures sent to the page; clicks snap to features of the pictures themselves."""
+
+_COOKIE = "smartview_editor"
+"""Name of the cookie that has the token, for the requests that the page makes by itself."""
+
+PAGE = Path(__file__).parent / "page"
+"""Folder of the page's files."""
+
+
+def editor_app(session: ModelSession, token: str, port: int) -> Any:
+    """Return the ASGI application that shows a session.
+
+    Args:
+        session: to be edited.
+        token: that the first request must have.
+        port: that the server listens on; part of the origin that is accepted.
+
+    Raises:
+        ImportError: starlette is not installed.
+    """
+    import_extra("starlette")
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.staticfiles import StaticFiles
+
+    # A browser calls this machine by either name.
+    editor = _Editor(session, token, {f"http://{name}:{port}" for name in (HOST, "localhost")})
+    return Starlette(
+        routes=[
+            Route("/", editor.page),
+            Route("/picture/{view}", editor.picture),
+            WebSocketRoute("/socket", editor.socket),
+            Mount("/", StaticFiles(directory=PAGE)),
+        ],
+        # Another name that is made to lead here would be another page's way in (DNS rebinding).
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
+    )
+
+
+class _Editor:
+    """The session that all requests of one server share, and who may ask for it."""
+
+    def __init__(self, session: ModelSession, token: str, origins: set[str]):
+        self._session, self._token, self._origins = session, token, origins
+        self._pages: dict[Any, Conversation] = {}
+        # Answers are computed in a thread, so that pictures load meanwhile; one after another,
+        # because they change the session.
+        self._turn = asyncio.Lock()
+        self._pictures: dict[str, bytes] = {}
+
+    async def page(self, request: Any) -> Any:
+        """Give the page to whoever has the token, and let it keep that as a cookie."""
+        from starlette.responses import FileResponse, PlainTextResponse
+
+        if not self._has_token(request.query_params.get("token", "")):
+            return PlainTextResponse(
+                "This address is not complete: open the one that smartview printed.", 403
+            )
+        response = FileResponse(PAGE / "index.html")
+        # Pictures and the socket are asked for without the address's token.
+        response.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
+        return response
+
+    async def picture(self, request: Any) -> Any:
+        """Give the picture of a view."""
+        from starlette.responses import PlainTextResponse, Response
+
+        view = request.path_params["view"]
+        # The pictures are the user's; the page's own files are public.
+        if not self._has_token(request.cookies.get(_COOKIE, "")):
+            return PlainTextResponse("no token", 403)
+        if view not in self._session.pictures:
+            return PlainTextResponse(f"there is no view {view!r}", 404)
+        if view not in self._pictures:
+            # Encoding 12 megapixels takes a tenth of a second; the page may be opened again.
+            self._pictures[view] = await asyncio.to_thread(
+                encoded_picture, self._session.pictures[view]
+            )
+        return Response(self._pictures[view], media_type="image/jpeg")
+
+    async def socket(self, socket: Any) -> None:
+        """Answer the messages of one page, and tell it what other pages have changed."""
+        from starlette.websockets import WebSocketDisconnect
+
+        cookie = SimpleCookie(socket.headers.get("cookie", ""))
+        token = cookie[_COOKIE].value if _COOKIE in cookie else ""
+        # A browser lets any page open a socket here; it always says which page it was.
+        if socket.headers.get("origin") not in self._origins or not self._has_token(token):
+            await socket.close(1008)
+            return
+        await socket.accept()
+        conversation = self._pages[socket] = Conversation(self._session)
+        slow: set[asyncio.Task[None]] = set()
+        try:
+            while True:
+                message = await socket.receive_json()
+                if isinstance(message, dict) and message.get("do") in SLOW_COMMANDS:
+                    # Features of large pictures take seconds, in which clicks are answered.
+                    task = asyncio.create_task(self._answer_later(socket, conversation, message))
+                    slow.add(task)
+                    task.add_done_callback(slow.discard)
+                    continue
+                document = self._session.document
+                async with self._turn:
+                    answer = await asyncio.to_thread(conversation.answer, message)
+                await socket.send_json(answer)
+                if self._session.document is not document:
+                    await self._tell_others(socket)
+        except (WebSocketDisconnect, ValueError, TypeError):
+            # A message that is no mapping in JSON is not from the page: its socket ends here.
+            pass
+        finally:
+            for task in slow:
+                task.cancel()
+            del self._pages[socket]
+
+    async def _answer_later(self, socket: Any, conversation: Conversation, message: Any) -> None:
+        """Answer a message that changes nothing and may take long."""
+        answer = await asyncio.to_thread(conversation.answer, message)
+        if socket in self._pages:
+            await socket.send_json(answer)
+
+    async def _tell_others(self, changer: Any) -> None:
+        """Send what has changed to all pages but the one that changed it."""
+        for socket, conversation in list(self._pages.items()):
+            if socket is not changer:
+                async with self._turn:
+                    update = await asyncio.to_thread(conversation.update)
+                await socket.send_json(update)
+
+    def _has_token(self, given: str) -> bool:
+        """Return whether a token is the right one, in a time that does not tell how nearly."""
+        return secrets.compare_digest(given.encode(), self._token.encode())
+
+
+def encoded_picture(picture: np.ndarray) -> bytes:
+    """Return a picture as JPEG, for the page."""
+    # JPEG: a lossless picture of 12 megapixels takes seconds to decode in the browser.
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes()
+
+
+def serve(
+    session: ModelSession,
+    port: int = 0,
+    announce: Callable[[str], None] = lambda address: None,
+) -> None:
+    """Serve a session until the process is interrupted.
+
+    Args:
+        session: to be edited.
+        port: to listen on; 0 takes a free one.
+        announce: called with the page's address, token included, when the server listens.
+
+    Raises:
+        ImportError: starlette or uvicorn is not installed.
+        OSError: the port is in use.
+    """
+    uvicorn = import_extra("uvicorn")
+    import socket as sockets
+
+    listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
+    # So that an editor can be started again on the same port at once.
+    listener.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+    with listener:
+        try:
+            listener.bind((HOST, port))
+        except OSError as error:
+            raise OSError(f"port {port} of {HOST}: {error.strerror}") from error
+        listener.listen()
+        taken, token = listener.getsockname()[1], secrets.token_urlsafe(24)
+        app = editor_app(session, token, taken)
+        # The session is opened and closed by the caller, so the server needs no lifespan events.
+        config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
+        # Whoever opens the page looks at the pictures first; meanwhile the first click is prepared.
+        threading.Thread(target=session.prepare, daemon=True).start()
+        announce(f"http://{HOST}:{taken}/?token={token}")
+        uvicorn.Server(config).run([listener])
+
+
+def import_extra(name: str) -> Any:
+    """Return a module of the extra `editor`, or raise an error that says how to install it."""
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(
+            f"the editor's page needs {name}: pip install 'smartview-jax[editor]'"
+        ) from error

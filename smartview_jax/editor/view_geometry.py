@@ -1,0 +1,257 @@
+"""Answer the editor's geometric questions for a fixed set of views.
+
+Points are triangulated from clicks, predicted in every view with the ellipse of their error, and
+clicked pixels drawn as curves in the other views. What was computed once is not computed again.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..calibration import Calibration
+from ..evaluation import CalibrationEstimate
+from ..modeling import (
+    AbstractConstraint,
+    ConstraintVerdict,
+    EpipolarCurve,
+    ModelObservations,
+    RefinedFeatures,
+    SeenViews,
+    TriangulatedPoints,
+    epipolar_curves,
+    pixel_jacobians,
+    refine,
+    triangulate_points,
+)
+from .document import Clicks
+
+DEPTH_RANGE = (0.3, 3.0)
+"""Depths along a curve, over the distance from the view to the point that the views look at."""
+
+MAX_DEPTH_SCALE = 100.0
+"""Largest distance to that point, over the distance between the views; beyond it they look in
+parallel, and their common point says nothing."""
+
+
+class PointEstimate(NamedTuple):
+    """A point that was clicked, where it is in space and in every view.
+
+    Attributes:
+        position: in the world, m; NaN if it could not be triangulated.
+        picture_covariance: due to the clicks, m^2.
+        calibration_factor: movement for one standard deviation of each independent error of the
+            calibration, m.
+        predicted: its pixel in every view.
+        ellipses: covariance of the predicted pixel in every view, px^2.
+        visible: whether it is predicted within each picture.
+        residuals: clicked minus predicted pixel by the view's name.
+        failure: why it has no position; empty if it has one.
+    """
+
+    position: Float[np.ndarray, "3"]
+    picture_covariance: Float[np.ndarray, "3 3"]
+    calibration_factor: Float[np.ndarray, "3 errors"]
+    predicted: Float[np.ndarray, "views 2"]
+    ellipses: Float[np.ndarray, "views 2 2"]
+    visible: Bool[np.ndarray, "views"]
+    residuals: Mapping[str, tuple[float, float]]
+    failure: str
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "3 3"]:
+        """The covariance due to clicks and calibration, m^2."""
+        return self.picture_covariance + self.calibration_factor @ self.calibration_factor.T
+
+    def distance_to(self, other: "PointEstimate") -> tuple[float, float]:
+        """Return the distance of two points and its standard deviation, m.
+
+        What the calibration's error does to both alike cancels, as in `ObjectModel.distance`.
+        """
+        difference = other.position - self.position
+        length = float(np.linalg.norm(difference))
+        n = difference / max(length, 1e-30)
+        variance = n @ (self.picture_covariance + other.picture_covariance) @ n
+        common = n @ (other.calibration_factor - self.calibration_factor)
+        return length, float(np.sqrt(max(variance + common @ common, 0.0)))
+
+
+class ViewGeometry:
+    """The views of a session with their cameras' poses.
+
+    Attributes:
+        names: of the views.
+        base_from_tool: what the robot reported.
+        camera_from_world: extrinsics of all views.
+        centres: of the cameras in the world, m.
+        depth_range: nearest and farthest depth of curves by view, m.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        base_from_tool: Float[np.ndarray, "views 4 4"],
+        names: Sequence[str],
+        covariance: CalibrationEstimate | None = None,
+        click_sigma: float = 0.5,
+    ):
+        """Compute the poses of the cameras; arguments as in `ModelSession`."""
+        self._calibration = calibration
+        self.base_from_tool = np.asarray(base_from_tool, dtype=float)
+        self.names, self._covariance = list(names), covariance
+        self._click_sigma = click_sigma
+        self._seen = SeenViews.of(calibration, self.base_from_tool)
+        self._estimates: dict[tuple, PointEstimate] = {}
+        # The clicks are kept with their estimate, so that their identity is not given again.
+        self._known: dict[int, tuple[Clicks, PointEstimate]] = {}
+        self.camera_from_world = self._seen.camera_from_world
+        self.centres = self._seen.centres
+        self.depth_range = _depth_range(self.camera_from_world, self.centres)
+
+    def estimates(self, points: Sequence[Clicks]) -> list[PointEstimate]:
+        """Return where points are that were clicked in one view or in several."""
+        # Documents share the clicks of the points that a change left alone, so that the same object
+        # means the same estimate; comparing a thousand of them by value takes too long.
+        unknown = [clicks for clicks in points if id(clicks) not in self._known]
+        if unknown:
+            # By value, too: undo and redo make equal clicks anew.
+            keys = [tuple(sorted(clicks.items())) for clicks in unknown]
+            new = list(dict.fromkeys(key for key in keys if key not in self._estimates))
+            if new:
+                computed = self._computed([dict(key) for key in new])
+                self._estimates.update(zip(new, computed, strict=True))
+            for key, clicks in zip(keys, unknown, strict=True):
+                self._known[id(clicks)] = (clicks, self._estimates[key])
+        return [self._known[id(clicks)][1] for clicks in points]
+
+    def _computed(self, points: Sequence[Clicks]) -> list[PointEstimate]:
+        """Return the estimates of points, all in one program."""
+        found = triangulate_points(
+            self._calibration,
+            self.base_from_tool,
+            self._clicked_pixels(points),
+            covariance=self._covariance,
+            pixel_sigma=self._click_sigma,
+        )
+        return self._estimates_from(found, points)
+
+    def refined(
+        self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
+    ) -> tuple[list[PointEstimate], tuple[ConstraintVerdict, ...]]:
+        """Return where points are under constraints, and how each constraint agrees with the rest.
+
+        Raises:
+            ValueError: a constraint that cannot be used.
+        """
+        observations = ModelObservations(
+            self._calibration,
+            self.base_from_tool,
+            self._clicked_pixels(points),
+            pixel_sigma=self._click_sigma,
+        )
+        found = refine(None, observations, constraints, covariance=self._covariance)
+        return self._estimates_from(found, points), found.verdicts
+
+    def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
+        """Return the clicks of points as an array, NaN where a point was not clicked."""
+        pixels = np.full((len(self.names), len(points), 2), np.nan)
+        for k, clicks in enumerate(points):
+            for name, pixel in clicks.items():
+                pixels[self.names.index(name), k] = pixel
+        return pixels
+
+    def _estimates_from(
+        self, found: TriangulatedPoints | RefinedFeatures, points: Sequence[Clicks]
+    ) -> list[PointEstimate]:
+        """Return the estimates of points that were triangulated or refined."""
+        # The program takes finite points only; what is predicted for the others is not read.
+        jacobians = pixel_jacobians(self._seen, np.where(found.ok[:, None], found.points, 0.0))
+        # With C = R R^T the calibration's part J C J^T is F F^T for F = J R.
+        root = _square_root(found.calibration_covariance)
+        total, failures = found.covariance(), found.failures
+        size = np.array(self._calibration.camera.image_size)
+        results = []
+        for k, clicks in enumerate(points):
+            J, seen_at = jacobians.by_point[:, k], jacobians.pixels[:, k]
+            # Behind the border of a picture a point is predicted, but not drawn.
+            within = ((seen_at > -0.5) & (seen_at < size - 0.5)).all(axis=1)
+            residuals = {
+                name: tuple(found.residuals[self.names.index(name), k].tolist()) for name in clicks
+            }
+            results.append(
+                PointEstimate(
+                    found.points[k],
+                    found.picture_covariance[k],
+                    found.calibration_jacobian[k] @ root,
+                    seen_at,
+                    J @ total[k] @ J.swapaxes(1, 2),
+                    jacobians.valid[:, k] & within & found.ok[k],
+                    residuals if found.ok[k] else {},
+                    failures.get(k, ""),
+                )
+            )
+        return results
+
+    def curves(self, view: str, pixel: tuple[float, float]) -> dict[str, EpipolarCurve]:
+        """Return the curves of a pixel in all other views, by name."""
+        index = self.names.index(view)
+        others = [k for k in range(len(self.names)) if k != index]
+        if not others:
+            return {}
+        found = epipolar_curves(
+            self._calibration,
+            self.base_from_tool[index],
+            np.array(pixel, dtype=float),
+            self.base_from_tool[others],
+            self.depth_range[index],
+        )
+        return {self.names[k]: curve for k, curve in zip(others, found, strict=True)}
+
+    @property
+    def common_depths(self) -> tuple[float, float]:
+        """The nearest and the farthest depth of all views, m."""
+        near, far = zip(*self.depth_range, strict=True)
+        return min(near), max(far)
+
+    def ray(
+        self, view: str, pixel: tuple[float, float]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Return the camera's centre and the unit direction of a pixel's ray in the world."""
+        curves = self.curves(view, pixel)
+        # Every curve of the pixel has its ray; two views at least are there.
+        curve = next(iter(curves.values()))
+        return curve.origin, curve.direction
+
+    def pixels_of(
+        self, points: Float[np.ndarray, "points 3"]
+    ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
+        """Return where points in the world are seen in all views, and whether they are."""
+        found = pixel_jacobians(self._seen, points)
+        return found.pixels, found.valid
+
+
+def _square_root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return a matrix R with R R^T equal to a covariance, which may be singular."""
+    # Rounding may make the smallest eigenvalues of a singular matrix slightly negative.
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(values.clip(0.0))
+
+
+def _depth_range(
+    camera_from_world: Float[np.ndarray, "views 4 4"], centres: Float[np.ndarray, "views 3"]
+) -> list[tuple[float, float]]:
+    """Return nearest and farthest depth of curves by view, around what all views look at."""
+    axes = camera_from_world[:, 2, :3]
+    # The point nearest to all optical axes: sum_v (I - a a^T) (x - c) = 0.
+    projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    matrix, right = projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, centres)
+    # The baseline sets what can be triangulated at all.
+    spread = float(np.linalg.norm(np.ptp(centres, axis=0)))
+    point = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
+    distances = np.linalg.norm(point - centres, axis=1)
+    in_front = np.einsum("vi,vi->v", point - centres, axes) > 0.0
+    if spread == 0.0 or not in_front.all() or distances.max() > MAX_DEPTH_SCALE * spread:
+        # Cameras that look in parallel or apart: from a baseline away to infinity.
+        return [(max(spread, 1e-3), np.inf)] * len(centres)
+    return [(DEPTH_RANGE[0] * d, DEPTH_RANGE[1] * d) for d in distances.tolist()]

@@ -1,0 +1,133 @@
+"""Show the editor's page in a notebook: the same files, over Jupyter's own connection.
+
+A notebook's widget is one script, so the page's modules are sent as texts and put together in the
+browser, each under an address of its own. Nothing is read from a network or from another port, so
+that it works wherever the notebook itself does.
+"""
+
+import json
+import re
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from .conversation import Conversation
+from .server import PAGE, encoded_picture, import_extra
+from .session import ModelSession
+
+if TYPE_CHECKING:
+    import anywidget
+
+MODULES = (
+    "vendor/three.core.min.js",
+    "vendor/three.module.min.js",
+    "vendor/OrbitControls.js",
+    "model.js",
+    "picture_view.js",
+    "space_view.js",
+    "connection.js",
+    "editor.js",
+)
+"""The page's modules, each after those that it imports."""
+
+_RENDER = """
+export default {
+  async render({ model, el }) {
+    const root = document.createElement("div");
+    root.style.height = "720px";
+    el.append(root);
+    const editor = await import(addresses["editor.js"]);
+    const { Asker } = await import(addresses["connection.js"]);
+    const asker = new Asker((message) => model.send(message));
+    const pictures = new Map();
+    const connection = {
+      onUpdate: () => {}, onState: () => {},
+      ask: (message) => asker.ask(message),
+      picture: (view) => new Promise((resolve, reject) => {
+        pictures.set(view, resolve);
+        asker.ask({ do: "picture", view }).catch(reject);
+      }),
+      open: () => connection.onState("open"),
+    };
+    const receive = (answer, buffers) => {
+      if (answer.type === "picture") {
+        pictures.get(answer.view)?.(new Blob([buffers[0]], { type: "image/jpeg" }));
+      }
+      if (!asker.take(answer) && answer.type !== "picture") connection.onUpdate(answer);
+    };
+    model.on("msg:custom", receive);
+    editor.start(root, connection);
+    return () => model.off("msg:custom", receive);
+  },
+};
+"""
+
+
+@cache
+def widget_script() -> str:
+    """Return the widget's script: the page's modules as texts, and what starts them."""
+    lines = ["const addresses = {};"]
+    for name in MODULES:
+        text = (PAGE / name).read_text(encoding="utf-8")
+        # A module imports others by names; here each name becomes the address it was given.
+        # The script adds texts and addresses up: an address is known only in the browser.
+        parts: list[str] = []
+        end = 0
+        for match in re.finditer(r"""(from ?|import ?)(["'])(three|\./[\w./]+)\2""", text):
+            target = _module_named(match[3], name)
+            parts += [json.dumps(text[end : match.start()] + match[1] + match[2])]
+            parts += [f"addresses[{json.dumps(target)}]", json.dumps(match[2])]
+            end = match.end()
+        # JSON's texts are JavaScript's, too.
+        parts.append(json.dumps(text[end:]))
+        lines.append(
+            f"addresses[{json.dumps(name)}] = URL.createObjectURL("
+            f'new Blob([{", ".join(parts)}], {{ type: "text/javascript" }}));'
+        )
+    return "\n".join(lines) + _RENDER
+
+
+def _module_named(specifier: str, importer: str) -> str:
+    """Return the module that another one imports by a name."""
+    if specifier == "three":
+        return "vendor/three.module.min.js"
+    folder = importer.rpartition("/")[0]
+    name = specifier.removeprefix("./")
+    return f"{folder}/{name}" if folder else name
+
+
+def editor_widget(session: ModelSession) -> "anywidget.AnyWidget":
+    """Return the editor of a session as a widget, which a notebook's cell shows.
+
+    Changes made by the notebook's own code appear in the page after `widget.refresh()`.
+
+    Raises:
+        ImportError: anywidget is not installed.
+    """
+    anywidget = import_extra("anywidget")
+    conversation = Conversation(session)
+
+    # Made here, because anywidget is imported only where a widget is wanted.
+    class EditorWidget(anywidget.AnyWidget):
+        """The editor's page in a notebook."""
+
+        _esm = widget_script()
+        _css = (PAGE / "style.css").read_text(encoding="utf-8")
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.on_msg(lambda _, message, __: self._answer(message))
+
+        def _answer(self, message: dict[str, Any]) -> None:
+            if message.get("do") == "picture" and message.get("view") in session.pictures:
+                view = message["view"]
+                data = encoded_picture(session.pictures[view])
+                answer = {"type": "picture", "view": view, "reply_to": message.get("message")}
+                self.send(answer, buffers=[data])
+                return
+            self.send(conversation.answer(message))
+
+        def refresh(self) -> None:
+            """Show what has changed in the session since the page was shown anything."""
+            self.send(conversation.update())
+
+    return EditorWidget()

@@ -1,0 +1,59 @@
+"""Read the pictures and poses of a data-set folder without looking for a target in them."""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..files import read_yaml
+from ..geometry import host_matrices
+from .dataset_folder import DESCRIPTION_FILE, picture_files
+from .robot_readings import read_robot_readings
+
+
+class ViewPictures(NamedTuple):
+    """Pictures with the poses from which they were taken.
+
+    Attributes:
+        view_ids: names of the views.
+        pictures: a file for each view.
+        base_from_tool: what the robot reported.
+    """
+
+    view_ids: list[str]
+    pictures: list[Path]
+    base_from_tool: Float[np.ndarray, "views 4 4"]
+
+
+def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
+    """Read which pictures a data-set folder has, and from where they were taken.
+
+    The folder's `dataset.yaml` is that of `load_dataset`; its target need not be in the pictures.
+
+    Raises:
+        FileNotFoundError: the folder or its description is missing.
+        ValueError: the description is wrong or names no pictures, or a pose is not valid.
+    """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import validate_content
+    from ..targets import target_from_dict
+
+    folder = Path(folder)
+    path = folder / DESCRIPTION_FILE
+    raw = read_yaml(path)
+    validate_content(raw, DATASET_SCHEMA, path)
+    content = {key: value for key, value in raw.items() if value is not None}
+    if "pictures" not in content:
+        raise ValueError(f"{path}: entry 'pictures' is missing: an object is modelled in pictures")
+    readings = read_robot_readings(folder, content, path, "raise")
+    table = folder / content["poses" if "poses" in content else "joints"]["file"]
+    target = target_from_dict(content["target"])
+    # A board at several heights has several pictures of a view; an object has one.
+    files = picture_files(folder, content["pictures"], readings.view_ids, target, table, path)
+    return ViewPictures(
+        list(readings.view_ids),
+        [files[view][0] for view in readings.view_ids],
+        host_matrices(readings.poses),
+    )

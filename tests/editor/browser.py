@@ -1,0 +1,129 @@
+"""The editor's page in a real browser, driven as a person would: by the mouse and by keys."""
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from smartview_jax.editor import serve
+
+ARGUMENTS = """
+    --no-sandbox --disable-gpu --enable-unsafe-swiftshader --disable-quic --no-first-run
+    --disable-background-networking --disable-component-update --disable-sync
+""".split()
+
+PATIENCE = 60_000
+"""Longest wait for the page, ms: a loaded machine compiles slowly."""
+
+
+def browser_or_skip():
+    """A function that starts a browser, with its reason to be killed; skips where there is none."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    pytest.importorskip("uvicorn", reason="the editor's server is not installed")
+    installed = shutil.which("chromium") or shutil.which("chromium-browser")
+    playwright = sync_api.sync_playwright().start()
+    path = installed or playwright.chromium.executable_path
+    if not Path(path).is_file():
+        playwright.stop()
+        pytest.skip("no chromium: neither installed here nor by `playwright install chromium`")
+    return playwright, path
+
+
+def serve_in_thread(session):
+    """The address of a server of this process."""
+    addresses = []
+    threading.Thread(target=serve, args=(session, 0, addresses.append), daemon=True).start()
+    deadline = time.monotonic() + 30.0
+    while not addresses:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return addresses[0]
+
+
+class Page:
+    """A page of the editor, with what a person does on it."""
+
+    def __init__(self, browser, address, size=(1500, 900)):
+        context = browser.new_context(viewport=dict(zip(("width", "height"), size, strict=True)))
+        self.page = context.new_page()
+        self.faults = []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.goto(address)
+        self.wait_until_complete()
+
+    def wait_until_complete(self):
+        self.page.wait_for_function("window.smartviewEditor?.complete", timeout=PATIENCE)
+
+    def place(self, view, pixel):
+        """Where a pixel of a view is on the screen."""
+        return self.page.evaluate(
+            """([k, pixel]) => {
+                const view = smartviewEditor.views[k], box = view.element.getBoundingClientRect();
+                const [x, y] = view.toScreen(pixel);
+                return [x + box.left, y + box.top];
+            }""",
+            [view, [float(x) for x in pixel]],
+        )
+
+    def click(self, view, pixel, free=False):
+        """Click a pixel of a view; a free click does not snap to a corner."""
+        if free:
+            self.page.keyboard.down("Alt")
+        self.page.mouse.click(*self.place(view, pixel))
+        if free:
+            self.page.keyboard.up("Alt")
+        self.settle()
+
+    def settle(self):
+        """Wait until the page has its answer and has drawn it."""
+        self.page.evaluate(
+            """async () => {
+                await smartviewEditor.busy;
+                await new Promise((done) => requestAnimationFrame(() => setTimeout(done, 0)));
+                await smartviewEditor.busy;
+            }"""
+        )
+
+    def crash_browser(self):
+        """End the browser's processes at once, as a power cut or the system would."""
+        browser = self.page.context.browser
+        with contextlib.suppress(Exception):  # there is nobody left to answer
+            browser.new_browser_cdp_session().send("Browser.crash")
+        assert not browser.is_connected()
+
+    def key(self, name):
+        self.page.keyboard.press(name)
+        self.settle()
+
+    def said(self):
+        return self.page.inner_text(".said")
+
+    def counts(self):
+        return self.page.evaluate(
+            "['points', 'edges', 'faces', 'grasps'].map((k) => smartviewEditor.model[k].size)"
+        )
+
+
+def serve_in_process(path, port, folder):
+    """A server of its own process, which can be killed; returns it and its address."""
+    code = """
+import sys; sys.path.insert(0, sys.argv[3])
+from editor_scene import drawn_scene
+from smartview_jax.editor import ModelSession, serve
+scene = drawn_scene()
+session = ModelSession(scene.calibration, scene.base_from_tool, scene.pictures, path=sys.argv[1])
+serve(session, int(sys.argv[2]), lambda address: print(address, flush=True))
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(path), str(port), str(folder)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ},
+    )
+    return process, process.stdout.readline().strip()

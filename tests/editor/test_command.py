@@ -1,0 +1,75 @@
+"""`smartview model`, from the command line to the page."""
+
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from smartview_jax.cli import app
+from smartview_jax.io import object_sample_folder
+from smartview_jax.simulation import paper_calibration
+
+pytest.importorskip("uvicorn")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copytree(object_sample_folder(), tmp_path / "sample")
+    return tmp_path / "sample"
+
+
+def test_the_sample_is_opened_and_ends_by_ctrl_c(folder):
+    paper_calibration().save(folder / "calibration.yaml")
+    code = "from smartview_jax.cli import app; app()"
+    words = ["model", str(folder), "--out", str(folder / "block.json"), "--no-browser"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert "block.json" in process.stdout.readline()
+        address = process.stdout.readline().strip()
+        with urllib.request.urlopen(address) as page:
+            assert b"smartview" in page.read()
+        busy = CliRunner().invoke(app, words)
+        assert busy.exit_code == 2
+        assert f"open in another editor: process {process.pid}" in busy.output
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=20)
+    finally:
+        process.kill()
+        _, said = process.communicate()
+    assert "Traceback" not in said
+    assert not (folder / "block.json.lock").exists()
+    assert (folder / "block.json.journal").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "nowhere"),
+        (["{folder}"], "calibration.yaml: no such file; name the camera's calibration"),
+        (["{folder}", "--calibration", "{folder}/truth.json"], "truth.json"),
+    ],
+)
+def test_what_is_missing_is_named(folder, words, said):
+    done = CliRunner().invoke(app, ["model", *(word.format(folder=folder) for word in words)])
+    assert done.exit_code == 2
+    assert said in done.output
+    assert not (folder / "object.json.lock").exists()
+
+
+def test_a_data_set_of_a_board_is_a_data_set_of_views(folder):
+    from smartview_jax.io import load_view_pictures
+
+    found = load_view_pictures(folder)
+    assert len(found.view_ids) == len(found.pictures) == 12
+    assert all(path.is_file() for path in found.pictures)
+    np.testing.assert_allclose(np.linalg.det(found.base_from_tool[:, :3, :3]), 1.0)

@@ -1,0 +1,200 @@
+"""The whole way in a real browser: clicks, answers, files, and what a kill leaves."""
+
+import re
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import ARGUMENTS, Page, browser_or_skip, serve_in_process, serve_in_thread
+from editor_scene import drawn_scene
+
+from smartview_jax.editor import ModelSession
+from smartview_jax.io import load_object_model
+
+VIEWS = (0, 1, 2, 3, 4)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return drawn_scene()
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    playwright, path = browser_or_skip()
+    started = []
+
+    def start():
+        started.append(playwright.chromium.launch(executable_path=path, args=ARGUMENTS))
+        return started[-1]
+
+    yield start
+    for browser in started:
+        browser.close()
+    playwright.stop()
+
+
+@pytest.fixture
+def session(scene, tmp_path):
+    path = tmp_path / "house.json"
+    with ModelSession(scene.calibration, scene.base_from_tool, scene.pictures, path=path) as opened:
+        yield opened
+
+
+def separate_views(scene, vertex, wanted=3):
+    """Views in which a vertex is not drawn over another one, so that a click means it alone."""
+    gaps = np.linalg.norm(scene.pixels - scene.pixels[:, vertex, None], axis=2)
+    gaps[:, vertex] = np.inf
+    return np.argsort(-gaps.min(axis=1))[:wanted].tolist()
+
+
+def click_vertex(page, scene, vertex, rng):
+    for view in separate_views(scene, vertex):
+        page.click(view, scene.click(view, vertex, rng), free=True)
+    page.key("n")
+
+
+def click_face(page, scene, face):
+    """Click a face's corners, each in a view where it is apart from the others."""
+    for vertex in face.loop:
+        (view,) = separate_views(scene, vertex, 1)
+        page.click(view, scene.pixels[view, vertex])
+    page.key("Enter")
+
+
+def test_a_whole_model_is_built_by_clicks_and_a_killed_browser_loses_nothing(
+    session, scene, chromium, tmp_path
+):
+    rng, address = np.random.default_rng(0), serve_in_thread(session)
+    page = Page(chromium(), address)
+    count = len(scene.truth.vertices)
+    for vertex in range(count):
+        click_vertex(page, scene, vertex, rng)
+    assert page.counts()[0] == count
+    page.key("f")
+    for face in scene.truth.faces[:3]:
+        click_face(page, scene, face)
+    assert page.counts()[2] == 3, page.said()
+    before = session.document
+    page.crash_browser()
+
+    page = Page(chromium(), address)
+    assert session.document is before
+    assert page.counts()[:3] == [count, len(before.edges), 3]
+    page.key("f")
+    for face in scene.truth.faces[3:]:
+        click_face(page, scene, face)
+    page.page.fill(".sv-name", "house")
+    page.page.press(".sv-name", "Enter")
+    page.key("Control+s")
+    assert "saved to" in page.said()
+    assert "all saved in house.json" in page.page.inner_text(".sv-kept")
+    assert page.faults == []
+
+    model = load_object_model(tmp_path / "house.json")
+    assert model.name == "house"
+    assert model.is_closed
+    assert len(model.edges) == len(scene.truth.edges)
+    order = [
+        int(np.argmin(np.linalg.norm(model.vertices - vertex, axis=1)))
+        for vertex in scene.truth.vertices
+    ]
+    assert sorted(order) == list(range(count))
+    # Clicks of 0.3 px and half a pixel of the screen, at 0.2 m: within a millimetre.
+    assert np.abs(model.vertices[order] - scene.truth.vertices).max() < 1e-3
+
+
+def test_a_killed_server_loses_nothing(scene, chromium, tmp_path):
+    path, folder = tmp_path / "house.json", Path(__file__).parent
+    process, address = serve_in_process(path, 0, folder)
+    port = int(re.search(r":(\d+)/", address)[1])
+    page = Page(chromium(), address)
+    for vertex in (0, 3):
+        for view in separate_views(scene, vertex, 2):
+            page.click(view, scene.pixels[view, vertex], free=True)
+        page.key("n")
+    shown = page.page.evaluate("[...smartviewEditor.model.points]")
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    page.page.wait_for_selector(".sv-kept.lost")
+    # A click now is answered by an error, not by silence.
+    page.page.evaluate("smartviewEditor.change({do: 'rename', name: 'x'})")
+    assert "not there" in page.said()
+
+    process, address = serve_in_process(path, port, folder)
+    try:
+        again = Page(chromium(), address)
+        assert again.page.evaluate("[...smartviewEditor.model.points]") == shown
+        assert len(shown) == 2
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+
+
+def test_hovering_draws_curves_and_depth(session, scene, chromium):
+    page = Page(chromium(), serve_in_thread(session))
+    page.page.mouse.move(*page.place(0, scene.pixels[0, 3]))
+    page.page.wait_for_function("smartviewEditor.curves !== null")
+    curves = page.page.evaluate("smartviewEditor.curves.curves")
+    assert set(curves) == {"v2", "v3", "v4", "v5"}
+    page.click(0, scene.pixels[0, 3], free=True)
+    page.page.mouse.move(*page.place(1, scene.pixels[1, 3]))
+    page.page.wait_for_function("smartviewEditor.views[1].hint.textContent !== ''")
+    depth = float(re.search(r"depth ([\d.]+) mm", page.page.inner_text(".sv-views"))[1])
+    truth = np.linalg.norm(scene.truth.vertices[3] - session.geometry.centres[0])
+    # A pixel of the screen is 1.6 of the picture, and some 0.8 mm of depth.
+    assert depth == pytest.approx(1e3 * truth, abs=4.0)
+    page.click(1, scene.pixels[1, 3], free=True)
+    assert "Point 0" in page.page.inner_text(".detail")
+    assert "±" in page.page.inner_text(".detail")
+
+
+def test_undo_help_errors_and_grasp(session, scene, chromium):
+    rng = np.random.default_rng(1)
+    page = Page(chromium(), serve_in_thread(session))
+    for vertex in range(10):
+        click_vertex(page, scene, vertex, rng)
+    page.key("Control+z")
+    page.key("Control+y")
+    page.key("?")
+    assert page.page.is_visible(".sv-help")
+    page.key("Escape")
+    assert not page.page.is_visible(".sv-help")
+    page.key("f")
+    roof = scene.truth.faces[4]
+    click_face(page, scene, roof)
+    assert page.counts()[2] == 1, page.said()
+    # A face whose corners are not in one plane is refused, in words.
+    for vertex in (0, 1, 2, 8):
+        (view,) = separate_views(scene, vertex, 1)
+        page.click(view, scene.pixels[view, vertex])
+    page.key("Enter")
+    assert "not planar" in page.said()
+    page.key("Escape")
+    page.key("g")
+    view = 0
+    x, y = page.place(view, scene.pixels[view, list(roof.loop)].mean(axis=0))
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.wait_for_function("smartviewEditor.model.grasps.size === 1")
+    angle = next(iter(session.document.grasps.values())).angle
+    for step in range(1, 6):
+        page.page.mouse.move(x + 8 * step, y + 5 * step)
+    page.page.mouse.up()
+    page.settle()
+    page.page.wait_for_function("smartviewEditor.model.grasps.size === 1")
+    page.settle()
+    (grasp,) = session.document.grasps.values()
+    assert grasp.angle != angle
+    assert page.faults == []
+
+
+def test_a_second_page_shows_what_the_first_does(session, scene, chromium):
+    """What one page does, another one shows."""
+    address = serve_in_thread(session)
+    one, two = Page(chromium(), address), Page(chromium(), address)
+    one.click(0, scene.pixels[0, 3], free=True)
+    two.page.wait_for_function("smartviewEditor.model.points.size === 1")

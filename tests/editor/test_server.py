@@ -1,0 +1,99 @@
+"""Who is let in: this machine, with the token, from the page itself."""
+
+import pytest
+from editor_scene import drawn_scene
+
+from smartview_jax.editor import ModelSession
+from smartview_jax.editor.server import HOST, PAGE, editor_app, serve
+
+testclient = pytest.importorskip("starlette.testclient")
+websockets = pytest.importorskip("starlette.websockets")
+
+TOKEN, PORT = "a-token", 8123
+ORIGIN = f"http://{HOST}:{PORT}"
+
+
+@pytest.fixture(scope="module")
+def session():
+    scene = drawn_scene()
+    return ModelSession(scene.calibration, scene.base_from_tool, scene.pictures)
+
+
+@pytest.fixture
+def client(session):
+    app = editor_app(session, TOKEN, PORT)
+    # The test client's own portal is deprecated by a library below it, not by this package.
+    return testclient.TestClient(app, base_url=ORIGIN)
+
+
+def refused(client, **how):
+    with (
+        pytest.raises(websockets.WebSocketDisconnect) as caught,
+        client.websocket_connect("/socket", **how),
+    ):
+        pass
+    assert caught.value.code == 1008
+
+
+def test_the_page_needs_the_token(client):
+    assert client.get("/").status_code == 403
+    assert client.get("/?token=a-toke").status_code == 403
+    page = client.get(f"/?token={TOKEN}")
+    assert page.status_code == 200
+    assert "samesite=strict" in page.headers["set-cookie"].lower()
+    assert "httponly" in page.headers["set-cookie"].lower()
+
+
+def test_pictures_need_the_token(client):
+    assert client.get("/picture/v1").status_code == 403
+    client.cookies.set("smartview_editor", TOKEN)
+    assert client.get("/picture/v1").content.startswith(b"\xff\xd8")
+    assert client.get("/picture/v9").status_code == 404
+    assert client.get("/picture/..%2Fserver.py").status_code == 404
+    assert client.get("/../server.py").status_code == 404
+
+
+def test_another_name_of_this_machine_is_refused(client):
+    """A page that makes its own name lead here would otherwise pass for this one."""
+    assert client.get(f"/?token={TOKEN}", headers={"host": "evil.example"}).status_code == 400
+
+
+def test_the_socket_needs_the_token_and_the_pages_origin(client):
+    host = {"host": f"{HOST}:{PORT}"}
+    good = {"origin": ORIGIN, **host}
+    refused(client, headers=good)
+    client.cookies.set("smartview_editor", TOKEN)
+    refused(client, headers=host)
+    refused(client, headers={"origin": "http://evil.example", **host})
+    refused(client, headers={"origin": f"http://{HOST}:{PORT + 1}", **host})
+    with client.websocket_connect("/socket", headers=good) as socket:
+        socket.send_json({"do": "hello", "message": 7})
+        answer = socket.receive_json()
+        assert (answer["type"], answer["reply_to"]) == ("greeting", 7)
+        socket.send_json({"do": "add_point", "clicks": {"v1": [1e9, 0.0]}, "message": 8})
+        answer = socket.receive_json()
+        assert (answer["type"], answer["reply_to"]) == ("error", 8)
+        assert "outside of the picture" in answer["text"]
+        socket.send_json({"do": "hover", "view": "v1", "pixel": [100.0, 100.0], "message": 9})
+        assert set(socket.receive_json()["curves"]) == {"v2", "v3", "v4", "v5"}
+
+
+def test_a_port_in_use_is_named(session):
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind((HOST, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=f"port {port} of 127.0.0.1"):
+            serve(session, port)
+
+
+def test_everything_that_the_page_loads_is_in_the_package():
+    names = {path.name for path in PAGE.rglob("*") if path.is_file()}
+    assert {"index.html", "style.css", "editor.js", "three.LICENSE"} <= names
+    text = "".join(
+        path.read_text() for path in PAGE.iterdir() if path.suffix in (".js", ".html", ".css")
+    )
+    assert "https://" not in text
+    assert "MIT" in (PAGE / "vendor" / "three.LICENSE").read_text()
