@@ -14,6 +14,7 @@ from typing import Literal, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..blas_threads import on_one_blas_thread
 from ..engine import AbstractLoss, Noise
 from ..evaluation import CalibrationEstimate
 from ..fit_result import FitResult
@@ -55,6 +56,7 @@ class HasVertices(Protocol):
     def vertices(self) -> Float[np.ndarray, "points 3"]: ...
 
 
+@on_one_blas_thread
 def refine(
     start: HasVertices | Float[np.ndarray, "points 3"] | None,
     observations: ModelObservations,
