@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
@@ -88,12 +88,19 @@ def _session(size: tuple[int, int], count: int, folder: Path) -> ModelSession:
 
 
 def _picture(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
-    """Return a picture with structure at all scales and noise, which JPEG cannot make small."""
-    picture = np.full((size[1], size[0]), 110.0)
-    for scale in (400, 100):
-        coarse = rng.normal(0.0, 25.0, (size[1] // scale + 2, size[0] // scale + 2))
-        picture += cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
-    return np.clip(picture + rng.normal(0.0, 3.0, picture.shape), 0, 255).astype(np.uint8)
+    """Return a picture of many flat boxes before a textured ground, with noise."""
+    coarse = rng.normal(110.0, 15.0, (size[1] // 200 + 2, size[0] // 200 + 2))
+    picture = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
+    for _ in range(150):
+        middle, sides = (
+            rng.uniform(0.0, size).tolist(),
+            (size[0] * rng.uniform(0.01, 0.06, 2)).tolist(),
+        )
+        corners = cv2.boxPoints((middle, sides, float(rng.uniform(0.0, 180.0))))
+        grey = float(rng.uniform(30.0, 220.0))
+        cv2.fillPoly(picture, [np.round(corners).astype(np.int32)], (grey,), cv2.LINE_AA)
+    picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
+    return np.clip(picture + rng.normal(0.0, 1.5, picture.shape), 0, 255).astype(np.uint8)
 
 
 def _clicks(session: ModelSession, count: int) -> list[tuple[int, list[float]]]:
@@ -106,7 +113,7 @@ def _clicks(session: ModelSession, count: int) -> list[tuple[int, list[float]]]:
     pixels, _ = session.geometry.pixels_of(rng.uniform(-0.13, 0.13, (2000, 3)))
     inside = ((pixels[:2] > 20.0) & (pixels[:2] < size - 20.0)).all(axis=(0, 2))
     # A click near a point chooses that; a person would zoom in first.
-    gaps = [cKDTree(drawn[view]).query(pixels[view])[0] for view in (0, 1)]
+    gaps = [KDTree(drawn[view]).query(pixels[view])[0] for view in (0, 1)]
     free = np.flatnonzero(inside & (np.min(gaps, axis=0) > 0.03 * size[0]))[: (count + 1) // 2]
     return [(view, pixels[view, k].tolist()) for k in free for view in (0, 1)]
 

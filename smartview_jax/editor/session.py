@@ -20,23 +20,19 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..detection import read_picture
 from ..evaluation import CalibrationEstimate
 from ..features import Features
 from ..features import find as find_features
-from ..geometry import check_rigid
 from ..io import save_object_model
 from ..modeling import ConstraintVerdict, EpipolarCurve, ObjectModel, propose_model
 from .document import Document, apply_change
+from .given_views import check_poses, checked_names, checked_picture
 from .journal import Journal
 from .known_facts import constraint_of
 from .model_building import build_model, checked_loop, problems_of
 from .owner_lock import OwnerLock
 from .proposals import Proposals
 from .view_geometry import PointEstimate, ViewGeometry
-
-MIN_VIEWS = 2
-"""Smallest number of views of a session: from one view nothing can be triangulated."""
 
 
 class ModelSession:
@@ -87,11 +83,11 @@ class ModelSession:
             BlockingIOError: the file is open in another editor, which the message names.
         """
         # Everything that is given is checked before a lock or a file is made.
-        self.names = _checked_names(names, len(pictures))
-        _check_poses(np.asarray(base_from_tool, dtype=float), self.names)
+        self.names = checked_names(names, len(pictures))
+        check_poses(np.asarray(base_from_tool, dtype=float), self.names)
         size = calibration.camera.image_size
         self.pictures = {
-            name: _checked_picture(picture, name, size)
+            name: checked_picture(picture, name, size)
             for name, picture in zip(self.names, pictures, strict=True)
         }
         self.calibration, self.notes = calibration, []
@@ -438,47 +434,3 @@ class ModelSession:
             # A picture without features can still be clicked; whoever asks for them is told why.
             with contextlib.suppress(ValueError):
                 self.features(name)
-
-
-def _checked_names(names: Sequence[str] | None, count: int) -> list[str]:
-    """Return the views' names, or raise an error for too few or for a name that comes twice."""
-    if count < MIN_VIEWS:
-        raise ValueError(f"a session needs at least {MIN_VIEWS} views; found {count}")
-    given = [f"v{1 + k}" for k in range(count)] if names is None else [str(name) for name in names]
-    if len(given) != count:
-        raise ValueError(f"expected a name for each of {count} pictures, found {len(given)}")
-    twice = sorted({name for name in given if given.count(name) > 1})
-    if twice:
-        raise ValueError(f"view {twice[0]!r} comes twice")
-    return given
-
-
-def _check_poses(base_from_tool: np.ndarray, names: Sequence[str]) -> None:
-    """Raise an error for a number of poses that is not that of the views, or for one not rigid."""
-    if base_from_tool.shape != (len(names), 4, 4):
-        raise ValueError(
-            f"base_from_tool: expected shape {(len(names), 4, 4)}, a pose for each picture; "
-            f"found {base_from_tool.shape}"
-        )
-    for name, reason in check_rigid(base_from_tool, tuple(names)).items():
-        raise ValueError(f"view {name}: {reason}")
-
-
-def _checked_picture(
-    picture: np.ndarray | str | os.PathLike[str], name: str, size: tuple[int, int]
-) -> np.ndarray:
-    """Return a grey picture of the camera's size, or raise an error that names the view."""
-    try:
-        if not isinstance(picture, np.ndarray):
-            return read_picture(Path(picture), size)
-        found = picture.mean(axis=2).astype(np.uint8) if picture.ndim == 3 else picture
-        if found.dtype != np.uint8 or found.ndim != 2:
-            raise ValueError(f"expected uint8, grey or BGR; found {picture.dtype} {picture.shape}")
-        if found.shape[::-1] != size:
-            width, height = found.shape[::-1]
-            raise ValueError(
-                f"the picture has {width} x {height} px, the camera {size[0]} x {size[1]} px"
-            )
-        return found
-    except ValueError as error:
-        raise ValueError(f"view {name}: {error}") from None

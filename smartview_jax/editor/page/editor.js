@@ -119,7 +119,7 @@ class Editor {
     try {
       const found = await this.connection.ask({ do: "features", view: view.name });
       this.model.corners.set(view.name, found.corners);
-      view.redraw("model");
+      view.redraw("picture");
     } catch (error) { this.say(error.message, true); }
   }
 
@@ -145,6 +145,7 @@ class Editor {
     if (tool !== "point") this.active = null;
     for (const button of this.root.querySelectorAll(".sv-tools button")) button.classList.toggle("on", button.dataset.tool === tool);
     this.say(TOOLS[tool].help);
+    for (const view of this.views) view.redraw("picture");
     this.refresh();
   }
 
@@ -345,6 +346,8 @@ class Editor {
   // -- the mouse in a picture -------------------------------------------------------------------
 
   press(view, target, drag) {
+    clearTimeout(this.hoverTimer);  // a click is answered before any curve
+    this.hovering = false;
     if (this.tool === "grasp") drag.grasp = this.placeGrasp(view, target.pixel);
     if (this.tool === "point" && target.point !== null) drag.point = target.point;
     this.root.focus({ preventScroll: true });
@@ -439,8 +442,12 @@ class Editor {
     if (this.tool !== "point" || this.active !== null || this.hovering || !this.model.views.length) return;
     const [width, height] = this.model.size, [u, v] = target.pixel;
     if (!(u >= -0.5 && v >= -0.5 && u <= width - 0.5 && v <= height - 0.5)) return;
+    // Not at once: the mouse of somebody who clicks moves until it is pressed.
     this.hovering = true;
-    this.showCurves(view.name, target.pixel).finally(() => setTimeout(() => { this.hovering = false; }, HOVER_PAUSE));
+    this.hoverTimer = setTimeout(() => {
+      const place = view.cursor ? view.target(view.cursor, false).pixel : target.pixel;
+      this.showCurves(view.name, place).finally(() => { this.hovering = false; });
+    }, HOVER_PAUSE);
   }
 
   left() {

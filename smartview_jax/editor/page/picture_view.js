@@ -88,11 +88,12 @@ export class PictureView {
     if (!level) return;
     context.imageSmoothingEnabled = this.scale < 4;
     context.drawImage(level, this.offset[0], this.offset[1], width * this.scale, height * this.scale);
+    // Candidates belong to the picture: an answer does not change them.
+    if (this.owner.tool === "point") this.drawCorners(context, this.owner.model);
   }
 
   drawModel() {
-    const context = this.context(1), { model, selection, active, tool } = this.owner;
-    if (tool === "point") this.drawCorners(context, model);
+    const context = this.context(1), { model, selection, active } = this.owner;
     this.drawFaces(context, model, selection);
     this.drawEdges(context, model, selection);
     // What is usual is one path for all of it: a stroke for each of a thousand points takes long.
@@ -110,10 +111,12 @@ export class PictureView {
   drawCorners(context, model) {
     context.fillStyle = COLOURS.corner;
     const size = Math.min(3, Math.max(1.6, 1.2 * this.scale));
+    context.beginPath();
     for (const corner of model.corners.get(this.name) ?? []) {
       const [x, y] = this.toScreen(corner);
-      context.fillRect(x - size / 2, y - size / 2, size, size);
+      context.rect(x - size / 2, y - size / 2, size, size);
     }
+    context.fill();
   }
 
   drawOffer(context, { points, edges }) {

@@ -1,0 +1,57 @@
+"""Check the views that a session is given: names, poses and pictures."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..detection import read_picture
+from ..geometry import check_rigid
+
+MIN_VIEWS = 2
+"""Smallest number of views of a session: from one view nothing can be triangulated."""
+
+
+def checked_names(names: Sequence[str] | None, count: int) -> list[str]:
+    """Return the views' names, or raise an error for too few or for a name that comes twice."""
+    if count < MIN_VIEWS:
+        raise ValueError(f"a session needs at least {MIN_VIEWS} views; found {count}")
+    given = [f"v{1 + k}" for k in range(count)] if names is None else [str(name) for name in names]
+    if len(given) != count:
+        raise ValueError(f"expected a name for each of {count} pictures, found {len(given)}")
+    twice = sorted({name for name in given if given.count(name) > 1})
+    if twice:
+        raise ValueError(f"view {twice[0]!r} comes twice")
+    return given
+
+
+def check_poses(base_from_tool: np.ndarray, names: Sequence[str]) -> None:
+    """Raise an error for a number of poses that is not that of the views, or for one not rigid."""
+    if base_from_tool.shape != (len(names), 4, 4):
+        raise ValueError(
+            f"base_from_tool: expected shape {(len(names), 4, 4)}, a pose for each picture; "
+            f"found {base_from_tool.shape}"
+        )
+    for name, reason in check_rigid(base_from_tool, tuple(names)).items():
+        raise ValueError(f"view {name}: {reason}")
+
+
+def checked_picture(
+    picture: np.ndarray | str | os.PathLike[str], name: str, size: tuple[int, int]
+) -> np.ndarray:
+    """Return a grey picture of the camera's size, or raise an error that names the view."""
+    try:
+        if not isinstance(picture, np.ndarray):
+            return read_picture(Path(picture), size)
+        found = picture.mean(axis=2).astype(np.uint8) if picture.ndim == 3 else picture
+        if found.dtype != np.uint8 or found.ndim != 2:
+            raise ValueError(f"expected uint8, grey or BGR; found {picture.dtype} {picture.shape}")
+        if found.shape[::-1] != size:
+            width, height = found.shape[::-1]
+            raise ValueError(
+                f"the picture has {width} x {height} px, the camera {size[0]} x {size[1]} px"
+            )
+        return found
+    except ValueError as error:
+        raise ValueError(f"view {name}: {error}") from None
