@@ -99,8 +99,8 @@ def _candidate_rotations(
     """Return the rotations that take one pair of vertices to another of the same shape."""
     # A rotation is given by where it takes two vertices that are not on one line with the centre.
     radii = np.linalg.norm(centred, axis=1)
-    # The farthest vertex, and the one that spans the largest triangle with it and the centre, give the
-    # rotation most accurately.
+    # The farthest vertex, and the one that spans the largest triangle with it and the centre, give
+    # the rotation most accurately.
     first = int(np.argmax(radii))
     areas = np.linalg.norm(np.cross(centred[first], centred), axis=1)
     second = int(np.argmax(areas))
