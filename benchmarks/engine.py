@@ -23,6 +23,7 @@ from .peers.problem import SIZES, make
 HERE = Path(__file__).parent
 ROUNDS = 2
 PAPERS_LENS = "  its paper's lens"
+SOLVE_ALONE = "  its solve alone"
 PYTHON_PEERS = {
     "scipy": ("scipy_trf", "scipy"),
     "pyceres": ("pyceres_lm", "pyceres"),
@@ -42,6 +43,7 @@ ASKED = {
     "casadi with ipopt": "abc",
     "vision-calibration": "ab",
     PAPERS_LENS: "abcde",
+    SOLVE_ALONE: "abcde",
     "Ceres C++, 2 threads": "abcde",
     "smartview_jax": "abcde",
     "smartview_jax, many": "f",
@@ -101,8 +103,9 @@ def _problem(
 
 def _peers(folder: Path) -> dict[str, Callable[[Path, int], list[str]]]:
     found = {
-        "smartview_jax": python("smartview", "forward"),
-        PAPERS_LENS: python("smartview", "radial"),
+        "smartview_jax": python("smartview", "forward", "fit_joint"),
+        SOLVE_ALONE: python("smartview", "forward", "solve"),
+        PAPERS_LENS: python("smartview", "radial", "fit_joint"),
         "smartview_jax, many": python("smartview_many", "1"),
         "  on 2 devices": python("smartview_many", "2"),
     }

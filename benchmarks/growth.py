@@ -27,7 +27,7 @@ def run(smoke: bool = False) -> bool:
             path = Path(folder) / "problem.f64"
             make(views, count, False).save(path)
             for devices in (1, 2):
-                ours = python("smartview", "forward", str(devices))
+                ours = python("smartview", "forward", "solve", str(devices))
                 found = measured(ours(path, 2 if smoke else 3))
                 seconds, peak = median([found], "seconds"), found["peak_mb"]
                 # Points, pixels, visibility of every view, as the fit holds them.

@@ -4,6 +4,7 @@ NumPy evaluates a formula on small arrays in less time than it takes to compile 
 The same functions remain differentiable and batchable with JAX.
 """
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, TypeAlias
 
@@ -30,8 +31,8 @@ def to_device(array: AnyArray | float | list[float]) -> Array:
     return jax.device_put(np.asarray(array))
 
 
-def as_float_array(value: ArrayLike) -> Float[Array, "..."]:
-    """Return a number or an array of any kind as a JAX array of double precision.
+def as_float_array(value: ArrayLike | Sequence[Any]) -> Float[Array, "..."]:
+    """Return a number, an array or a sequence of numbers as a JAX array of double precision.
 
     Nothing is compiled for numbers and NumPy arrays.
     """

@@ -15,14 +15,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from .array_namespace import as_float_array
+from .array_namespace import AnyArray, as_float_array
 from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
-from .compilation import compiled
+from .compilation import compiled, is_traced
 from .deprecation import DeprecatedAttribute
 from .files import dump_yaml, read_yaml, write_atomically
 from .geometry import (
@@ -227,10 +226,19 @@ class Calibration(eqx.Module):
         reported, error = as_command(base_from_tool), self.robot_error if corrected else None
         return _chain(self.camera_from_mount, self.holder_from_world, self.mount, error, reported)
 
-    def camera_from_world_matrices(self, reported: Command) -> Float[Array, "views 4 4"]:
-        """Return the extrinsics `(views)` of `camera_from_world` as matrices, compiled."""
-        return _chain_matrices(
-            self.camera_from_mount, self.holder_from_world, self.mount, self.robot_error, reported
+    def camera_from_world_matrices(self, reported: Command) -> Float[AnyArray, "views 4 4"]:
+        """Return the extrinsics `(views)` of `camera_from_world` as matrices."""
+        camera_from_mount, holder_from_world = self.camera_from_mount, self.holder_from_world
+        if self.robot_error is not None or is_traced(self, reported):
+            return _chain_matrices(
+                camera_from_mount, holder_from_world, self.mount, self.robot_error, reported
+            )
+        # The chain of Eq. 10 without a robot error is a product of matrices: nothing to compile.
+        mount_from_holder = host_mount_from_holder(self.mount, reported.base_from_tool)
+        return (
+            host_matrices(camera_from_mount)
+            @ host_matrices(mount_from_holder)
+            @ host_matrices(holder_from_world)
         )
 
     def command_for(
@@ -309,11 +317,8 @@ class Calibration(eqx.Module):
         corrected: bool = True,
     ) -> Float[Array, "*transformed 3"]:
         """Return target points in the camera frame (Eq. 1), m; arguments as in `project`."""
-        # The scale is that of the target about its own origin, so it acts before any transform.
-        points = self.target_scale * jnp.asarray(points, dtype=float)
-        # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The projection to
-        # pixels (Eq. 2 and the lens) follows in `project`.
-        return transform_points(self.camera_from_world(base_from_tool, corrected=corrected), points)
+        robot_pose = as_command(base_from_tool)
+        return _points_in_camera(self, robot_pose, as_float_array(points), corrected)
 
     def project(
         self,
@@ -332,9 +337,7 @@ class Calibration(eqx.Module):
         Returns:
             pixels `(*views, N, 2)`, NaN where `valid` `(*views, N)` is False.
         """
-        return self.camera.project(
-            self.points_in_camera(base_from_tool, points, corrected=corrected)
-        )
+        return _project(self, as_command(base_from_tool), as_float_array(points), corrected)
 
     def to_dict(self, run: str | None = None, warnings: Sequence[str] = ()) -> dict[str, Any]:
         """Return a dictionary of plain numbers with names and units, as written by `save`."""
@@ -440,6 +443,26 @@ _TRANSFORM_PATTERNS = ("camera_from_{0}", "{1}_from_world")
 """The names of the two transforms in a file, to be formatted with mount and holder frame."""
 
 
+@compiled
+def _project(
+    calibration: Calibration, reported: Command, points: Float[Array, "*points 3"], corrected: bool
+) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
+    """Return the pixels of target points, and their validity, compiled."""
+    return calibration.camera.project(_points_in_camera(calibration, reported, points, corrected))
+
+
+@compiled
+def _points_in_camera(
+    calibration: Calibration, reported: Command, points: Float[Array, "*points 3"], corrected: bool
+) -> Float[Array, "*transformed 3"]:
+    """Return target points in the camera frame by Eq. 1, compiled."""
+    # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The scale is that of the
+    # target about its own origin, so it acts before any transform.
+    camera_from_world = calibration.camera_from_world(reported, corrected=corrected)
+    return transform_points(camera_from_world, calibration.target_scale * points)
+
+
+@compiled
 def _chain(
     camera_from_mount: SE3,
     holder_from_world: SE3,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Unpack
 
 import equinox as eqx
 import numpy as np
@@ -13,7 +14,7 @@ from .dataset import Dataset, chain_residuals
 from .deprecation import DeprecatedAttribute
 from .engine import JointProblem, Noise, Observability, parameter_names
 from .fit_result import FitResult, Rejection
-from .joint import JointFit, batch_least_squares, fit_joint, precompile
+from .joint import JointFit, JointOptions, batch_least_squares, fit_joint, precompile
 from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
 from .variance import NoiseEstimate
 
@@ -156,7 +157,7 @@ def calibrate(
     camera: Camera | None = None,
     step2: str = "kalman",
     progress: Callable[[str], None] | None = None,
-    **joint_options,
+    **joint_options: Unpack[JointOptions],
 ) -> CalibrationFit:
     """Calibrate by the staged pipeline, then by the joint fit without the staged fit's outliers.
 
@@ -166,7 +167,7 @@ def calibrate(
         camera: a known camera, which both fits then hold.
         step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
         progress: called with a line of text for each stage.
-        joint_options: passed on to `fit_joint`.
+        joint_options: options of `fit_joint`, by keyword.
 
     Raises:
         ValueError: as `fit_staged` and `fit_joint` do.

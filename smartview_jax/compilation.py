@@ -7,7 +7,7 @@ thousand small fits. Compiled programs are kept for later processes (`compilatio
 
 import functools
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -23,6 +23,11 @@ It corresponds to some five thousand observations.
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+
+def is_traced(*trees: Any) -> bool:
+    """Return whether any array in the arguments is traced by `jit`, `grad` or `vmap`."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -70,8 +75,7 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        traced = any(isinstance(x, Tracer) for x in jax.tree.leaves((args, kwargs)))
-        if traced:
+        if is_traced(args, kwargs):
             return nested(*args, **kwargs)
         keep_compiled_programs()
         return top_level(*args, **kwargs)

@@ -17,7 +17,7 @@ from .calibration import Calibration, mount_frames
 from .cameras import Camera
 from .compilation import compiled
 from .deprecation import DeprecatedAttribute
-from .geometry import PoseLike, check_rigid, host_matrices, se3_from_matrices
+from .geometry import PoseLike, as_se3, check_rigid, host_matrices
 from .robots import Command, SerialArm
 
 MINIMUM_RELIABLE_VIEWS = 8
@@ -223,7 +223,7 @@ class Dataset(eqx.Module):
             points=jax.device_put(np.broadcast_to(np.nan_to_num(points), (*seen.shape, 3))),
             pixels=jax.device_put(pixels),
             visible=jax.device_put(seen),
-            base_from_tool=se3_from_matrices(matrices),
+            base_from_tool=as_se3(matrices),
             view_ids=ids,
             image_size=(int(image_size[0]), int(image_size[1])),
             mount=mount,

@@ -314,8 +314,8 @@ def test_a_viewpoint_that_could_break_something_is_refused(result, tmp_path, opt
     forced = RUNNER.invoke(app, [*given, "--force"])
     assert re.search(reason, forced.stdout)
     # What no robot can do is not written all the same.
-    absurd = "400" in options
-    assert (forced.exit_code, out.exists()) == ((2, False) if absurd else (0, True))
+    unreachable = "400" in options
+    assert (forced.exit_code, out.exists()) == ((2, False) if unreachable else (0, True))
 
 
 def test_a_viewpoint_out_of_an_arms_reach_is_refused(tmp_path):

@@ -90,11 +90,12 @@ def test_other_programs_do_not_inherit_the_64_bits():
     assert run(f"import subprocess, sys, smartview_jax\nsys.exit({start})").returncode == 0
 
 
-def test_a_default_calibration_has_few_programs_to_compile():
+def test_a_default_calibration_has_few_programs_to_compile(tmp_path):
     """A count, not a time: every program costs a newcomer a part of the first answer's seconds."""
     done = run(
-        """
+        f"""
 import jax, smartview_jax as sv
+from smartview_jax.cli import app
 from smartview_jax.io import sample_folder
 built = []
 jax.monitoring.register_event_duration_secs_listener(
@@ -106,10 +107,13 @@ fit = sv.calibrate(data)
 first = len(built)
 assert fit.result.converged
 sv.calibrate(data)
-print(first, len(built) - first)
+again = len(built) - first
+app(["calibrate", "--out", {str(tmp_path / "out")!r}], standalone_mode=False)
+print(first, again, len(built) - first - again)
 """
     )
     assert done.returncode == 0, done.stderr
-    first, again = map(int, done.stdout.split())
-    assert 10 < first <= 45
+    first, again, folds_and_report = map(int, done.stdout.splitlines()[-1].split())
+    assert 10 < first <= 25
     assert again == 0
+    assert folds_and_report <= 8

@@ -14,7 +14,7 @@ import smartview_jax as sv  # noqa: E402
 from smartview_jax.cameras import AbstractPerspectiveLens, implicit_inverse  # noqa: E402
 from smartview_jax.engine.problem_builder import build_problem  # noqa: E402
 from smartview_jax.engine.sharding import shard  # noqa: E402
-from smartview_jax.engine.solver import solve  # noqa: E402
+from smartview_jax.engine.solver import Solution, solve  # noqa: E402
 
 from . import problem as peer  # noqa: E402
 from .result import report, timed  # noqa: E402
@@ -55,21 +55,30 @@ def calibration_of(data: peer.Problem, lens: str) -> sv.Calibration:
     )
 
 
-def main(path: Path, repeats: int, lens: str, devices: int = 1) -> None:
-    """Time one fit, cold and warm, with its views on so many of the CPU's devices."""
+def main(path: Path, repeats: int, lens: str, call: str, devices: int = 1) -> None:
+    """Time one fit, cold and warm, with its views on so many of the CPU's devices.
+
+    The call is "fit_joint", which users call, or the "solve" of its least-squares problem alone.
+    """
     jax.config.update("jax_num_cpu_devices", devices)
     data = peer.load(path)
     noise = sv.Noise(peer.PIXEL, peer.TRANSLATION, peer.ROTATION) if data.corrected else "trusted"
-    built = build_problem(dataset_of(data), calibration_of(data, lens), noise=noise).problem
+    dataset, start = dataset_of(data), calibration_of(data, lens)
+    built = build_problem(dataset, start, noise=noise).problem
     if devices > 1:
         built = shard(built, jax.devices())
     whitened = 1.0 if data.corrected else peer.PIXEL**-2
     del data
-    (solution, _), seconds, cold = timed(
-        lambda: jax.block_until_ready(solve(built)), repeats, START
-    )
+
+    def fit() -> Solution:
+        if call == "fit_joint":
+            return sv.fit_joint(dataset, start, noise=noise).solution
+        return jax.block_until_ready(solve(built))[0]
+
+    solution, seconds, cold = timed(fit, repeats, START)
     report(seconds, solution.costs[-1] * whitened, solution.steps, cold)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], *map(int, sys.argv[4:]))
+    path, repeats, lens, call, *devices = sys.argv[1:]
+    main(Path(path), int(repeats), lens, call, *map(int, devices))

@@ -52,7 +52,7 @@ def print_result(rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Datas
     for direction in fit.joint.observability.null_directions:
         console.print(f"not determined: {direction.description}")
     for row in rows:
-        for remark in remarks(row.name, row.registration_errors, row.held_out_report):
+        for remark in remarks(row.name, row.reprojection_errors, row.held_out_report):
             console.print(remark, highlight=False)
     rejected = rejections(fit, data)
     if rejected:

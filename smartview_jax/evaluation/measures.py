@@ -2,13 +2,14 @@
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import AnyArray
+from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
-from ..dataset import Dataset
+from ..dataset import Dataset, view_residuals
 from ..robots import CommandLike
 
 
@@ -85,8 +86,23 @@ def _rms(values: np.ndarray) -> float:
 
 def reprojection_errors(predictor: Predictor, data: Dataset) -> ReprojectionErrors:
     """Return the reprojection errors of all visible points; infinite without a prediction."""
+    if isinstance(predictor, Calibration):
+        return _chain_reprojection_errors(predictor, data)
     predicted, valid, depth = predict(predictor, data.command, data.points)
     return errors_of_predictions(predictor.camera, data, predicted, valid, depth)
+
+
+def _chain_reprojection_errors(calibration: Calibration, data: Dataset) -> ReprojectionErrors:
+    """Return the reprojection errors of a calibration, by the programs that every fit uses."""
+    poses = np.asarray(calibration.camera_from_world_matrices(data.command))
+    residuals = view_residuals(
+        calibration.camera, calibration.target_scale, poses, data.observations
+    )
+    # Residuals are infinite where a point that was seen cannot be predicted.
+    px = np.where(np.asarray(data.visible), np.linalg.norm(residuals, axis=-1), np.nan)
+    points = float(calibration.target_scale) * np.asarray(data.points)
+    depth = np.einsum("vi,vni->vn", poses[:, 2, :3], points) + poses[:, 2, 3, None]
+    return errors_at_target(calibration.camera, px, depth)
 
 
 def errors_of_predictions(
@@ -105,11 +121,11 @@ def errors_of_predictions(
 
 
 def errors_at_target(
-    camera: Camera, px: Float[np.ndarray, "views points"], depth: Float[Array, "views points"]
+    camera: Camera, px: Float[np.ndarray, "views points"], depth: Float[AnyArray, "views points"]
 ) -> ReprojectionErrors:
     """Return reprojection errors (px) with the distances at the target, at the given depths (m)."""
     # Pixel distance x depth / focal length, with the geometric mean of the two focal lengths.
-    focal = float(jnp.sqrt(jnp.abs(camera.alpha_u * camera.alpha_v)))
+    focal = np.sqrt(abs(float(camera.alpha_u) * float(camera.alpha_v)))
     # A depth of exactly zero would make an unpredicted point's infinity a NaN.
     distance = np.maximum(np.abs(np.asarray(depth)), np.finfo(float).tiny)
     return ReprojectionErrors(px, px * distance / focal)

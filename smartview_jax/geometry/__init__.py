@@ -24,7 +24,6 @@ from .pose_codecs import LENGTH_UNITS as LENGTH_UNITS
 from .pose_codecs import POSE_CODECS as POSE_CODECS
 from .pose_codecs import PoseCodec as PoseCodec
 from .pose_codecs import pose_codec as pose_codec
-from .pose_codecs import se3_from_matrices as se3_from_matrices
 from .rigid_transforms import PoseLike as PoseLike
 from .rigid_transforms import as_se3 as as_se3
 from .rigid_transforms import check_rigid as check_rigid

@@ -27,12 +27,35 @@ def host_transforms(matrices: Float[np.ndarray, "*batch 4 4"]) -> SE3:
     """
     numbers = np.full((*matrices.shape[:-2], 7), np.nan)
     finite = np.isfinite(matrices).all(axis=(-2, -1))
-    if finite.any():
-        quaternions = Rotation.from_matrix(matrices[finite][:, :3, :3]).as_quat()
-        numbers[finite] = np.concatenate(
-            [quaternions[:, [3, 0, 1, 2]], matrices[finite][:, :3, 3]], axis=1
-        )
+    numbers[finite] = _transform_numbers(matrices[finite])
     return SE3(numbers)  # pyright: ignore[reportArgumentType]
+
+
+def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
+    """Return the numbers `wxyz_xyz` of matrices: a unit quaternion and a translation.
+
+    SciPy is not used: of a matrix of few digits it takes the nearest rotation, which is another one
+    than jaxlie's, and it refuses the mirrored matrices that masked views may have.
+    """
+    R = matrices[:, :3, :3]
+    # For a unit quaternion (w, x, y, z), each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
+    diagonal = 1.0 + np.stack([R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]], axis=1) @ _DIAGONAL_SIGNS.T
+    wx, wy, wz = (R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((1, 0), (0, 2), (2, 1)))
+    w, x, y, z = diagonal.T
+    rows = np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]])
+    # The choice of the row is jaxlie's: one that is far from zero.
+    first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    chosen = np.where(third < 0.0, np.where(first > second, 1, 2), np.where(first < -second, 3, 0))
+    quaternions = rows[chosen, :, np.arange(len(R))]
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.hstack([quaternions, matrices[:, :3, 3]])
+
+
+_DIAGONAL_SIGNS = np.array(
+    [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
+)
+"""Signs of a rotation matrix's diagonal in `4 w^2 - 1`, `4 x^2 - 1`, `4 y^2 - 1`, `4 z^2 - 1`."""
 
 
 def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:

@@ -33,7 +33,7 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from .euler import ypr_from_rotation, zyz_from_rotation
-from .host import host_matrices
+from .host import host_matrices, host_transforms
 from .oat import oat_from_rotation
 from .rigid_transforms import check_rigid
 
@@ -175,7 +175,7 @@ def _matrix_codec() -> PoseCodec:
         columns=tuple(f"m{i}{j}" for i in range(4) for j in range(4)),
         length_columns=(3, 7, 11),
         angle_columns=(),
-        to_numbers=lambda rows: _numbers_of_matrices(rows.reshape(-1, 4, 4)),
+        to_numbers=lambda rows: np.asarray(host_transforms(rows.reshape(-1, 4, 4)).wxyz_xyz),
         from_se3=lambda poses: host_matrices(poses).reshape(*poses.get_batch_axes(), 16),
         check=check,
     )
@@ -264,39 +264,6 @@ def _position_rotation_codec(
         check=check,
         units=units,
     )
-
-
-def se3_from_matrices(matrices: Float[np.ndarray, "*batch 4 4"]) -> SE3:
-    """Return transforms `(*batch)` from matrices as `as_se3` does, without compiling a program."""
-    numbers = _numbers_of_matrices(matrices.reshape(-1, 4, 4))
-    return SE3(jax.device_put(numbers.reshape(*matrices.shape[:-2], 7)))
-
-
-def _numbers_of_matrices(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
-    """Return the numbers `wxyz_xyz` of matrices: a unit quaternion and a translation.
-
-    SciPy is not used: of a matrix of few digits it takes the nearest rotation, which is another one
-    than jaxlie's, and it refuses the mirrored matrices that masked views may have.
-    """
-    R = matrices[:, :3, :3]
-    # For a unit quaternion (w, x, y, z), each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
-    diagonal = 1.0 + np.stack([R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]], axis=1) @ _DIAGONAL_SIGNS.T
-    wx, wy, wz = (R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((1, 0), (0, 2), (2, 1)))
-    w, x, y, z = diagonal.T
-    rows = np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]])
-    # The choice of the row is jaxlie's: one that is far from zero.
-    first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
-    chosen = np.where(third < 0.0, np.where(first > second, 1, 2), np.where(first < -second, 3, 0))
-    quaternions = rows[chosen, :, np.arange(len(R))]
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.hstack([quaternions, matrices[:, :3, 3]])
-
-
-_DIAGONAL_SIGNS = np.array(
-    [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
-)
-"""Signs of a rotation matrix's diagonal in `4 w^2 - 1`, `4 x^2 - 1`, `4 y^2 - 1`, `4 z^2 - 1`."""
 
 
 def _from_euler(axes: str) -> Callable[[np.ndarray], Rotation]:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..array_namespace import as_float_array
 from .host import host_matrices, host_transforms
 
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
@@ -53,10 +54,13 @@ def as_se3(pose: PoseLike) -> SE3:
     """
     if isinstance(pose, SE3):
         return pose
-    matrix = jnp.asarray(pose, dtype=float)
-    if matrix.shape[-2:] != (4, 4):
-        raise ValueError(f"a pose is an SE3 or an array (..., 4, 4); found shape {matrix.shape}")
-    return SE3.from_matrix(matrix).normalize()
+    shape = np.shape(pose)
+    if shape[-2:] != (4, 4):
+        raise ValueError(f"a pose is an SE3 or an array (..., 4, 4); found shape {shape}")
+    if isinstance(pose, jax.Array):
+        return SE3.from_matrix(jnp.asarray(pose, dtype=float)).normalize()
+    transforms = host_transforms(np.asarray(pose, dtype=float))
+    return SE3(as_float_array(transforms.wxyz_xyz))
 
 
 def check_rigid(

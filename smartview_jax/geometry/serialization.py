@@ -2,17 +2,16 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
+
+from ..array_namespace import to_device
 
 
 def transform_to_dict(transform: SE3) -> dict[str, list[float]]:
     """Return the translation (m) and the unit quaternion (real part first) of a transform."""
-    return {
-        "translation": np.asarray(transform.translation()).tolist(),
-        "quaternion_wxyz": np.asarray(transform.rotation().wxyz).tolist(),
-    }
+    numbers = np.asarray(transform.wxyz_xyz).tolist()
+    return {"translation": numbers[4:], "quaternion_wxyz": numbers[:4]}
 
 
 def transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
@@ -32,4 +31,4 @@ def transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
         raise ValueError(f"{name}: expected 3 and 4 numbers")
     if not (np.isfinite(translation).all() and abs(np.linalg.norm(quaternion) - 1.0) < 1e-6):
         raise ValueError(f"{name}: not a finite translation and a unit quaternion")
-    return SE3.from_rotation_and_translation(SO3(jnp.asarray(quaternion)), jnp.asarray(translation))
+    return SE3(to_device(np.concatenate([quaternion, translation])))

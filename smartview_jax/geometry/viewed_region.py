@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..array_namespace import as_float_array
+
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 """Value of `ViewedRegion.side` for each name that a file may contain."""
 
@@ -20,11 +22,6 @@ MIN_RADIUS_FRACTION = 0.1
 
 Views that were all taken from one position would otherwise have a region of radius zero.
 """
-
-
-def _as_float_array(value: object) -> Float[Array, "..."]:
-    """Return a value as a float array."""
-    return jnp.asarray(value, dtype=float)
 
 
 class ViewedRegion(eqx.Module):
@@ -44,12 +41,12 @@ class ViewedRegion(eqx.Module):
             of the cameras, m; infinite if the target is on the tool, or was seen from both sides.
     """
 
-    side: Float[Array, ""] = eqx.field(converter=_as_float_array)
-    plane_z: Float[Array, ""] = eqx.field(converter=_as_float_array)
-    centroid: Float[Array, "3"] = eqx.field(converter=_as_float_array)
-    radius: Float[Array, ""] = eqx.field(converter=_as_float_array)
-    distance_range: Float[Array, "2"] = eqx.field(converter=_as_float_array)
-    min_tool_height: Float[Array, ""] = eqx.field(converter=_as_float_array)
+    side: Float[Array, ""] = eqx.field(converter=as_float_array)
+    plane_z: Float[Array, ""] = eqx.field(converter=as_float_array)
+    centroid: Float[Array, "3"] = eqx.field(converter=as_float_array)
+    radius: Float[Array, ""] = eqx.field(converter=as_float_array)
+    distance_range: Float[Array, "2"] = eqx.field(converter=as_float_array)
+    min_tool_height: Float[Array, ""] = eqx.field(converter=as_float_array)
 
     @classmethod
     def from_positions(

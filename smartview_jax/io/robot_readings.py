@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..dataset import Dataset
-from ..geometry import LENGTH_UNITS, PoseCodec, host_matrices, pose_codec, se3_from_matrices
+from ..geometry import LENGTH_UNITS, PoseCodec, as_se3, host_matrices, pose_codec
 from ..robots import SerialArm
 from .csv_tables import duplicates, parse_numbers, read_table, refuse_out_of_range, refuse_truncated
 from .joints import read_joints
@@ -89,7 +89,7 @@ def _read_poses(
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if content["direction"] != "base_from_tool":
-        poses = se3_from_matrices(np.linalg.inv(host_matrices(poses)))
+        poses = as_se3(np.linalg.inv(host_matrices(poses)))
     return view_ids, poses, masked_views
 
 

@@ -10,6 +10,7 @@ from .joint_fit import JointFit as JointFit
 from .joint_fit import view_influence as view_influence
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
+from .options import JointOptions as JointOptions
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
 from .precompile import precompile as precompile

@@ -14,6 +14,11 @@ from .constraints import Parallel as Parallel
 from .constraints import RightAngle as RightAngle
 from .constraints import SamePlane as SamePlane
 from .constraints import Symmetric as Symmetric
+from .correspondence_checks import WrongCorrespondence as WrongCorrespondence
+from .correspondence_checks import wrong_correspondences as wrong_correspondences
+from .dimensions import Dimension as Dimension
+from .dimensions import angle as angle
+from .dimensions import dimension as dimension
 from .epipolar import EpipolarCurve as EpipolarCurve
 from .epipolar import epipolar_curve as epipolar_curve
 from .epipolar import epipolar_curves as epipolar_curves

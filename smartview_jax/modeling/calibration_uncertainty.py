@@ -68,6 +68,7 @@ class CalibrationUncertainty(NamedTuple):
         """
         if estimate is None and noise is None:
             return cls.none(views)
+        # A bound knows no noise of its own: there it is given, or the poses are exact.
         if noise is None and isinstance(estimate, JointFit):
             noise = estimate.noise
         names = parameter_names(calibration)
@@ -81,6 +82,7 @@ class CalibrationUncertainty(NamedTuple):
                 )
             roots = np.asarray(covariance_root(estimate))
         # Parameters that were held are exact, and have no column.
+        # The target's scale and held intrinsics are the usual ones.
         used = np.flatnonzero(np.any(roots != 0.0, axis=0))
         shared, own = map(np.asarray, _view_jacobians(calibration, views.command))
         count = len(views.camera_from_world)
@@ -89,6 +91,7 @@ class CalibrationUncertainty(NamedTuple):
             sigmas = np.repeat([noise.translation, noise.rotation], 3)
             if not np.isfinite(sigmas).all():
                 raise ValueError("covariance: a robot whose poses may be anywhere measures nothing")
+        # Six numbers of each view's own, independent of all others.
         size = len(sigmas) * count
         jacobian = np.zeros((count, shared.shape[1], len(used) + size))
         jacobian[:, :, : len(used)] = shared[:count, :, used]
@@ -99,6 +102,7 @@ class CalibrationUncertainty(NamedTuple):
                 place = slice(len(used) + 6 * k, len(used) + 6 * k + 6)
                 jacobian[k, -6:, place] = own[k]
                 covariance[place, place] = np.diag(sigmas**2)
+        # The names of the corrections that a fit has for its own views, here of these views.
         noise_names = parameter_names(calibration, [str(k) for k in range(count if size else 0)])
         own_names = noise_names[len(names) :]
         return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
@@ -128,8 +132,10 @@ def _view_jacobians(
     parameters = Parameters(calibration)
     layout, count = parameters.layout, len(command.base_from_tool.wxyz_xyz)
     step = Step(jnp.zeros(layout.size), jnp.zeros((count, 6)))
+    # The chain of Eq. 10 and its derivatives are those of the joint fit.
     poses = linearise_poses(parameters, step, command.base_from_tool, prepared)
     # The target's scale does not act on other objects, which are measured in metres.
+    # In the order of `Parameters`: camera, both transforms, scale, field.
     chained = layout.size - layout.camera.stop
     scale = layout.target_scale.start - layout.camera.stop
     twist = poses.shared_jacobian.at[:, :, scale].set(0.0)

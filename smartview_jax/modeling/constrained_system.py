@@ -66,6 +66,7 @@ def _scaled_inverse(
     blocks: Float[np.ndarray, "blocks n n"],
 ) -> Float[np.ndarray, "blocks n n"]:
     """Return the inverses of symmetric blocks, scaled to a unit diagonal for precision."""
+    # A line has metres and radians in one block; its condition is that of the correlations.
     scale = np.sqrt(np.einsum("kii->ki", blocks))
     outer = scale[:, :, None] * scale[:, None]
     return np.linalg.inv(blocks / outer) / outer
@@ -99,12 +100,15 @@ class ConstrainedSystem(NamedTuple):
             inverse: that of `features`.
         """
         A, precision = self.feature_constraints, np.diagonal(self.border)
+        # Each unknown of the border by itself, which is enough for a scale.
         known = np.divide(1.0, precision, out=np.zeros(len(precision)), where=precision > 0.0)
         own = np.einsum("cr,rc->c", A, inverse.times(A.T))
         return np.maximum(own + self.border_constraints**2 @ known, np.finfo(float).tiny)
 
     def factorised(self, damping: float = 0.0) -> "Factorisation":
         """Return the inverse in parts, with the diagonals of H and P multiplied by 1 + damping."""
+        # dx = -H^-1 (g + B db + A^T m) put into the other two rows leaves
+        #     (D - X^T H^-1 X) y = r - X^T H^-1 f,   X = [B A^T],   D = [[P, C^T], [C, -S]].
         inverse = self.features.damped(damping).inverse()
         coupling = np.concatenate([self.feature_border, self.feature_constraints.T], axis=1)
         eliminated = inverse.times(coupling)
@@ -120,6 +124,8 @@ def _symmetric_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n
     """Return the inverse of a symmetric indefinite matrix, scaled to a unit diagonal."""
     if not len(matrix):
         return matrix
+    # Numbers of a calibration, metres and constraints stand side by side: without scaling the
+    # inverse would lose most digits.
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
     # A plane has no information of its own: its scale is that of its constraints.
     largest = np.abs(matrix).max(axis=1, initial=0.0)
@@ -156,6 +162,7 @@ class Factorisation(NamedTuple):
 
     def covariance(self, rows: np.ndarray) -> Float[np.ndarray, "chosen chosen"]:
         """Return the covariance of some unknowns: rows of features, then of the border."""
+        # Columns of the inverse: one solution for each unknown that is asked for.
         size, count = self.features.size, len(rows)
         is_feature = rows < size
         right = np.zeros((size, count)), np.zeros((len(self.reduced), count))
@@ -167,6 +174,7 @@ class Factorisation(NamedTuple):
             features[np.where(is_feature, rows, 0)],
             rest[np.where(is_feature, 0, rows - size)] if len(rest) else 0.0,
         )
+        # Symmetric but for rounding.
         return 0.5 * (found + found.T)
 
     def feature_blocks(self) -> FeatureBlocks:

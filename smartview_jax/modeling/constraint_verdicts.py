@@ -62,12 +62,14 @@ def constraint_verdicts(
     multipliers = rest[factors.border_size :]
     information = -factors.reduced[factors.border_size :, factors.border_size :]
     left_open = at.system.left_open(factors.features)
+    # Bonferroni: the probabilities of all tests together add up to at most the stated one.
     per_test = false_alarm / len(problem.constraints)
     verdicts = []
     for constraint, rows in zip(problem.constraints, at.rows, strict=True):
         cost, freedom = _score(multipliers[rows], information[rows, rows], left_open[rows])
         p_value = float(chdtrc(freedom, cost)) if freedom else 1.0
         values = at.values[rows]
+        # An exact constraint is violated only where another exact one contradicts it.
         tolerance = VIOLATION * np.sqrt(left_open[rows])
         violated = constraint.sigma is None and bool(np.any(np.abs(values) > tolerance))
         verdicts.append(
@@ -92,5 +94,6 @@ def _score(
     scale = np.sqrt(left_open)
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     used = (values > 1e-6) & (values < 1e-2 / EXACT_VARIANCE)
+    # In the eigenvectors the quadratic form is a sum of squares of independent unit normals.
     parts = vectors.T @ (multipliers * scale)
     return float(np.sum(parts[used] ** 2 / values[used])), int(used.sum())

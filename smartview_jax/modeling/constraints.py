@@ -59,6 +59,7 @@ class Shape(NamedTuple):
         planes: Float[np.ndarray, "planes 3"],
     ) -> "Shape":
         """Return the shape after steps of all points, lines and planes."""
+        # To first order, then back to unit length: the derivatives are those at a step of zero.
         normals = self.normals + np.einsum(
             "pij,pj->pi", perpendicular_axes(self.normals), planes[:, :2]
         )
@@ -96,6 +97,7 @@ class _Accumulator:
 
     def add(self, variable: Variable, jacobian: np.ndarray) -> None:
         """Add a contribution to the derivatives by a variable."""
+        # An edge that two constraints share, or a vertex of both edges, comes up twice.
         known = self.parts.get(variable)
         self.parts[variable] = jacobian if known is None else known + jacobian
 
@@ -124,6 +126,7 @@ def _length(shape: Shape, edge: tuple[int, int]) -> tuple[float, dict[Variable, 
     """Return the length of an edge and its derivatives."""
     i, j = edge
     difference = shape.points[j] - shape.points[i]
+    # d|x| = (x / |x|) . dx
     length = float(np.linalg.norm(difference))
     row = difference[None] / length
     return length, {("point", j): row, ("point", i): -row}
@@ -133,6 +136,7 @@ def _height(shape: Shape, plane: int, point: int) -> tuple[float, dict[Variable,
     """Return the height of a point above a plane and its derivatives."""
     normal = shape.normals[plane]
     offset = shape.points[point] - shape.centres[plane]
+    # h = n . (x - c) - o, and n turns along two axes across itself: dh = n . dx + (x - c) . dn - do
     turn = offset @ perpendicular_axes(normal[None])[0]
     jacobians = {
         ("point", point): normal[None],
@@ -212,10 +216,13 @@ class SamePlane(AbstractConstraint):
         """Return the plane that is nearest to the vertices."""
         chosen = points[list(self.points)]
         centre = chosen.mean(axis=0)
+        # The direction in which the vertices scatter least.
         return centre, np.linalg.svd(chosen - centre)[2][2]
 
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the heights of the vertices above the plane."""
+        # The plane is an unknown of its own, rather than a determinant of every four vertices: the
+        # numbers are then distances, and all vertices count alike.
         values, total = np.zeros(len(self.points)), _Accumulator()
         for k, point in enumerate(self.points):
             values[k], parts = _height(shape, plane, point)
@@ -250,6 +257,7 @@ class OnPlane(AbstractConstraint):
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the heights of the vertices above the plane."""
         del plane
+        # The plane is known, so that nothing but the points moves.
         normal, count = np.array(self.normal), len(self.points)
         values = shape.points[list(self.points)] @ normal - self.offset
         total = _Accumulator()
@@ -277,6 +285,7 @@ class Parallel(AbstractConstraint):
         v, dv = _direction(shape, self.second)
         # The components along two axes across u: of the product, the third is zero.
         across = perpendicular_axes(u[None])[0].T
+        # d(u x v) = -[v] du + [u] dv; across u itself the product has no component.
         total = _Accumulator()
         total.chain(-across @ _cross_matrix(v), du)
         total.chain(across @ _cross_matrix(u), dv)
@@ -301,6 +310,7 @@ class RightAngle(AbstractConstraint):
         u, du = _direction(shape, self.first)
         v, dv = _direction(shape, self.second)
         total = _Accumulator()
+        # d(u . v) = v . du + u . dv
         total.chain(v[None], du)
         total.chain(u[None], dv)
         return Evaluation(np.array([u @ v]), total.parts)
@@ -321,6 +331,7 @@ class EqualLength(AbstractConstraint):
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the difference of the lengths."""
         del plane
+        # The difference and not the ratio, so that sigma is a length.
         a, da = _length(shape, self.first)
         b, db = _length(shape, self.second)
         total = _Accumulator()
@@ -395,6 +406,7 @@ class Symmetric(AbstractConstraint):
         normal = shape.normals[plane]
         axes = perpendicular_axes(normal[None])[0]
         values: list[np.ndarray] = []
+        # Three numbers for a pair, one for a vertex in the plane; together they also fix the plane.
         rows: list[dict[Variable, np.ndarray]] = []
         for i, j in self.pairs:
             height, parts = _height(shape, plane, i)
@@ -422,6 +434,21 @@ def _cross_matrix(vector: np.ndarray) -> np.ndarray:
     """Return the matrix of the vector product with a vector from the left."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def check_edges(
+    constraints: Sequence[AbstractConstraint], points: Float[np.ndarray, "points 3"]
+) -> None:
+    """Raise if an edge of a constraint has no length and so no direction.
+
+    Raises:
+        ValueError: naming the constraint and the vertices.
+    """
+    for constraint in constraints:
+        for edge in constraint.edges:
+            # Nothing is divided by zero later: steps are small against any edge that has a length.
+            if not isinstance(edge, LineIndex) and np.array_equal(*points[list(edge)]):
+                raise ValueError(f"{constraint}: vertices {edge} start in the same place")
 
 
 def check_constraints(

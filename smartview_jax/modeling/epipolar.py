@@ -161,9 +161,11 @@ def epipolar_curves(
     limits = _inverse_depths(origin, direction, depths, box)
     views = len(others.camera_from_world)
     if limits is None:
+        # A ray past the workspace is an answer, not an error: nothing is drawn.
         empty = np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int)
         return [EpipolarCurve(*empty, origin, direction)] * views
     size = calibration.camera.image_size
+    # Inverse depths, because a picture changes with them about evenly, and infinity is zero.
     inverse = np.tile(np.linspace(*limits, SAMPLES), (views, 1))
     for _ in range(REFINEMENTS):
         pixels, valid = _project(others, origin, direction, inverse)
@@ -181,6 +183,7 @@ def _ray(
     view: SeenViews, pixel: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the camera's centre and the unit ray of a pixel in the world."""
+    # The ray in the world is R^T times that in the camera.
     ray, valid = map(np.asarray, _unproject(view.camera, to_device(pixel)))
     if not valid:
         raise ValueError(f"pixel: {pixel.tolist()} px is outside of what the lens model can invert")
@@ -232,6 +235,7 @@ def _project(
     inverse: Float[np.ndarray, "views samples"],
 ) -> tuple[Float[np.ndarray, "views samples 2"], Bool[np.ndarray, "views samples"]]:
     """Return the pixels of the ray's points at inverse depths, each view's own."""
+    # Padded views repeat the last one, with its depths.
     extra = len(views.padded) - len(inverse)
     padded = np.concatenate([inverse, np.repeat(inverse[-1:], extra, axis=0)])
     ray = np.stack([origin, direction])
@@ -294,6 +298,7 @@ def _evenly_within(
     crossing = leave > enter
     if not crossing.any():
         return inverse
+    # Cumulative length over the segments within the picture, inverted at even steps.
     length = np.linalg.norm(np.diff(pixels, axis=0)[crossing], axis=1)
     visible_length = length * (leave - enter)[crossing]
     change = np.diff(inverse)[crossing]
@@ -317,6 +322,7 @@ def _cut(
     crossing = np.flatnonzero(leave > enter)
     found: list[tuple[np.ndarray, float, int]] = []
     piece, last = -1, None
+    # A segment continues the last piece if that ended, uncut, where this one begins.
     for k in crossing:
         along, change = pixels[k + 1] - pixels[k], inverse[k + 1] - inverse[k]
         continues = last == k - 1 and enter[k] == 0.0 and leave[k - 1] == 1.0

@@ -41,6 +41,7 @@ class Lines(NamedTuple):
 
     def moved(self, step: Float[np.ndarray, "lines 4"]) -> "Lines":
         """Return the lines after a step: two shifts (m) and two turns (rad) each."""
+        # A turn about the point, so that shift and turn do not mix.
         shift, turn = (
             np.einsum("lij,lj->li", self.perpendicular, step[:, k : k + 2]) for k in (0, 2)
         )
@@ -110,6 +111,7 @@ def line_jacobians(
     )
     padding = np.concatenate([filler, np.eye(3)[0], np.eye(3)[:, 1:].ravel()])
     rows = np.tile(padding, (shape[1] - count, 1))
+    # Ends that are not seen may be NaN; the top-left pixel is within every lens.
     safe = np.where(visible[..., None, None], segments, 0.0)
     found = _jacobians(
         views.camera,
@@ -153,10 +155,12 @@ def _jacobians(
             d = pose[:3, :3] @ moved_direction
             # To first order a twist (v, w) moves p by v + w x p and turns d by w x d.
             p, d = p + twist[:3] + jnp.cross(twist[3:], p), d + jnp.cross(twist[3:], d)
+            # p x d is normal to the plane through the camera's centre and the line.
             normal = jnp.cross(p, d)
             return jnp.where(valid, normal @ ray / jnp.linalg.norm(normal), 0.0)
 
         zero = jnp.zeros(4 + count + 6)
+        # The scale is held: its own derivative is multiplied by the residual, which is small.
         value, by_step = jax.value_and_grad(angle)(zero, pixel)
         by_pixel = jax.grad(angle, argnums=1)(zero, pixel)
         per_pixel = jnp.linalg.norm(by_pixel)
@@ -166,6 +170,7 @@ def _jacobians(
         sigma = jnp.sqrt(by_pixel @ covariance @ by_pixel) * scale
         return value * scale, sigma, by_step[:4] * scale, by_step[4:] * scale
 
+    # Both ends of a segment share its line and view; all lines share the view's pose.
     ends = jax.vmap(one, (None, None, 0, 0, None))
     over_lines = jax.vmap(ends, (None, 0, 0, 0, 0))
     over_views = jax.vmap(over_lines, (0, None, 0, 0, 0))

@@ -122,6 +122,7 @@ def triangulate_lines(
     kept = Lines(*(np.where(ok[:, None], a, b) for a, b in zip(lines, start, strict=True)))
     ends = _seen_part(views, rays, seen, kept)
     lines = Lines(ends.mean(axis=1), kept.directions)
+    # The four numbers refer to the middle of the seen part, where they are least correlated.
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
     local = line_jacobians(views, lines, measured, covariances, seen)
     weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
@@ -159,6 +160,7 @@ def end_covariances(
         return given
     if not np.all(given > 0.0):
         raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
+    # The same error in all directions: only its part across the line counts.
     variance = np.broadcast_to(given, shape)[..., None, None, None] ** 2
     return variance * np.broadcast_to(np.eye(2), (*shape, 2, 2, 2))
 
@@ -186,6 +188,7 @@ def world_rays(
     shape = (len(views.padded), padded_count(seen.shape[1]))
     safe = np.where(seen[..., None, None], segments, 0.0)
     rays, valid = unit_rays(views.camera, to_device(padded_to(safe, shape)))
+    # A segment with one end outside the lens is not used at all.
     used = seen & np.asarray(valid)[: len(seen), : seen.shape[1]].all(axis=-1)
     rays = np.asarray(rays)[: len(seen), : seen.shape[1]]
     rays = np.where(used[..., None, None], rays, 0.0)
@@ -199,6 +202,7 @@ def _plane_intersections(
 ) -> tuple[Lines, Bool[np.ndarray, "lines"]]:
     """Return the lines that are nearest to all planes of their segments, and which have enough."""
     normals = np.cross(rays[:, :, 0], rays[:, :, 1])
+    # Unit normals: a long segment would otherwise count more in the start than it deserves.
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
     # The direction is perpendicular to all normals: the last right singular vector.
@@ -226,6 +230,8 @@ def _refine(
     enough: Bool[np.ndarray, "lines"],
 ) -> tuple[Lines, Float[np.ndarray, "lines 4 4"], Bool[np.ndarray, "lines"]]:
     """Minimise the whitened distances; return lines, normal matrices, and which failed."""
+    # All lines step together, each with its own damping; there are too few of them for a loop
+    # within a compiled program to pay.
     lines, damping = start, np.full(len(enough), 1e-6)
     cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
     normal = np.tile(np.eye(4), (len(enough), 1, 1))
@@ -281,6 +287,7 @@ def _status(
     middle = np.sum(np.where(seen[..., None], parameters, 0.0), axis=(0, 2)) / np.maximum(
         2.0 * seen.sum(axis=0), 1.0
     )
+    # u + t w: the rows of the two shifts and, t times, of the two turns.
     shift = np.concatenate(
         [np.tile(np.eye(2), (len(middle), 1, 1)), middle[:, None, None] * np.eye(2)], axis=2
     )
@@ -322,5 +329,6 @@ def _seen_part(
     t, _ = _nearest_on_lines(views, rays, lines)
     low = np.where(seen[..., None], t, np.inf).min(axis=(0, 2), initial=np.inf)
     high = np.where(seen[..., None], t, -np.inf).max(axis=(0, 2), initial=-np.inf)
+    # A line that no view sees has no part; its status says so.
     limits = np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0)
     return lines.points[:, None] + limits[..., None] * lines.directions[:, None]

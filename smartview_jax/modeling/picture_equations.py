@@ -79,6 +79,7 @@ class CheckedObservations(NamedTuple):
         if pixels.ndim != 3 or pixels.shape[2] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
         seen = checked_visibility(pixels, observations.visible, size, count)
+        # No lines are lines of number zero, so that nothing below has to ask.
         segments = np.zeros((count, 0, 2, 2))
         if observations.segments is not None:
             segments = np.asarray(observations.segments, dtype=float)
@@ -140,13 +141,16 @@ def picture_equations(
     local = uncertainty.view_jacobian @ columns
     found = pixel_jacobians(views, shape.points, poses)
     residuals = np.where(observed.visible[..., None], observed.pixels - found.pixels, 0.0)
+    # Whitened errors e = L (f(x) - z), so that the gradient is J^T e.
     whitening = np.where(observed.visible[..., None, None], observed.whitening, 0.0)
     e = np.einsum("vpij,vpj->vpi", whitening, -residuals)
     squared = np.sum(e**2, axis=-1)
     cost, weight = _robust(loss, squared)
+    # A step that takes a point behind a camera is refused by its infinite cost.
     if np.any(observed.visible & ~found.valid):
         cost = np.inf
     root = np.sqrt(weight)[..., None]
+    # Reweighted least squares: the root of the weight scales residuals and Jacobians alike.
     J = (whitening @ found.by_point) * root[..., None]
     N = (whitening @ found.by_view) * root[..., None]
     points = _accumulate(e * root, J, N, local)
@@ -155,6 +159,7 @@ def picture_equations(
     distances = e.distances
     lines = _accumulate(e.whitened, J, N, local)
     cost += float(np.sum(e.whitened**2))
+    # Points first, lines after them, as everywhere.
     rows = 3 * len(points.blocks), 4 * len(lines.blocks)
     return PictureEquations(
         0.5 * cost,
@@ -202,6 +207,7 @@ def _line_terms(
         observed.segments_visible,
         poses,
     )
+    # Segments that are not seen have sigma zero and distance zero.
     inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
     terms = _LineTerms(at.distances * inverse, at.distances)
     return terms, at.by_line * inverse[..., None], at.by_view * inverse[..., None]
@@ -261,6 +267,7 @@ def _displaced(
     offsets: Float[np.ndarray, "all_numbers"],
 ) -> tuple[SeenViews, Float[np.ndarray, "views 4 4"]]:
     """Return the camera and the poses after offsets of the calibration's numbers."""
+    # Without offsets the exact matrices, rather than the product with the identity.
     if not offsets.any():
         return views, views.camera_from_world
     # exp(Ad d) acts on the left of camera_from_world; `view_jacobian` has the adjoints in it.
@@ -274,6 +281,7 @@ def _displaced(
 
 def _displaced_camera(camera: Camera, step: Float[np.ndarray, "parameters"]) -> Camera:
     """Return the camera with a step added to its parameters, in their flat order."""
+    # By leaves and on the host: `ravel_pytree` would compile a program for it.
     leaves, structure = jax.tree.flatten(camera)
     ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
     moved = [

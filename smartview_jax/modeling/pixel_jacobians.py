@@ -44,10 +44,11 @@ def pixel_jacobians(
         camera_from_world: poses instead of those of `views`, such as corrected ones.
     """
     view_count, count = len(views.camera_from_world), len(points)
-    poses = views.padded
+    poses = views.poses_for(count)
     if camera_from_world is not None:
         extra = len(poses) - view_count
         poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])
+    # A padded point may lie behind a camera: it is not valid there, and cut off below.
     padded = padded_to(points, (padded_count(count),), 0.0)
     found = _jacobians(views.camera, to_device(poses), to_device(padded))
     return PixelJacobians(*(np.asarray(array)[:view_count, :count] for array in found))
@@ -63,6 +64,7 @@ def _jacobians(
     Float[Array, "views points 2 local"],
 ]:
     """Return pixels, validity and the two Jacobians of `PixelJacobians`."""
+    # p = R x + t
     rotation, translation = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
     p = jnp.einsum("vij,pj->vpi", rotation, points) + translation[:, None]
     numbers, rebuild = ravel_pytree(camera)
@@ -76,6 +78,7 @@ def _jacobians(
     def by_camera(tangent: Float[Array, "numbers"]) -> Float[Array, "views points 2"]:
         return jax.jvp(lambda n: rebuild(n).project(p)[0], (numbers,), (tangent,))[1]
 
+    # Forward derivatives: few inputs, many pixels.
     D = jnp.moveaxis(jax.vmap(by_camera_frame)(jnp.eye(3)), 0, -1)
     C = jnp.moveaxis(jax.vmap(by_camera)(jnp.eye(numbers.size)), 0, -1)
     # A twist (v, w) of the pose moves p by v + w x p, so that each row d of D becomes p x d.
@@ -83,6 +86,7 @@ def _jacobians(
     by_point = jnp.einsum("vpui,vij->vpuj", D, rotation)
     by_view = jnp.concatenate([C, D, turned], axis=-1)
 
+    # Where there is no pixel there is no derivative; zeros leave sums as they are.
     def zero_where_invalid(array: Array) -> Array:
         return jnp.where(valid.reshape(valid.shape + (1,) * (array.ndim - 2)), array, 0.0)
 

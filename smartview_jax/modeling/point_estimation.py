@@ -2,8 +2,8 @@
 
 The start is linear: the point nearest to all rays. Each step of Levenberg-Marquardt then minimises
 the squared whitened pixel residuals through the real lens, for all points at once. The result is
-differentiable: the last step is a Newton step from the optimum, whose derivative is that of the
-optimum itself, to first order in the residuals.
+differentiable, by one Newton step from the optimum, whose derivative is that of the optimum itself
+to first order in the residuals.
 """
 
 from enum import IntEnum
@@ -30,6 +30,9 @@ CONVERGED_DECREMENT = 1e-10
 
 INITIAL_DAMPING, MIN_DAMPING = 1e-6, 1e-12
 """Damping relative to the diagonal of the normal matrix, at the start and at its smallest."""
+
+CHUNK = 2048
+"""Points that are estimated at once."""
 
 _TINY = 1e-300
 """A divisor that stands for zero, where the quotient is not used."""
@@ -69,13 +72,13 @@ class PointSolution(NamedTuple):
 
     Attributes:
         points: in the world, m.
-        normal_matrix: `J^T J` of the whitened residuals at each point, m^-2.
+        covariance: covariance of each point due to its pixels, m^2.
         residuals: measured minus predicted pixels, zero where not visible.
         status: a `PointStatus` each.
     """
 
     points: Float[Array, "points 3"]
-    normal_matrix: Float[Array, "points 3 3"]
+    covariance: Float[Array, "points 3 3"]
     residuals: Float[Array, "views points 2"]
     status: Array
 
@@ -102,26 +105,80 @@ def estimate_points(
         loss: robust loss of the whitened residuals; None is least squares.
     """
     problem = _Problem(camera, camera_from_world, pixels, whitening, visible, loss)
-    fixed = jax.lax.stop_gradient(problem)
-    start, degenerate, enough = _nearest_to_rays(fixed)
-    points, decrement = _minimise(fixed, start, degenerate | ~enough)
-    final = _linearise(problem, points)
-    # One more Newton step, x - H^-1 g(x), with H held: its derivative is that of the optimum.
-    _, step = _solve(jax.lax.stop_gradient(final.normal), final.gradient)
-    points = points - jnp.where(final.valid[:, None], jnp.stack(step, axis=-1), 0.0)
-    final = _linearise(problem, points)
-    covariance_trace, _ = _solve(final.normal, final.gradient)
+    count = pixels.shape[1]
+    if count <= CHUNK:
+        return _estimate(problem)
+    # Points are independent: a chunk at a time stays in the processor's cache, and ends its
+    # iterations when its own points are done.
+    chunks = -(-count // CHUNK)
+
+    def in_chunks(array: Array) -> Array:
+        if array.shape[1] == 1:
+            return jnp.broadcast_to(array[None], (chunks, *array.shape))
+        rest = ((0, 0), (0, chunks * CHUNK - count), *((0, 0),) * (array.ndim - 2))
+        parts = jnp.pad(array, rest).reshape(array.shape[0], chunks, CHUNK, *array.shape[2:])
+        return jnp.moveaxis(parts, 1, 0)
+
+    def one(chunk: tuple[Array, Array, Array]) -> PointSolution:
+        pixels, whitening, visible = chunk
+        return _estimate(problem._replace(pixels=pixels, whitening=whitening, visible=visible))
+
+    found = jax.lax.map(one, tuple(map(in_chunks, (pixels, whitening, visible))))
+    residuals = jnp.moveaxis(found.residuals, 0, 1).reshape(len(pixels), -1, 2)
+    points, covariance, status = (
+        array.reshape(-1, *array.shape[2:])[:count]
+        for array in (found.points, found.covariance, found.status)
+    )
+    return PointSolution(points, covariance, residuals[:, :count], status)
+
+
+@jax.custom_jvp
+def _estimate(problem: "_Problem") -> PointSolution:
+    """Estimate all points of a problem at once."""
+    start, degenerate, enough = _nearest_to_rays(problem)
+    points, at, decrement = _minimise(problem, start, degenerate | ~enough)
+    return _solution(problem, points, at, (decrement, degenerate, enough))
+
+
+@_estimate.defjvp
+def _estimate_jvp(
+    primals: tuple["_Problem"], tangents: tuple["_Problem"]
+) -> tuple[PointSolution, PointSolution]:
+    """Return the estimate and its directional derivative, without those of the iterations."""
+    (problem,), found = primals, _estimate(*primals)
+    points = jax.lax.stop_gradient(found.points)
+
+    def one_step(problem: _Problem) -> PointSolution:
+        # One more Newton step, x - H^-1 g(x) with H held, stays at the optimum, and its derivative
+        # is that of the optimum.
+        at = _linearise(problem, points)
+        _, step = _solve(jax.lax.stop_gradient(at.normal), at.gradient)
+        moved = points - jnp.where(at.valid[:, None], jnp.stack(step, axis=-1), 0.0)
+        settled = jnp.zeros(len(points)), jnp.zeros(len(points), bool), jnp.ones(len(points), bool)
+        return _solution(problem, moved, at, settled)
+
+    return found, jax.jvp(one_step, (problem,), tangents)[1]
+
+
+def _solution(
+    problem: "_Problem",
+    points: Float[Array, "points 3"],
+    at: "_Linearisation",
+    outcome: tuple[Float[Array, "points"], Bool[Array, "points"], Bool[Array, "points"]],
+) -> PointSolution:
+    """Return points with covariance and status, from the last linearisation and the outcome."""
+    decrement, degenerate, enough = outcome
     distance = _mean_distance(problem, points)
-    degenerate |= final.valid & (covariance_trace > (MAX_RELATIVE_STD * distance) ** 2)
+    trace, (a, b, c, d, e, f) = _inverse(at.normal)
+    degenerate |= at.valid & (trace > (MAX_RELATIVE_STD * distance) ** 2)
     status = jnp.where(decrement > CONVERGED_DECREMENT, PointStatus.NOT_CONVERGED, PointStatus.OK)
-    status = jnp.where(final.valid, status, PointStatus.BEHIND_CAMERA)
+    status = jnp.where(at.valid, status, PointStatus.BEHIND_CAMERA)
     status = jnp.where(degenerate, PointStatus.DEGENERATE_BASELINE, status)
     status = jnp.where(enough, status, PointStatus.TOO_FEW_VIEWS)
-    a, b, c, d, e, f = final.normal
-    normal_matrix = jnp.stack(
+    covariance = jnp.stack(
         [jnp.stack(row, axis=-1) for row in ((a, b, c), (b, d, e), (c, e, f))], axis=-2
     )
-    return PointSolution(points, normal_matrix, jnp.stack(final.residuals, axis=-1), status)
+    return PointSolution(points, covariance, jnp.stack(at.residuals, axis=-1), status)
 
 
 class _Problem(NamedTuple):
@@ -164,6 +221,7 @@ def _to_camera(
 
 def _linearise(problem: _Problem, points: Float[Array, "points 3"]) -> _Linearisation:
     """Compute the cost of all points with its gradient and Gauss-Newton matrix."""
+    # Masked pixels are zero before they are multiplied: zero times NaN would be NaN.
     in_camera, visible = _to_camera(problem, points), problem.visible
     pose, whitening = problem.camera_from_world, problem.whitening
     predicted, valid = problem.camera.project(in_camera)
@@ -199,33 +257,36 @@ def _linearise(problem: _Problem, points: Float[Array, "points 3"]) -> _Linearis
         for i in range(3)
         for k in range(i, 3)
     )
+    # A visible pixel without a prediction has no cost that could be compared: infinite.
     all_valid = jnp.all(valid | ~visible, axis=0)
     plain = (jnp.where(used, residual[..., 0], 0.0), jnp.where(used, residual[..., 1], 0.0))
     total = jnp.where(all_valid, jnp.sum(cost, axis=0), jnp.inf)
     return _Linearisation(total, gradient, normal, plain, all_valid)
 
 
-def _solve(
-    normal: tuple[Array, ...], right: tuple[Array, ...]
-) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Solve symmetric 3x3 systems by their adjugates; also return the trace of the inverse.
+def _inverse(normal: tuple[Array, ...]) -> tuple[Array, tuple[Array, ...]]:
+    """Return trace and components of the inverses of symmetric 3x3 matrices, by their adjugates.
 
-    The trace is infinite, and the solution zero, where the matrix is singular.
+    Where a matrix is singular the trace is infinite and the inverse zero.
     """
     a, b, c, d, e, f = normal
-    x, y, z = right
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
     D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
     determinant = a * A + b * B + c * C
-    # Below rounding error of its terms a determinant is zero.
+    # Below the rounding error of its terms a determinant is zero.
     regular = determinant > 1e-14 * a * d * f
-    inverse = jnp.where(regular, 1.0 / jnp.where(regular, determinant, 1.0), 0.0)
-    trace = jnp.where(regular, (A + D + F) * inverse, jnp.inf)
-    return trace, (
-        (A * x + B * y + C * z) * inverse,
-        (B * x + D * y + E * z) * inverse,
-        (C * x + E * y + F * z) * inverse,
-    )
+    factor = jnp.where(regular, 1.0 / jnp.where(regular, determinant, 1.0), 0.0)
+    trace = jnp.where(regular, (A + D + F) * factor, jnp.inf)
+    return trace, tuple(one * factor for one in (A, B, C, D, E, F))
+
+
+def _solve(
+    normal: tuple[Array, ...], right: tuple[Array, ...]
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Return the trace of the inverses of symmetric 3x3 matrices, and the systems' solutions."""
+    trace, (A, B, C, D, E, F) = _inverse(normal)
+    x, y, z = right
+    return trace, (A * x + B * y + C * z, B * x + D * y + E * z, C * x + E * y + F * z)
 
 
 def _nearest_to_rays(
@@ -249,6 +310,7 @@ def _nearest_to_rays(
     information = jnp.abs(
         whitening[..., 0, 0] * whitening[..., 1, 1] - whitening[..., 0, 1] * whitening[..., 1, 0]
     ) * (camera.alpha_u * camera.alpha_v)
+    # Angles are the same near and far; only the second pass knows the distances.
     weight = jnp.where(used, information, 0.0)
     x = [jnp.zeros(problem.pixels.shape[1])] * 3
     relative_variance = x[0]
@@ -266,6 +328,7 @@ def _nearest_to_rays(
             relative_variance = trace
             squared_distance = sum((x[j][None] - c[j]) ** 2 for j in range(3))
             weight = weight / jnp.maximum(squared_distance, _TINY)
+    # Relative to the cameras' middle the squares above keep more digits.
     start = jnp.stack([x[j] + middle[j] for j in range(3)], axis=-1)
     enough = jnp.sum(used.astype(float), axis=0) > 1.5
     return start, ~(relative_variance < MAX_RELATIVE_STD**2), enough
@@ -274,18 +337,22 @@ def _nearest_to_rays(
 def _mean_distance(problem: _Problem, points: Float[Array, "points 3"]) -> Float[Array, "points"]:
     """Return the mean distance of points from the cameras that see them."""
     distance = jnp.linalg.norm(_to_camera(problem, points), axis=-1)
+    # Views that do not see it have no say in how far a point may be off.
     seen = problem.visible.astype(float)
     return jnp.sum(seen * distance, axis=0) / jnp.maximum(jnp.sum(seen, axis=0), 1.0)
 
 
 def _minimise(
     problem: _Problem, start: Float[Array, "points 3"], skip: Bool[Array, "points"]
-) -> tuple[Float[Array, "points 3"], Float[Array, "points"]]:
+) -> tuple[Float[Array, "points 3"], _Linearisation, Float[Array, "points"]]:
     """Minimise the costs of all points together, each with its own damping.
 
     Returns:
-        The points, and the squared length of the last undamped step in standard deviations.
+        The points, their linearisation, and the squared length of the next undamped step in
+        standard deviations.
     """
+    # Each trial is linearised at once, whether it is accepted or not: in all but a few points it
+    # is, and one pass over the pixels then does both.
     first = _linearise(problem, start)
     damping = jnp.full(start.shape[0], INITIAL_DAMPING)
 
@@ -303,9 +370,11 @@ def _minimise(
         count, points, at, damping = state
         a, b, c, d, e, f = at.normal
         more = 1.0 + damping
+        # Marquardt's scaling: damping in proportion to the diagonal, without units.
         _, change = _solve((a * more, b, c, d * more, e, f * more), at.gradient)
         trial_points = points - jnp.stack(change, axis=-1)
         trial = _linearise(problem, trial_points)
+        # A trial behind a camera has infinite cost, and is never better.
         better = trial.cost <= at.cost
         kept = jax.tree.map(
             lambda new, old: jnp.where(
@@ -319,4 +388,4 @@ def _minimise(
         return count + 1, points, kept, damping
 
     _, points, at, _ = jax.lax.while_loop(unfinished, step, (0, start, first, damping))
-    return points, decrement(at)
+    return points, at, decrement(at)

@@ -97,11 +97,12 @@ class RefinedFeatures(NamedTuple):
             if len(chosen)
             else np.zeros(0, int)
         )
-        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), -1)
+        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
         return self.posterior.covariance(rows) + J @ self.calibration_covariance @ J.T
 
     def _rows(self, point: int) -> np.ndarray:
         """Return the rows of a point's coordinates among the unknowns of the posterior."""
+        # Points in the border come after those that are eliminated, at its end.
         if point in self.weak:
             place = int(np.flatnonzero(self.weak == point)[0])
             first = self.posterior.features.size + self.posterior.border_size

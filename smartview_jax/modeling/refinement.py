@@ -20,7 +20,7 @@ from ..fit_result import FitResult
 from .calibration_uncertainty import CalibrationUncertainty
 from .constrained_system import Factorisation
 from .constraint_verdicts import constraint_verdicts
-from .constraints import AbstractConstraint, Shape, check_constraints
+from .constraints import AbstractConstraint, Shape, check_constraints, check_edges
 from .line_jacobians import Lines
 from .line_triangulation import triangulate_lines, world_rays
 from .picture_equations import CheckedObservations, ModelObservations, picture_equations
@@ -90,15 +90,18 @@ def refine(
     observed = CheckedObservations.of(observations)
     count, line_count = observed.visible.shape[1], observed.segments_visible.shape[1]
     check_constraints(constraints, count, line_count)
+    # Described once: what is free is estimated under it, what is held is propagated by it.
     uncertainty = CalibrationUncertainty.of(
         observed.views, observations.calibration, covariance, noise
     )
     if free != "nothing" and not uncertainty.names:
         raise ValueError(f"free={free!r}: covariance or noise says how uncertain that is")
     points, weak = _initial_points(start, observed)
+    check_edges(constraints, points)
     lines, line_status = _initial_lines(observations, observed, constraints)
     shape, planes = _with_planes(points, lines, constraints)
     roots = _prior_roots(uncertainty)
+    # The views' own noise comes after what all views have in common.
     index = np.arange(roots.shape[1])
     chosen = {
         "nothing": index < 0,
@@ -122,6 +125,8 @@ def _initial_points(
     found, _, _, status = solve_points(
         observed.views, observed.pixels, observed.whitening, observed.visible
     )
+    # A start that is given counts, also where the pictures alone would tell: it may be the one
+    # that a person chose among several.
     points = np.where((status == PointStatus.OK)[:, None], found, np.nan)
     if start is not None:
         given = start.vertices if isinstance(start, HasVertices) else start
@@ -131,6 +136,7 @@ def _initial_points(
                 f"start: expected {(count, 3)} as there are pixels; found {given.shape}"
             )
         points = np.where(np.isfinite(given), given, points)
+    # Points of one view start on its ray, as far away as the rest of the object.
     centre = np.nanmean(points, axis=0) if np.isfinite(points).any() else np.full(3, np.nan)
     for k in np.flatnonzero(np.isnan(points).any(axis=1)):
         points[k] = _on_a_ray(observed, int(k), centre)
@@ -175,6 +181,7 @@ def _initial_lines(
         for line in constraint.lines:
             if line in found.failures:
                 raise ValueError(f"{constraint}: line {line}: {found.failures[line]}")
+    # It stays in the arrays, so that indices remain those of the caller.
     failed = ~found.ok
     observed.segments_visible[:, failed] = False
     filler = observed.views.centres[0] + observed.views.camera_from_world[0, 2, :3]
@@ -207,6 +214,7 @@ def _prior_roots(uncertainty: CalibrationUncertainty) -> Float[np.ndarray, "numb
     std = np.sqrt(np.diagonal(covariance))
     root = np.diag(std)
     part = np.ix_(range(shared), range(shared))
+    # Not a Cholesky factor: averaged models can leave the covariance without full rank.
     values, vectors = np.linalg.eigh(covariance[part] / np.outer(std[:shared], std[:shared]))
     root[part] = std[:shared, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return root
@@ -216,6 +224,7 @@ def _typical_distance(
     observed: CheckedObservations, points: Float[np.ndarray, "points 3"]
 ) -> float:
     """Return the median distance of the points from the cameras, m."""
+    # The scale of what "far" and "open" mean, in the units of the poses.
     offsets = points[None] - observed.views.centres[:, None]
     return float(np.median(np.linalg.norm(offsets, axis=-1))) if len(points) else 1.0
 
@@ -229,6 +238,7 @@ def _summarise(
     false_alarm: float,
 ) -> RefinedFeatures:
     """Return the answer with covariances, verdicts and statuses."""
+    # Without damping: that is for steps, not for covariances.
     at = linearise(problem, state, problem.free)
     posterior = at.system.factorised()
     blocks = posterior.feature_blocks()
@@ -244,6 +254,8 @@ def _summarise(
     status[few] = PointStatus.TOO_FEW_VIEWS
     if not result.converged:
         status[:] = PointStatus.NOT_CONVERGED
+        line_status = np.full_like(line_status, PointStatus.NOT_CONVERGED)
+    # From here on, whatever failed is NaN beside the status that names why.
     ok, lines_ok = status == PointStatus.OK, line_status == PointStatus.OK
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
@@ -303,6 +315,7 @@ def _calibration_part(
         np.eye(len(problem.uncertainty.names)),
         problem.loss,
     )
+    # Mixed derivatives of the held numbers with features, and with the numbers that are free.
     free_roots = problem.roots[:, problem.free]
     mixed = everything.coupling[:, fixed].copy()
     reduced = np.zeros((len(posterior.reduced), len(names)))
@@ -314,6 +327,7 @@ def _calibration_part(
         reduced[first + 3 * k : first + 3 * k + 3] = mixed[own]
         mixed[own] = 0.0
     # The gradients change by these columns; the solution by minus the inverse times them.
+    # At the optimum the gradient is zero; a change of the held numbers changes it by these columns.
     features, rest = posterior.solve(-mixed, -reduced)
     jacobian = features[: 3 * count].reshape(count, 3, -1).copy()
     jacobian[problem.weak] = rest[first : posterior.border_size].reshape(-1, 3, len(names))

@@ -99,6 +99,7 @@ def linearise(
     first_weak = numbers + 3 * planes
     rows = pictures.features.size
     border = np.zeros((border_size, border_size))
+    # Combinations of unit variance have the identity as the precision of their prior.
     border[:numbers, :numbers] = pictures.numbers + np.eye(numbers)
     gradient = np.zeros(border_size)
     gradient[:numbers] = pictures.number_gradient + state.combinations[free]
@@ -109,6 +110,8 @@ def linearise(
     # Lines that no view sees any more, and points that move to the border, are idle here.
     blocks.lines[~problem.observed.segments_visible.any(axis=0)] = np.eye(4)
     prior = 1.0 / problem.weak_sigma**2
+    # A point that its pictures do not determine has a singular block, which cannot be eliminated
+    # first. In the border, its constraints and a very weak prior make it regular.
     for k, point in enumerate(weak):
         place, own = (
             slice(first_weak + 3 * k, first_weak + 3 * k + 3),
@@ -133,6 +136,7 @@ def linearise(
     weak_place = {int(point): first_weak + 3 * k for k, point in enumerate(weak)}
     first_line = 3 * len(shape.points)
     slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
+    # Derivatives go to the columns of features that are eliminated, or to those of the border.
     for where, constraint, one in zip(slices, problem.constraints, evaluations, strict=True):
         values[where] = one.values
         variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
@@ -167,6 +171,7 @@ def minimise(
 ) -> tuple[RefinementState, FitResult]:
     """Take damped Gauss-Newton steps until all features stay where they are."""
     state, damping = start, 0.0
+    # Gauss-Newton with Levenberg's damping; constraints enter every step linearised anew.
     at = linearise(problem, state, problem.free)
     if not np.isfinite(at.cost):
         return state, FitResult(FitCode.DIVERGED, "a point starts behind a camera that sees it")
@@ -175,12 +180,14 @@ def minimise(
         step, rest = factors.solve(at.feature_right, at.reduced_right)
         trial = _moved(problem, state, step, rest[: factors.border_size])
         new = linearise(problem, trial, problem.free)
+        # The last step is taken whatever the cost says: that differs by rounding only.
         small = _largest_step(at.system, step, rest) < CONVERGED_STEP
         if small or _merit(new) <= _merit(at) + MERIT_SLACK:
             state, at, damping = trial, new, 0.1 * damping if damping > 1e-6 else 0.0
             if small and damping == 0.0:
                 return state, FitResult(FitCode.CONVERGED, "all features stay where they are")
         else:
+            # Undamped first: from a triangulated start a full step is nearly always right.
             damping = max(10.0 * damping, 1e-4)
             if damping > 1e8:
                 break
@@ -192,6 +199,7 @@ def minimise(
 def _merit(at: RefinementEquations) -> float:
     """Return the cost with the squares of all constraints; exact ones have a sigma for this."""
     inverse = at.system.features.inverse()
+    # Exact constraints need a weight that neither hides the pictures nor is hidden by them.
     variance = np.maximum(
         at.system.constraint_variance, MERIT_VARIANCE * at.system.left_open(inverse)
     )
@@ -205,6 +213,7 @@ def _moved(
     count, planes = len(state.shape.points), len(state.shape.normals)
     numbers = int(problem.free.sum())
     points = step[: 3 * count].reshape(count, 3).copy()
+    # The rows of points in the border are idle among the features.
     points[problem.weak] = border[numbers + 3 * planes :].reshape(-1, 3)
     combinations = state.combinations.copy()
     combinations[problem.free] += border[:numbers]
@@ -220,6 +229,7 @@ def _largest_step(
     system: ConstrainedSystem, step: Float[np.ndarray, "rows"], rest: Float[np.ndarray, "reduced"]
 ) -> float:
     """Return the largest squared step of a feature, in its standard deviations by the pictures."""
+    # dx^T H dx of each feature: one is a standard deviation, whatever the unit.
     weighted = step * system.features.times(step)
     split = 3 * len(system.features.points)
     sizes = [

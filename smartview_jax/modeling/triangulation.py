@@ -7,6 +7,7 @@ point, and from the calibration, whose errors are common to all points: the two 
 Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, chapter 12.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -66,17 +67,24 @@ class TriangulatedPoints(NamedTuple):
 
     def covariance(self) -> Float[np.ndarray, "points 3 3"]:
         """Return the covariance of each point due to pictures and calibration, m^2."""
+        # Independent causes: their covariances add.
         J = self.calibration_jacobian
         return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
 
-    def joint_covariance(self) -> Float[np.ndarray, "coordinates coordinates"]:
-        """Return the covariance of all coordinates, x y z of each point in turn, m^2."""
-        count = len(self.points)
-        J = self.calibration_jacobian.reshape(3 * count, -1)
-        total = (J @ self.calibration_covariance @ J.T).reshape(count, 3, count, 3)
-        index = np.arange(count)
-        total[index, :, index] += self.picture_covariance
-        return total.reshape(3 * count, 3 * count)
+    def joint_covariance(
+        self, points: Sequence[int] | None = None
+    ) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the covariance of the coordinates of some points, or of all, m^2.
+
+        The coordinates are x, y, z of each point in turn.
+        """
+        chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
+        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
+        total = J @ self.calibration_covariance @ J.T
+        # The pictures' errors are each point's own: they are on the diagonal only.
+        for k, point in enumerate(chosen):
+            total[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += self.picture_covariance[point]
+        return total
 
     @property
     def rms(self) -> float:
@@ -117,6 +125,7 @@ def triangulate_points(
         ValueError: arrays of shapes that do not belong together, pixels outside the picture, poses
             that are not rigid, or a covariance of other parameters.
     """
+    # Everything is checked on the host before anything is computed.
     views = SeenViews.of(calibration, poses)
     measured = np.asarray(pixels, dtype=float)
     if measured.ndim != 3 or measured.shape[2] != 2:
@@ -125,17 +134,18 @@ def triangulate_points(
         measured, visible, calibration.camera.image_size, len(views.camera_from_world)
     )
     whitening = whitening_of(pixel_sigma, seen.shape)
-    points, normal_matrix, residuals, status = solve_points(views, measured, whitening, seen, loss)
+    points, picture_covariance, residuals, status = solve_points(
+        views, measured, whitening, seen, loss
+    )
     ok = status == PointStatus.OK
-    safe = np.where(ok[:, None, None], normal_matrix, np.eye(3))
-    picture_covariance = np.where(ok[:, None, None], np.linalg.inv(safe), np.nan)
+    picture_covariance = np.where(ok[:, None, None], picture_covariance, np.nan)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    # The calibration's part costs more than the points: only where it is asked for.
     jacobian = np.zeros((len(points), 3, 0))
     if uncertainty.names:
         jacobian = _calibration_jacobian(
-            views, uncertainty, np.where(ok[:, None], points, 0.0), safe, whitening, seen
+            views, uncertainty, points, picture_covariance, whitening, seen & ok
         )
-        jacobian[~ok] = np.nan
     return TriangulatedPoints(
         np.where(ok[:, None], points, np.nan),
         picture_covariance,
@@ -159,24 +169,26 @@ def solve_points(
     Float[np.ndarray, "views points 2"],
     Int[np.ndarray, "points"],
 ]:
-    """Run `estimate_points` on padded arrays; return points, normal matrices, residuals, status."""
-    count, view_count = visible.shape[1], len(views.padded)
-    shape = (view_count, padded_count(count))
+    """Run `estimate_points` on padded arrays; return points, covariances, residuals, status."""
+    count = visible.shape[1]
+    poses = views.poses_for(count)
+    shape = (len(poses), padded_count(count))
     safe = np.where(visible[..., None], pixels, 0.0)
+    # One sigma for all stays one matrix, which is broadcast in the program.
     if whitening.shape[:2] != (1, 1):
         whitening = padded_to(whitening, shape)
     found = estimate_points(
         views.camera,
-        to_device(views.padded),
+        to_device(poses),
         to_device(padded_to(safe, shape)),
         to_device(whitening),
         to_device(padded_to(visible, shape, False)),
         loss,
     )
-    points, normal_matrix, residuals, status = map(np.asarray, found)
+    points, covariance, residuals, status = map(np.asarray, found)
     return (
         points[:count],
-        normal_matrix[:count],
+        covariance[:count],
         residuals[: len(visible), :count],
         status[:count].astype(int),
     )
@@ -186,16 +198,17 @@ def _calibration_jacobian(
     views: SeenViews,
     uncertainty: CalibrationUncertainty,
     points: Float[np.ndarray, "points 3"],
-    normal_matrix: Float[np.ndarray, "points 3 3"],
+    covariance: Float[np.ndarray, "points 3 3"],
     whitening: Float[np.ndarray, "#views #points 2 2"],
     visible: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "points 3 numbers"]:
     """Return the derivatives of estimated points by the uncertain numbers of the calibration."""
     # At the optimum J^T W (z - f(x, t)) = 0. With A the derivatives of f by t,
-    #     dx/dt = -(J^T W J)^-1 J^T W A,
+    #     dx/dt = -P J^T W A,   with P = (J^T W J)^-1 the covariance due to the pictures,
     # up to terms in the residuals.
-    jacobians = pixel_jacobians(views, points)
+    jacobians = pixel_jacobians(views, np.where(np.any(visible, axis=0)[:, None], points, 0.0))
+    # Observations that are not seen have no weight, whatever their numbers are.
     information = whitening.swapaxes(-1, -2) @ whitening
     weighted = np.where(visible[..., None, None], information @ jacobians.by_point, 0.0)
     sensitivity = -weighted.swapaxes(-1, -2) @ jacobians.by_view
-    return np.linalg.solve(normal_matrix, uncertainty.propagate(sensitivity))
+    return covariance @ uncertainty.propagate(sensitivity)

@@ -32,6 +32,7 @@ def as_checked_command(poses: CommandLike) -> Command:
     matrices = host_matrices(poses) if isinstance(poses, SE3) else np.asarray(poses, dtype=float)
     if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
         raise ValueError(f"poses: expected (views, 4, 4) or that many SE3; found {matrices.shape}")
+    # A pose in millimetres or with a transposed rotation is far more likely than a rare robot.
     problems = check_rigid(matrices, tuple(f"view {k}" for k in range(len(matrices))))
     if problems:
         raise ValueError(
@@ -50,6 +51,7 @@ def single_pose(pose: PoseLike) -> PoseLike:
 def padded_views(command: Command) -> Command:
     """Return the command with its last view repeated, up to a multiple of `PADDED_VIEWS`."""
     poses, joints = command.base_from_tool.wxyz_xyz, command.joints
+    # -n mod k views are missing to the next multiple of k.
     extra = -len(poses) % PADDED_VIEWS
 
     def pad(array: np.ndarray) -> np.ndarray:
@@ -98,14 +100,20 @@ class SeenViews(NamedTuple):
             ValueError: a pose that is not rigid, with the view.
         """
         checked = as_checked_command(poses)
+        # The last view is repeated, not a made-up one: every program can compute with it.
         command = padded_views(checked)
         padded = np.asarray(calibration.camera_from_world_matrices(command))
         views = len(checked.base_from_tool.wxyz_xyz)
         return cls(calibration.camera, padded[:views], padded, command)
 
+    def poses_for(self, count: int) -> Float[np.ndarray, "_ 4 4"]:
+        """Return the extrinsics for a program of so many features: padded, unless they are many."""
+        return self.padded if count <= MAX_PADDED_FEATURES else self.camera_from_world
+
     @property
     def centres(self) -> Float[np.ndarray, "views 3"]:
         """The camera's centres in the world, m."""
+        # c = -R^T t
         rotations, translations = (
             self.camera_from_world[:, :3, :3],
             self.camera_from_world[:, :3, 3],
@@ -136,14 +144,17 @@ def checked_visibility(
             f"pixels: expected {view_count} views as there are poses, found {len(pixels)}"
         )
     last = tuple(range(2, pixels.ndim))
+    # Shapes first, so that a wrong one is not reported as a pixel outside the picture.
     finite = np.isfinite(pixels).all(axis=last)
     seen = finite if visible is None else np.asarray(visible, dtype=bool)
     if seen.shape != pixels.shape[:2]:
         raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {seen.shape}")
     # The centre of the first pixel is (0, 0): the picture's border is half a pixel further out.
     low, high = -0.5, np.array(image_size) - 0.5
+    # Comparisons with NaN are false, as wanted.
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
+    # NaN and infinity are outside, too; the message shows which it is.
     wrong = np.argwhere(seen & ~inside)
     if len(wrong):
         view, feature = wrong[0]
@@ -151,7 +162,8 @@ def checked_visibility(
             f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is not "
             f"in the picture of {image_size[0]} x {image_size[1]} px ({len(wrong)} such)"
         )
-    return np.asarray(seen)
+    # A copy, so that nobody's own mask changes.
+    return np.array(seen)
 
 
 def whitening_of(
@@ -173,6 +185,7 @@ def whitening_of(
         raise ValueError(
             f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2)}; found {given.shape}"
         )
+    # Equal and independent errors of u and v are a multiple of the identity.
     if given.ndim < 3:
         if not np.all(given > 0.0):
             raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")

@@ -56,7 +56,7 @@ def write_page(
     report_progress = progress or (lambda _: None)
     rows = tables.error_summaries(fit, data, held_out_reports)
     remarks = [
-        tables.remarks(row.name, row.registration_errors, row.held_out_report) for row in rows
+        tables.remarks(row.name, row.reprojection_errors, row.held_out_report) for row in rows
     ]
     report_progress("drawing the report")
     page = _get_template("page.html").render(
@@ -140,7 +140,7 @@ def _median_and_worst_views(
     if data.pictures is None:
         return []
     # The rows here are those of the staged and the joint fit, so the last one is the joint fit.
-    errors = rows[-1].registration_errors.rms_per_view
+    errors = rows[-1].reprojection_errors.rms_per_view
     order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
     views = [order[len(order) // 2], order[-1]] if len(order) > 1 else order
     return [(view, data.pictures[view]) for view in views]
@@ -166,8 +166,9 @@ def _fit_facts(
         ("pixel sigma", f"{float(fit.staged.step2.pixel_sigma):.3f} px of u and of v (Step 2)"),
         ("staged", fit.staged.result.message),
         (
-            "Step 3, two ways",
-            f"the hand-eye transforms differ by {1e3 * step3.hand_eye_difference[0]:.2f} mm and "
+            "Step 3",
+            f"the hand-eye transforms found through either unknown differ by "
+            f"{1e3 * step3.hand_eye_difference[0]:.2f} mm and "
             f"{np.rad2deg(step3.hand_eye_difference[1]):.3f} deg",
         ),
         ("joint", fit.joint.result.message),

@@ -65,7 +65,7 @@ def prediction_overlay(
 def error_histogram(rows: Sequence[ErrorSummary]) -> Figure:
     """Draw histograms of the reprojection errors, px, as in Fig. 7 of the paper."""
     figure, axes = _figure(7.0, 3.6)
-    finite = [row.registration_errors.px[np.isfinite(row.registration_errors.px)] for row in rows]
+    finite = [row.reprojection_errors.px[np.isfinite(row.reprojection_errors.px)] for row in rows]
     # The 99.5th percentile limits the axis, so that a few outliers do not compress the histogram.
     limit = max(float(np.percentile(values, 99.5)) for values in finite if values.size)
     bins = np.linspace(0.0, limit, 40).tolist()
@@ -73,7 +73,7 @@ def error_histogram(rows: Sequence[ErrorSummary]) -> Figure:
         colour = COLOURS.get(row.name, GREY)
         axes.hist(values, bins, alpha=0.35, color=colour)
         axes.hist(values, bins, histtype="step", color=colour, label=row.name)
-        axes.axvline(row.registration_errors.mean, color=colour, linestyle="--", linewidth=1)
+        axes.axvline(row.reprojection_errors.mean, color=colour, linestyle="--", linewidth=1)
     axes.set_xlabel("reprojection error (px); dashed: mean")
     axes.set_ylabel("points")
     axes.legend(frameon=False)
@@ -112,18 +112,18 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> Figure:
     axes.set_aspect("equal")
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    axes.set_title(f"arrows are {magnification:.0f} times too long", fontsize=10)
+    axes.set_title(f"arrows enlarged {magnification:.0f} times", fontsize=10)
     return figure
 
 
 def view_errors(data: Dataset, rows: Sequence[ErrorSummary]) -> Figure:
-    """Draw the RMS registration error of every view as bars, px, which exposes outlying views."""
+    """Draw the RMS reprojection error of every view as bars, px, which exposes outlying views."""
     figure, axes = _figure(max(5.0, 0.35 * data.view_count + 2.0), 3.4)
     positions = np.arange(data.view_count)
     for k, row in enumerate(rows):
         # The bars of a view stand side by side, centred on its position.
         offset = (k - 0.5 * (len(rows) - 1)) * 0.38
-        heights = np.nan_to_num(row.registration_errors.rms_per_view)
+        heights = np.nan_to_num(row.reprojection_errors.rms_per_view)
         axes.bar(
             positions + offset, heights, 0.36, color=COLOURS.get(row.name, GREY), label=row.name
         )
@@ -138,9 +138,8 @@ def camera_poses_3d(data: Dataset, calibration: Calibration) -> Figure:
     """Draw the cameras and the target in the target's frame, m; cameras of unused views are red."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
-    world_from_camera = calibration.camera_from_world(data.command).inverse()
-    centres = np.asarray(world_from_camera.translation())
-    rotations = np.asarray(world_from_camera.rotation().as_matrix())
+    world_from_camera = np.linalg.inv(calibration.camera_from_world_matrices(data.command))
+    centres, rotations = world_from_camera[:, :3, 3], world_from_camera[:, :3, :3]
     visible = np.asarray(data.visible)
     target = np.asarray(data.points)[visible]
     # Every target point once, although most views show it; equal to a micrometre is the same point.

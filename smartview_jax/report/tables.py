@@ -24,6 +24,7 @@ from ..evaluation import (
     reprojection_errors,
     without_rejected_views,
 )
+from ..geometry import host_logarithms, host_matrices
 from ..joint import JointFit
 from ..robot_errors import nominal_arm
 
@@ -33,12 +34,12 @@ class ErrorSummary(NamedTuple):
 
     Attributes:
         name: name of the method.
-        registration_errors: registration errors on all views that were not rejected.
+        reprojection_errors: reprojection errors on all views that were not rejected.
         held_out_report: held-out errors; None where they were not computed.
     """
 
     name: str
-    registration_errors: ReprojectionErrors
+    reprojection_errors: ReprojectionErrors
     held_out_report: HeldOutReport | None
 
     @property
@@ -66,8 +67,8 @@ def error_summaries(
 
 
 MEASURE_NAMES = (
-    "registration error, mean +- std",
-    "registration error, RMS",
+    "reprojection error, mean +- std",
+    "reprojection error, RMS",
     "held-out error, RMS",
     "  its 95 % interval over views",
     "  at the target",
@@ -81,8 +82,8 @@ MEASURE_NAMES = (
 def summary_column(summary: ErrorSummary) -> list[str]:
     """Return one column of the table of results: a text for each of `MEASURE_NAMES`."""
     texts = [
-        f"{summary.registration_errors.mean:.2f} +- {summary.registration_errors.std:.2f} px",
-        f"{summary.registration_errors.rms:.2f} px",
+        f"{summary.reprojection_errors.mean:.2f} +- {summary.reprojection_errors.std:.2f} px",
+        f"{summary.reprojection_errors.rms:.2f} px",
     ]
     held_out_report = summary.held_out_report
     if held_out_report is None:
@@ -142,14 +143,14 @@ def comparison_row(row: MethodResult) -> list[str]:
 
 def remarks(
     name: str,
-    registration_errors: ReprojectionErrors | None,
+    fitted_errors: ReprojectionErrors | None,
     held_out_report: HeldOutReport | None,
     failure: str | None = None,
 ) -> list[str]:
     """Return remarks on the numbers of a table: failed fits, and points that are left out."""
     lines = [] if failure is None else [f"{name}: {failure}"]
-    if registration_errors is not None and registration_errors.unpredicted_count:
-        count = registration_errors.unpredicted_count
+    if fitted_errors is not None and fitted_errors.unpredicted_count:
+        count = fitted_errors.unpredicted_count
         lines.append(f"{name}: {count} points seen cannot be predicted at all")
     if held_out_report is None:
         return lines
@@ -213,7 +214,7 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         return []
     probabilities = ", ".join(
         f"{candidate.name} {candidate.probability:.2f}"
-        for candidate in estimate.candidates
+        for candidate in sorted(estimate.candidates, key=lambda one: -one.probability)
         if candidate.probability >= 0.005
     )
     within_view_text = (
@@ -230,9 +231,9 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
             f"{_model_with_description(estimate.name)}; probabilities: {probabilities}",
         ),
         (
-            "sizes of errors",
+            "standard deviations",
             f"pixels {noise.pixel:.3f} px{relative_std_texts[0]}{within_view_text}; "
-            f"poses, each by itself, "
+            f"poses, white noise, "
             f"{1e3 * noise.translation:.3f} mm{relative_std_texts[1]} and "
             f"{np.rad2deg(noise.rotation):.4f} deg{relative_std_texts[2]}",
         ),
@@ -247,15 +248,15 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
             )
         )
     if not estimate.converged:
-        lines.append(("sizes of errors", "still changing when the search ended: take with care"))
+        lines.append(("standard deviations", "the search ended before they converged: take care"))
     return lines
 
 
 MODEL_DESCRIPTIONS = {
-    "white": "each pose by itself",
+    "white": "of every pose independently",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
-    "implied_arm": "those of a six-axis arm, which the poses imply",
+    "six_axis_arm": "those of a six-axis arm, which the poses imply",
     "joint_offsets": "zeros of the joints",
     "dh": "zeros of the joints, lengths and twists of the links",
 }
@@ -344,9 +345,10 @@ def _parameter_values(calibration: Calibration) -> dict[str, float]:
     }
     transforms = (calibration.camera_from_mount, calibration.holder_from_world)
     for name, transform in zip(calibration.transform_names, transforms, strict=True):
-        rotation_vector = np.asarray(transform.rotation().log())
-        translation = np.asarray(transform.translation())
-        for part, numbers in (("translation", translation), ("rotation", rotation_vector)):
+        matrix = host_matrices(transform)
+        # The last three numbers of a transform's logarithm are its rotation vector.
+        rotation_vector = host_logarithms(matrix)[3:]
+        for part, numbers in (("translation", matrix[:3, 3]), ("rotation", rotation_vector)):
             values |= {
                 f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
             }
@@ -394,7 +396,7 @@ def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:
     if not fit.joint.result.converged:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows[:2]
-    rms = [staged.registration_errors.rms, joint.registration_errors.rms]
+    rms = [staged.reprojection_errors.rms, joint.reprojection_errors.rms]
     evaluated_on = "on the views it was fitted to"
     if staged.held_out is not None and joint.held_out is not None:
         held_out_rms = [staged.held_out.errors.rms, joint.held_out.errors.rms]
@@ -415,8 +417,8 @@ def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:
         text += ": the rest comes from the robot's poses, the target's size or too few views."
     else:
         text += "."
-    views = len(joint.registration_errors.rms_per_view)
-    used = int(np.isfinite(joint.registration_errors.rms_per_view).sum())
+    views = len(joint.reprojection_errors.rms_per_view)
+    used = int(np.isfinite(joint.reprojection_errors.rms_per_view).sum())
     rejected_count = count_rejected(rejected_by(fit) or ()).views
     if rejected_count:
         verb = "is" if rejected_count == 1 else "are"

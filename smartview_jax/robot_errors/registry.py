@@ -8,17 +8,19 @@ from .generic_six_axis_arm import GenericSixAxisArm
 from .linear_fields import LinearInPose, LinearInPosition
 from .scale_error import ScaleError
 
-# Files and options contain these names, so a renamed class keeps its entry here.
 FIELDS: dict[str, type[AbstractField]] = {
     "position": LinearInPosition,
     "pose": LinearInPose,
-    "implied_arm": GenericSixAxisArm,
+    "six_axis_arm": GenericSixAxisArm,
     "joint_offsets": JointOffsets,
     "joint_ratios": JointRatios,
     "dh": DHErrors,
-    "stretched": ScaleError,
+    "scale_error": ScaleError,
     "combined": CombinedField,
 }
+
+OLD_NAMES = {"implied_arm": "six_axis_arm", "stretched": "scale_error"}
+"""Names that calibration files of earlier versions contain, with today's."""
 
 
 def field_by_name(name: str) -> type[AbstractField]:
@@ -27,6 +29,7 @@ def field_by_name(name: str) -> type[AbstractField]:
     Raises:
         ValueError: no field has that name.
     """
+    name = OLD_NAMES.get(name, name)
     if name not in FIELDS:
         raise ValueError(
             f"field is one of {', '.join(FIELDS)}; "

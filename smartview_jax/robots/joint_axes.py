@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import se3_from_matrices
+from ..geometry import as_se3
 from .serial_arm import SerialArm
 
 PARALLEL_TOLERANCE = 1e-9
@@ -70,8 +70,8 @@ def arm_from_axes(
         alpha,
         prismatic=prismatic,
         limits=limits,
-        base_from_first=se3_from_matrices(first_frame),
-        flange_from_tool=se3_from_matrices(np.linalg.inv(frame) @ base_from_tool),
+        base_from_first=as_se3(first_frame),
+        flange_from_tool=as_se3(np.linalg.inv(frame) @ base_from_tool),
     )
 
 

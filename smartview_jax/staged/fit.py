@@ -8,12 +8,12 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..calibration import Calibration, mount_from_holder
+from ..array_namespace import to_device
+from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..dataset import Dataset, Observations, chain_residuals
 from ..fit_result import FitCode, FitResult, Rejection
@@ -128,7 +128,7 @@ def _mask_unusable_views(
     """
     used = np.ones(data.view_count, dtype=bool)
     used[list(unusable)] = False
-    visible = data.visible & jnp.asarray(used)[:, None]
+    visible = to_device(np.asarray(data.visible) & used[:, None])
     return eqx.tree_at(lambda o: o.visible, data.observations, visible), used
 
 
@@ -204,7 +204,7 @@ def fit_staged(
         step1, start_camera, start_poses, start_inliers, _ = _run_step1(
             observations, data.image_size, used, lens, camera
         )
-    weights = jnp.asarray(used.astype(float))
+    weights = to_device(used.astype(float))
     say("Step 2: one camera for all views")
     common_fit = step2(
         observations,
@@ -224,7 +224,7 @@ def fit_staged(
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
-    robot = mount_from_holder(data.mount, data.base_from_tool)
+    robot = host_mount_from_holder(data.mount, data.base_from_tool)
     # Step 3 has no outlier gate of its own: Eq. 17 is a sum of squares, which one wrong pair of
     # picture and pose can dominate.
     consistency = find_consistent_views(
@@ -245,7 +245,7 @@ def fit_staged(
     step3 = solve_hand_eye(
         robot,
         common_fit.camera_from_world,
-        jnp.asarray(consistent, float),
+        to_device(np.asarray(consistent, dtype=float)),
         rough_translation,
         length_scale,
     )
@@ -255,7 +255,7 @@ def fit_staged(
     # Views with an uncertain pose do not enter Step 3, but their points are good observations.
     trusted = consistent.copy()
     trusted[list(consistency.uncertain)] = True
-    inliers = common_fit.inliers & jnp.asarray(trusted)[:, None]
+    inliers = to_device(np.asarray(common_fit.inliers) & trusted[:, None])
     ids = data.view_ids
     return StagedFit(
         with_region(calibration, data, np.flatnonzero(consistent)),
@@ -299,7 +299,7 @@ def _run_step1(
     # depth than it has with the common alpha, so depths are rescaled by the ratio.
     poses = np.array(step1.camera_from_world.wxyz_xyz)
     poses[:, 6] *= medians[0] / np.asarray(step1.intrinsics.alpha_u)
-    start = _fill_unused_poses(SE3(jnp.asarray(poses)), used)
+    start = _fill_unused_poses(SE3(to_device(poses)), used)
     return step1, start_camera, start, step1.inliers, np.asarray(step1.rms)
 
 
@@ -307,7 +307,7 @@ def _fill_unused_poses(poses: SE3, used: np.ndarray) -> SE3:
     """Return the poses with an arbitrary finite pose in the views that are not used."""
     # Identity rotation, one metre in front of the camera: everything stays finite.
     placeholder = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    return SE3(jnp.asarray(np.where(used[:, None], np.asarray(poses.wxyz_xyz), placeholder)))
+    return SE3(to_device(np.where(used[:, None], np.asarray(poses.wxyz_xyz), placeholder)))
 
 
 def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:
@@ -334,7 +334,7 @@ def _rejections(
     # Points of unusable views are not listed one by one; the reason for the view covers them.
     rejected_views = [Rejection(data.view_ids[view], None, text) for view, text in unusable.items()]
     rejected_points = [
-        Rejection(data.view_ids[view], int(point), "outside the gate of Step 2")
+        Rejection(data.view_ids[view], int(point), "beyond the chi-square gate of Step 2")
         for view, point in np.argwhere(np.asarray(data.visible) & ~inliers)
         if view not in unusable
     ]

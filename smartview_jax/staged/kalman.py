@@ -167,7 +167,7 @@ def kalman_filter(
         undamped = variance_scale == 1.0
         gating = gating or (undamped and trial.max_change < _GATING_CHANGE_THRESHOLD)
         if trial.max_change < 1e-3 and inliers_unchanged and gating and undamped:
-            converged, message = True, f"settled after {passes} passes"
+            converged, message = True, f"converged after {passes} passes"
             break
         variance_scale = min(1.0, 10.0 * variance_scale)
     sigma = robust_sigma(residuals, inliers, pixel_sigma)

@@ -18,6 +18,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import as_float_array, to_device
 from ..cameras import Camera
 from ..compilation import compiled
 from ..dataset import Observations
@@ -81,16 +82,16 @@ def calibrate_views(
     centre = (np.array(image_size, dtype=float) - 1.0) / 2.0
     extent = np.asarray(extents(observations.points, observations.visible))
     # Whether the points of a view lie in one plane (any plane), which decides how it is started.
-    flat = np.asarray(coplanar(jnp.asarray(extent)))
+    flat = np.asarray(coplanar(extent))
     problems = _view_problems(np.asarray(observations.visible).sum(axis=1), extent, flat)
-    longer_side = jnp.asarray(float(max(image_size)))
+    longer_side = as_float_array(float(max(image_size)))
     # Both linear starts are computed for every view and one is selected: the shapes stay fixed.
-    start = _linear_starts(observations, jnp.asarray(centre), longer_side, jnp.asarray(flat))
+    start = _linear_starts(observations, to_device(centre), longer_side, to_device(flat))
     # One plane: only alpha (and k1) are free; alpha_v / alpha_u, u0 and v0 are held.
     free = np.ones((len(flat), 5), dtype=bool)
     free[flat, 1:4] = False
     free[:, 4] = distortion
-    view_fits = _fit_all_views(observations, start, jnp.asarray(free), jnp.asarray(flat))
+    view_fits = _fit_all_views(observations, start, to_device(free), to_device(flat))
 
     alpha_relative_std = view_fits.alpha_relative_std
     is_finite = np.isfinite(np.asarray(view_fits.rms))
@@ -100,11 +101,11 @@ def calibrate_views(
         # Focal length and distance are exchangeable in a frontal view of a plane. Fit its pose
         # again with the median intrinsics, or its focal length would be arbitrary.
         median = _median_intrinsics(view_fits, usable, frontal)
-        held_start = _hold_intrinsics(start, median, jnp.asarray(frontal), jnp.asarray(centre))
+        held_start = _hold_intrinsics(start, median, to_device(frontal), to_device(centre))
         free[:, :4] = False
         frontal_only = _mask_other_views(observations, frontal)
-        refit = _fit_all_views(frontal_only, held_start, jnp.asarray(free), jnp.asarray(flat))
-        view_fits = _select_by_view(jnp.asarray(frontal), refit, view_fits)
+        refit = _fit_all_views(frontal_only, held_start, to_device(free), to_device(flat))
+        view_fits = _select_by_view(to_device(frontal), refit, view_fits)
     starts = tuple(
         NO_START
         if not is_usable
@@ -153,7 +154,7 @@ def estimate_view_poses(
         observations.visible & valid,
         observations.base_from_tool,
     )
-    flat = coplanar(extents(undistorted.points, undistorted.visible))
+    flat = jnp.asarray(coplanar(extents(undistorted.points, undistorted.visible)))
     all_views = jnp.ones(len(flat), dtype=bool)
     alpha, zero = camera.alpha_u, jnp.zeros(())
     # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
@@ -185,7 +186,7 @@ def _view_problems(
 
 def _mask_other_views(observations: Observations, views: np.ndarray) -> Observations:
     """Return the observations with all other views masked out; shapes stay as compiled."""
-    visible = observations.visible & jnp.asarray(views)[:, None]
+    visible = to_device(np.asarray(observations.visible) & views[:, None])
     return eqx.tree_at(lambda o: o.visible, observations, visible)
 
 
@@ -209,7 +210,7 @@ def _median_intrinsics(view_fits: ViewFit, usable: np.ndarray, frontal: np.ndarr
 
     def median(values: Array) -> Array:
         """Return the median over the trusted views."""
-        return jnp.asarray(np.median(np.asarray(values)[trusted]))
+        return to_device(np.median(np.asarray(values)[trusted]))
 
     return jax.tree.map(median, view_fits.intrinsics)
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import AnyArray
 from ..cameras import Camera, Radial
 from ..compilation import compiled
 from ..geometry import nearest_rotation
@@ -54,7 +55,7 @@ def extents(
     return jnp.sqrt(jnp.maximum(jnp.linalg.eigvalsh(scatter), 0.0))
 
 
-def coplanar(extent: Float[Array, "views 3"]) -> Bool[Array, "views"]:
+def coplanar(extent: Float[AnyArray, "views 3"]) -> Bool[AnyArray, "views"]:
     """Return whether the points of each view lie in one plane, of any orientation."""
     return extent[:, 0] < _COPLANARITY_TOLERANCE * extent[:, 2]
 

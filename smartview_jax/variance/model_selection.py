@@ -85,7 +85,7 @@ class ModelName(NamedTuple):
 
     def __str__(self) -> str:
         """Return the name as results show it."""
-        return f"{self.field}, {TARGET_SCALE}" if self.free_scale else self.field
+        return f"{self.field} with {TARGET_SCALE}" if self.free_scale else self.field
 
 
 class FittedCandidate(NamedTuple):

@@ -2,12 +2,12 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import jax
 import numpy as np
-from jaxtyping import Bool
 
+from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import (
@@ -18,7 +18,6 @@ from ..engine import (
     Noise,
     Prior,
     Step,
-    build_problem,
     solve,
 )
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior, checked_field_choice
@@ -31,29 +30,22 @@ from .likelihood import (
     marginalise,
     posterior_mode_step,
 )
+from .model_comparison import ModelComparison, compare_models, noise_from_sigmas
 from .model_selection import (
     TARGET_SCALE,
-    WHITE_NOISE,
     Candidate,
-    FittedCandidate,
-    ModelName,
     average_standard_deviations,
-    candidate_models,
     drop_negligible,
-    encompassing_field,
     fit_candidates,
-    initial_standard_deviations,
     posterior_probabilities,
     smallest_sufficient_field,
     standard_deviation_prior,
 )
 from .noise_estimate import (
     FREE_SCALE_PROBABILITY,
-    CandidateResult,
     NoiseEstimate,
-    TargetScaleEvidence,
 )
-from .view_statistics import ViewStatistics, chain_at, with_free_poses, with_prior_sigmas
+from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
 """Largest number of linearisations, each at the fit with the last standard deviations."""
@@ -103,31 +95,7 @@ def estimate_noise(
             )
 
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
-    field_is_fixed = ROBOT_ERROR in fixed
-    if field_is_fixed:
-        basis, field = start.field, None
-    elif field == "auto":
-        basis = encompassing_field(data, len(data.usable_views()))
-    else:
-        basis = field
-    test_scale = prior.wrong_target_probability > 0.0 and TARGET_SCALE not in (
-        *fixed,
-        *free,
-        *(priors or ()),
-    )
-    models = candidate_models(field, None if field_is_fixed else basis)
-    # All standard deviations are one; their values are set later.
-    unit = Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0))
-    built = build_problem(
-        data,
-        start,
-        noise=unit,
-        field=basis,
-        fixed=fixed,
-        free=(*free, *((TARGET_SCALE,) if test_scale else ())),
-        priors=priors,
-    )
-    first = _compare_models(built, data, field, basis, models, prior, test_scale)
+    first = compare_models(data, start, field, fixed=fixed, free=free, priors=priors, prior=prior)
 
     # Second pass: only the models with more than negligible probability, on the smallest field that
     # contains them, alternating between the fit and the standard deviations.
@@ -141,27 +109,20 @@ def estimate_noise(
     listed = ", ".join(f"{name} {p:.2f}" for name, p in field_probabilities.items())
     report_progress(f"errors of the robot: {listed}")
     fitted_field = (
-        basis
-        if field_is_fixed
-        else smallest_sufficient_field(basis, models, set(field_probabilities))
+        first.basis
+        if ROBOT_ERROR in fixed
+        else smallest_sufficient_field(first.basis, first.models, set(field_probabilities))
     )
     # The problem keeps the field that contains all models, and holds the rest of it at zero: all
     # fits of a calibration are then solved by one compiled program.
-    fitted_groups = () if fitted_field is None else tuple(name for name, _ in fitted_field.groups)
-    held = {
-        name
-        for name in first.built.shared_names
-        if (name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[1] not in fitted_groups)
-        or (name == TARGET_SCALE and test_scale and not free_scale)
-    }
-    built = first.built.holding(held)
+    built = first.built.holding(_held_names(first, fitted_field, free_scale))
     views = ViewStatistics(built, data.usable_views(), first.views.within_sum_of_squares)
     sigmas = average_standard_deviations(first.fitted, probabilities)
     predicted = _predicted_optimum(first.linearised, first.z, sigmas)
     chain, linearised, maximum, converged = _iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
-        {name: models[name] for name in field_probabilities},
+        {name: first.models[name] for name in field_probabilities},
         first.views.select_groups(sigmas, views.group_names),
         standard_deviation_prior(prior, fitted_field, views.group_names),
     )
@@ -171,7 +132,7 @@ def estimate_noise(
         max(field_probabilities, key=lambda name: field_probabilities[name]),
         _averaged_noise(maximum.sigmas, views, fitted_field, prior),
         fitted_field,
-        basis,
+        first.basis,
         dataclasses.replace(
             chain.calibration,
             robot_error=None
@@ -189,90 +150,20 @@ def estimate_noise(
     )
 
 
-class _ModelComparison(NamedTuple):
-    """The models of the robot error, compared on one linearisation.
-
-    Attributes:
-        built: problem with the basis that contains all models.
-        views: statistics of the views.
-        z: step at which the views are linearised, the fit with free poses.
-        linearised: the views linearised there.
-        fitted: the models, each with the standard deviations that maximise its posterior.
-        probabilities: posterior probabilities of the models.
-        candidates: the same for the result.
-        target_scale: evidence on the target's size; None where it is not in question.
-    """
-
-    built: BuiltProblem
-    views: ViewStatistics
-    z: Step
-    linearised: LinearisedViews
-    fitted: Mapping[ModelName, FittedCandidate]
-    probabilities: Mapping[ModelName, float]
-    candidates: tuple[CandidateResult, ...]
-    target_scale: TargetScaleEvidence | None
+def _held_names(
+    first: ModelComparison, fitted_field: AbstractField | None, free_scale: bool
+) -> set[str]:
+    """Return the parameters of the comparison's problem that the fitted model does not have."""
+    groups = () if fitted_field is None else tuple(name for name, _ in fitted_field.groups)
+    return {
+        name
+        for name in first.built.shared_names
+        if (name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[1] not in groups)
+        or (name == TARGET_SCALE and first.target_scale is not None and not free_scale)
+    }
 
 
-def _compare_models(
-    built: BuiltProblem,
-    data: Dataset,
-    field: FieldChoice,
-    basis: AbstractField | None,
-    models: Mapping[str, Candidate],
-    prior: RobotPrior,
-    test_scale: bool,
-) -> _ModelComparison:
-    """Compare the models of the robot error at the fit with free poses.
-
-    Args:
-        built: problem with the basis, and with a free target scale if that is in question.
-        data: data set.
-        field: field that the user asked for, or `"auto"`.
-        basis: field that contains all models.
-        models: models to compare, by the name of their field.
-        prior: prior of the robot's errors.
-        test_scale: whether the target's size is in question.
-
-    Raises:
-        ValueError: no model can be linearised.
-    """
-    problem = with_free_poses(built.problem)
-    solution, equations = solve(problem)
-    views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
-    sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
-    linearised = views.linearised_at_fit(problem, solution.z, equations)
-    fitted = fit_candidates(
-        linearised,
-        models,
-        views.group_names,
-        initial_standard_deviations(sigma_prior, views.white_sigma),
-        sigma_prior,
-        prior.wrong_target_probability,
-    )
-    if not fitted:
-        raise ValueError(
-            "no model explains the views: their own best poses cannot be linearised; "
-            "start nearer to the truth (fit_staged), or check the poses"
-        )
-    # A field that was asked for is used whatever the probability of white noise.
-    requested = list(models)[-1] if isinstance(field, AbstractField) else None
-    probabilities = posterior_probabilities(
-        {model: fit for model, fit in fitted.items() if requested in (None, model.field)}
-    )
-    return _ModelComparison(
-        built,
-        views,
-        solution.z,
-        linearised,
-        fitted,
-        probabilities,
-        _candidate_results(fitted, probabilities, views.white_sigma),
-        _target_scale_evidence(built, linearised, solution.z, fitted, probabilities)
-        if test_scale
-        else None,
-    )
-
-
+@on_one_blas_thread
 def _iterate_to_convergence(
     views: ViewStatistics,
     initial: Step,
@@ -328,44 +219,6 @@ def _transfer_step(z: Step, names: tuple[str, ...], target_names: tuple[str, ...
     return z._replace(shared=np.array([components.get(name, 0.0) for name in target_names]))
 
 
-def _candidate_results(
-    fitted: Mapping[ModelName, FittedCandidate],
-    model_probabilities: Mapping[ModelName, float],
-    white_sigma: float,
-) -> tuple[CandidateResult, ...]:
-    """Return all models tried, with probabilities and likelihood ratios to white noise alone."""
-    white_noise_deviance = fitted[ModelName(WHITE_NOISE, False)].maximum.deviance
-    return tuple(
-        CandidateResult(
-            name,
-            model_probabilities.get(name, 0.0),
-            white_noise_deviance - candidate.maximum.deviance,
-            _noise_from_sigmas(candidate.maximum.sigmas, white_sigma, candidate.active),
-        )
-        for name, candidate in fitted.items()
-    )
-
-
-def _target_scale_evidence(
-    built: BuiltProblem,
-    views: LinearisedViews,
-    z: Step,
-    fitted: Mapping[ModelName, FittedCandidate],
-    model_probabilities: Mapping[ModelName, float],
-) -> TargetScaleEvidence:
-    """Estimate the target's size by the most probable model in which its scale is free."""
-    free_scale_probabilities = {
-        name: probability for name, probability in model_probabilities.items() if name.free_scale
-    }
-    best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
-    marginal = marginalise(views, fitted[best].maximum.sigmas)
-    index = built.shared_names.index(TARGET_SCALE)
-    scale_at_start = np.asarray(built.problem.parameters.start.target_scale)
-    scale = scale_at_start + np.asarray(z.shared)[index] + marginal.step.shared[index]
-    std = np.sqrt(marginal.shared_covariance[index, index])
-    return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
-
-
 def _mount_displacement(
     built: BuiltProblem, views: LinearisedViews, sigmas: StandardDeviations
 ) -> tuple[float, ...] | None:
@@ -399,7 +252,7 @@ def _averaged_noise(
     prior: RobotPrior,
 ) -> Noise:
     """Return the noise of the averaged model; of groups that are held, the prior's medians."""
-    noise = _noise_from_sigmas(sigmas, views.white_sigma)
+    noise = noise_from_sigmas(sigmas, views.white_sigma)
     fitted = dict(zip(views.group_names, noise.field, strict=True))
     names = () if field is None else tuple(name for name, _ in field.groups)
     values = (
@@ -407,12 +260,3 @@ def _averaged_noise(
         for name, median in zip(names, prior.medians(field)[2:], strict=True)
     )
     return dataclasses.replace(noise, field=tuple(values))
-
-
-def _noise_from_sigmas(
-    sigmas: StandardDeviations, white_sigma: float, active: Bool[np.ndarray, "robot"] | None = None
-) -> Noise:
-    """Convert to a `Noise`; with `active`, only the active groups of the field are kept."""
-    field = sigmas.field if active is None else sigmas.field[active[2:]]
-    pixel_and_pose = (float(sigmas.pixel), float(sigmas.translation), float(sigmas.rotation))
-    return Noise(*pixel_and_pose, field=tuple(map(float, field)), white_pixel=white_sigma)

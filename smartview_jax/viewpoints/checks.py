@@ -8,6 +8,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import as_float_array
 from ..calibration import Calibration
 from ..geometry import transform_points
 from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
@@ -15,7 +16,8 @@ from .reachability import is_singular, status_message
 
 CHECK_MESSAGES = {
     "reach": "the arm does not get there",
-    "absurd": "the tool is {:.4g} m from the base: no arm is that long; millimetres as metres?",
+    "tool_distance": "the tool is {:.4g} m from the base: no arm is that long; "
+    "millimetres as metres?",
     "side": "the camera is {:.3f} m behind the target's plane: on the side that was not seen",
     "tool_side": "the tool is {:.3f} m behind the target's plane: through what the target lies on",
     "viewed_region": "the camera is {:.1f} times as far from the middle of the calibrated views as "
@@ -33,13 +35,8 @@ CHECK_MESSAGES = {
 For a known arm, its own message about reach and singularity is used instead.
 """
 
-SAFETY_CHECKS = ("reach", "absurd", "side", "tool_side", "viewed_region", "known_region")
+SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region", "known_region")
 """The names of the checks that a robot must pass to move, unless a person overrides them."""
-
-
-def _as_float_array(value: object) -> Float[Array, "..."]:
-    """Return a value as an array of floats."""
-    return jnp.asarray(value, dtype=float)
 
 
 class ClearancePlane(eqx.Module):
@@ -55,10 +52,10 @@ class ClearancePlane(eqx.Module):
         camera_clearance, tool_clearance: smallest allowed heights above the plane, m.
     """
 
-    point: Float[Array, "3"] = eqx.field(converter=_as_float_array, default=(0.0, 0.0, 0.0))
-    normal: Float[Array, "3"] = eqx.field(converter=_as_float_array, default=(0.0, 0.0, 1.0))
-    camera_clearance: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.05)
-    tool_clearance: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.05)
+    point: Float[Array, "3"] = eqx.field(converter=as_float_array, default=(0.0, 0.0, 0.0))
+    normal: Float[Array, "3"] = eqx.field(converter=as_float_array, default=(0.0, 0.0, 1.0))
+    camera_clearance: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.05)
+    tool_clearance: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.05)
 
     def height(self, position: Float[Array, "*views 3"]) -> Float[Array, "*views"]:
         """Return the height above the plane of positions in the base frame, m."""
@@ -81,12 +78,12 @@ class Limits(eqx.Module):
             views that the calibration was fitted to; 1 is the distance of the farthest of these.
     """
 
-    border_margin: Float[Array, ""] = eqx.field(converter=_as_float_array, default=0.0)
-    min_visible_fraction: Float[Array, ""] = eqx.field(converter=_as_float_array, default=1.0)
-    focus_range: Float[Array, "2"] = eqx.field(converter=_as_float_array, default=(0.0, np.inf))
+    border_margin: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    min_visible_fraction: Float[Array, ""] = eqx.field(converter=as_float_array, default=1.0)
+    focus_range: Float[Array, "2"] = eqx.field(converter=as_float_array, default=(0.0, np.inf))
     clearance_plane: ClearancePlane | None = None
-    max_error_field_extent: Float[Array, ""] = eqx.field(converter=_as_float_array, default=1.5)
-    max_viewed_region_extent: Float[Array, ""] = eqx.field(converter=_as_float_array, default=2.0)
+    max_error_field_extent: Float[Array, ""] = eqx.field(converter=as_float_array, default=1.5)
+    max_viewed_region_extent: Float[Array, ""] = eqx.field(converter=as_float_array, default=2.0)
 
 
 class Checks(eqx.Module):
@@ -186,7 +183,7 @@ def check_views(
         record("far_focus", farthest, farthest <= limits.focus_range[1])
     error = calibration.robot_error
     max_coordinate = jnp.max(jnp.abs(command.base_from_tool.translation()), axis=-1)
-    record("absurd", max_coordinate, max_coordinate <= MAX_TOOL_COORDINATE)
+    record("tool_distance", max_coordinate, max_coordinate <= MAX_TOOL_COORDINATE)
     if calibration.region is not None:
         _check_viewed_region(calibration, command, camera_from_world, limits, record)
     if limits.clearance_plane is not None:

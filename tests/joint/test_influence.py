@@ -26,8 +26,12 @@ def fit(scene):
 
 
 @eqx.filter_jit
+def normal_matrix(problem, z):
+    return problem.normal_equations(z).matrix
+
+
 def scored(problem, z, sizes_known):
-    return pose_outlier_test(problem, z, problem.normal_equations(z).matrix, sizes_known)
+    return pose_outlier_test(problem, z, normal_matrix(problem, z), sizes_known)
 
 
 def numbers(calibration, other):

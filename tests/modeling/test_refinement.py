@@ -266,6 +266,8 @@ def test_bad_input_is_named(calibration, poses):
     seen = observed(calibration, poses, clicks(calibration, poses))
     with pytest.raises(ValueError, match="no vertex 9"):
         refine(None, seen, [KnownLength((0, 9), 0.1)])
+    with pytest.raises(ValueError, match="same place"):
+        refine(np.repeat(BOX[:1], 8, axis=0), seen, [KnownLength((0, 1), 0.1)])
     with pytest.raises(ValueError, match="start: expected"):
         refine(BOX[:4], seen)
     with pytest.raises(ValueError, match="covariance or noise"):

@@ -55,7 +55,7 @@ def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
 
 def test_the_histogram_counts_every_point_below_its_limit(rows):
     (axes,) = plots.error_histogram(rows).axes
-    values = rows[0].registration_errors.px[np.isfinite(rows[0].registration_errors.px)]
+    values = rows[0].reprojection_errors.px[np.isfinite(rows[0].reprojection_errors.px)]
     bars = sum(bar.get_height() for bar in axes.containers[0])
     assert bars == np.sum(values <= np.percentile(values, 99.5))
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["staged", "joint"]
@@ -87,7 +87,7 @@ def test_one_point_far_off_leaves_the_others_their_colours(scene):
 def test_bars_are_the_rms_of_each_view(scene, rows):
     (axes,) = plots.view_errors(scene.data, rows).axes
     heights = [bar.get_height() for bar in axes.containers[1]]
-    np.testing.assert_allclose(heights, rows[1].registration_errors.rms_per_view)
+    np.testing.assert_allclose(heights, rows[1].reprojection_errors.rms_per_view)
     assert [tick.get_text() for tick in axes.get_xticklabels()] == list(scene.data.view_ids)
 
 

@@ -136,13 +136,13 @@ def test_the_errors_found_are_in_the_units_people_use():
     joint = dataclasses.replace(trusting, noise=noise, noise_estimate=estimate, calibration=bent)
     lines = error_model_rows(joint, scene.data)
     assert lines[0][1].startswith("position (smooth, linear in the tool's position); ")
-    assert lines[0][1].endswith("probabilities: white 0.10, position 0.90")
+    assert lines[0][1].endswith("probabilities: position 0.90, white 0.10")
     assert "0.400 px +- 10% (within a view 0.100)" in lines[1][1]
     assert "0.100 mm +- 20% and 0.0200 deg" in lines[1][1]
     # The scene was made without any error: taking the field away leaves nothing.
     assert lines[2][0] == "without the correction"
     assert "0.00 px RMS" in lines[2][1]
-    assert "still changing" in lines[3][1]
+    assert "before they converged" in lines[3][1]
 
 
 @pytest.fixture(scope="module")
@@ -163,16 +163,16 @@ def test_a_view_that_was_rejected_does_not_count(moved_view):
     rows = error_summaries(fit, data)
     without = data.mask_views([6])
     for row, part in zip(rows, (fit.staged, fit.joint), strict=True):
-        assert row.registration_errors.rms == pytest.approx(
+        assert row.reprojection_errors.rms == pytest.approx(
             reprojection_errors(part.calibration, without).rms
         )
-        assert row.registration_errors.rms < 0.2 * reprojection_errors(part.calibration, data).rms
+        assert row.reprojection_errors.rms < 0.2 * reprojection_errors(part.calibration, data).rms
     text = result_summary(rows, fit)
-    assert f"{rows[1].registration_errors.rms:.2f} px RMS on the views it was fitted to" in text
+    assert f"{rows[1].reprojection_errors.rms:.2f} px RMS on the views it was fitted to" in text
     assert "Of 12 views 1 is rejected and not counted." in text
     assert "reliable" not in text
     budget = error_budget(data, fit.joint)
-    assert budget.total_rms == pytest.approx(rows[1].registration_errors.rms)
+    assert budget.total_rms == pytest.approx(rows[1].reprojection_errors.rms)
 
 
 def test_few_views_are_called_few(moved_view):
@@ -208,8 +208,8 @@ def test_remarks_are_on_every_measure():
 
 
 def test_what_folds_and_halves_took_the_error_for_is_counted():
-    assert model_counts_text(["pose", "implied_arm", "implied_arm"]).endswith(
-        "implied_arm 2, pose 1"
+    assert model_counts_text(["pose", "six_axis_arm", "six_axis_arm"]).endswith(
+        "six_axis_arm 2, pose 1"
     )
     assert model_counts_text([]) == ""
     assert _model_with_description("pose") == "pose (smooth, linear in the tool's pose)"

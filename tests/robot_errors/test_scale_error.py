@@ -1,4 +1,5 @@
 import dataclasses
+import re
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -111,3 +112,14 @@ def test_files_keep_what_is_stretched(stretched, tmp_path):
     found = Calibration.load(tmp_path / "calibration.yaml")
     assert eqx.tree_equal(found, calibration)
     assert isinstance(found.robot_error.field.field, type(stretched.field.field))
+
+
+def test_files_of_earlier_versions_have_other_names_for_two_fields(stretched, tmp_path):
+    calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
+    path = tmp_path / "calibration.yaml"
+    calibration.save(path)
+    text = path.read_text()
+    assert "scale_error" in text
+    text = re.sub(r"\n# checksum.*|\nchecksum:.*", "", text)
+    path.write_text(text.replace("scale_error", "stretched").replace("six_axis_arm", "implied_arm"))
+    assert eqx.tree_equal(Calibration.load(path), calibration)

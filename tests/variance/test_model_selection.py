@@ -43,7 +43,7 @@ def test_an_arm_that_nobody_described_makes_the_mount_better(arms):
         linear = LinearInPose.from_poses(scene.data.base_from_tool)
         by_pose = fit_joint(scene.data, staged, noise="estimated", field=linear)
         by_arm = fit_joint(scene.data, staged, noise="estimated")
-        assert by_arm.noise_estimate.name == "implied_arm"
+        assert by_arm.noise_estimate.name == "six_axis_arm"
         truth = scene.calibration.camera_from_tool.translation()
         found = (staged, by_pose.calibration, by_arm.calibration)
         mount.append([np.linalg.norm(c.camera_from_tool.translation() - truth) for c in found])
@@ -59,13 +59,13 @@ def test_few_views_are_given_no_arm(arms):
     shown = MIN_GENERIC_ARM_VIEWS - 1
     data = arms[0].data.mask_views(range(shown, arms[0].data.view_count))
     found = estimate_noise(data, arms[0].calibration.uncorrected)
-    assert "implied_arm" not in [other.name for other in found.candidates]
+    assert "six_axis_arm" not in [other.name for other in found.candidates]
     found = estimate_noise(
         data,
         arms[0].calibration.uncorrected,
         field=GenericSixAxisArm.from_poses(data.base_from_tool),
     )
-    assert found.name == "implied_arm"
+    assert found.name == "six_axis_arm"
 
 
 def test_who_holds_the_robots_error_is_given_no_other(arms):
@@ -87,7 +87,7 @@ def test_white_noise_is_not_taken_for_an_arm():
     ]
     found = {one.name: one.probability for one in fits[0].noise_estimate.candidates}
     assert fits[0].noise_estimate.name == "white"
-    assert found["implied_arm"] < 0.05
+    assert found["six_axis_arm"] < 0.05
     unseen = random_scene(50, 30, POINTS, pixel_noise=0.0).data
     averaged, white = (reprojection_errors(fit.calibration, unseen).rms for fit in fits)
     assert averaged < 1.05 * white
@@ -132,7 +132,7 @@ WHITE, POSE = ModelName("white", False), ModelName("pose", False)
 
 
 def test_a_model_is_named_by_its_field_and_by_a_free_scale():
-    assert [str(WHITE), str(POSE._replace(free_scale=True))] == ["white", "pose, target_scale"]
+    assert [str(WHITE), str(POSE._replace(free_scale=True))] == ["white", "pose with target_scale"]
 
 
 def test_sizes_are_averaged_by_their_variances():

@@ -99,7 +99,7 @@ def test_the_side_that_was_seen_and_how_far_out_are_checked():
     assert in_region([[2.1 * reach, 0.0, 1.0]], max_viewed_region_extent=3.0).safe.all()
 
 
-def test_what_no_arm_reaches_is_absurd():
+def test_a_tool_further_than_any_arm_reaches_is_unsafe():
     assert (
         "the tool is 400 m from the base: no arm is that long"
         in in_region([[0, 0, 400]]).safety_violations()[0]

@@ -22,7 +22,7 @@ from .held_out import (
     whole_fit,
 )
 
-UNCORRECTED_SUFFIX = "correction left out"
+UNCORRECTED_SUFFIX = "without correction"
 """The suffix of a method's name for its row without the correction of the robot's error."""
 
 

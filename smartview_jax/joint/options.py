@@ -1,0 +1,24 @@
+"""Name the options of a joint fit, with their types, for functions that pass them on."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypedDict
+
+import optimistix as optx
+
+from ..engine import AbstractLoss, Noise, Prior
+from ..robot_errors import FieldChoice, RobotPrior
+
+
+class JointOptions(TypedDict, total=False):
+    """The options of `fit_joint` that concern the fit itself, as its keyword arguments."""
+
+    noise: str | Noise
+    field: FieldChoice | Literal[False]
+    loss: str | AbstractLoss | None
+    fixed: Sequence[str]
+    free: Sequence[str]
+    priors: Mapping[str, Prior] | None
+    solver: optx.AbstractLeastSquaresSolver | None
+    devices: Sequence[Any] | None
+    gross_errors: str
+    robot_prior: RobotPrior | None

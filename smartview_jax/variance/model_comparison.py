@@ -1,0 +1,186 @@
+"""Compare models of the robot's error by their evidence, on one linearisation of the views."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from ..blas_threads import on_one_blas_thread
+from ..calibration import Calibration
+from ..dataset import Dataset
+from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
+from ..robot_errors import AbstractField, FieldChoice, RobotPrior
+from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .model_selection import (
+    TARGET_SCALE,
+    WHITE_NOISE,
+    Candidate,
+    FittedCandidate,
+    ModelName,
+    candidate_models,
+    encompassing_field,
+    fit_candidates,
+    initial_standard_deviations,
+    posterior_probabilities,
+    standard_deviation_prior,
+)
+from .noise_estimate import CandidateResult, TargetScaleEvidence
+from .view_statistics import ViewStatistics, with_free_poses
+
+
+class ModelComparison(NamedTuple):
+    """The models of the robot error, compared on one linearisation.
+
+    Attributes:
+        basis: field that contains all models; None without a field.
+        models: the models, by the name of their field.
+        built: problem with the basis that contains all models.
+        views: statistics of the views.
+        z: step at which the views are linearised, the fit with free poses.
+        linearised: the views linearised there.
+        fitted: the models, each with the standard deviations that maximise its posterior.
+        probabilities: posterior probabilities of the models.
+        candidates: the same for the result.
+        target_scale: evidence on the target's size; None where it is not in question.
+    """
+
+    basis: AbstractField | None
+    models: Mapping[str, Candidate]
+    built: BuiltProblem
+    views: ViewStatistics
+    z: Step
+    linearised: LinearisedViews
+    fitted: Mapping[ModelName, FittedCandidate]
+    probabilities: Mapping[ModelName, float]
+    candidates: tuple[CandidateResult, ...]
+    target_scale: TargetScaleEvidence | None
+
+
+@on_one_blas_thread
+def compare_models(
+    data: Dataset,
+    start: Calibration,
+    field: FieldChoice,
+    *,
+    fixed: Sequence[str],
+    free: Sequence[str],
+    priors: Mapping[str, Prior] | None,
+    prior: RobotPrior,
+) -> ModelComparison:
+    """Compare the models of the robot error at the fit with free poses.
+
+    Args:
+        data: data set.
+        start: any calibration near enough, with the lens that is to be fitted.
+        field: field that the user asked for, `"auto"`, or None for white noise alone.
+        fixed: paths of parameters to hold.
+        free: paths of parameters to make free.
+        priors: priors on parameters.
+        prior: prior of the robot's errors.
+
+    Raises:
+        ValueError: no model can be linearised.
+    """
+    if ROBOT_ERROR in fixed:
+        basis, field = start.field, None
+        models = candidate_models(None, None)
+    else:
+        basis = encompassing_field(data, len(data.usable_views())) if field == "auto" else field
+        models = candidate_models(field, basis)
+    stated = (*fixed, *free, *(priors or ()))
+    test_scale = prior.wrong_target_probability > 0.0 and TARGET_SCALE not in stated
+    built = build_problem(
+        data,
+        start,
+        # All standard deviations are one; their values are set later.
+        noise=Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0)),
+        field=basis,
+        fixed=fixed,
+        free=(*free, *((TARGET_SCALE,) if test_scale else ())),
+        priors=priors,
+    )
+    problem = with_free_poses(built.problem)
+    solution, equations = solve(problem)
+    views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
+    sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
+    linearised = views.linearised_at_fit(problem, solution.z, equations)
+    fitted = fit_candidates(
+        linearised,
+        models,
+        views.group_names,
+        initial_standard_deviations(sigma_prior, views.white_sigma),
+        sigma_prior,
+        prior.wrong_target_probability,
+    )
+    if not fitted:
+        raise ValueError(
+            "no model explains the views: their own best poses cannot be linearised; "
+            "start nearer to the truth (fit_staged), or check the poses"
+        )
+    # A field that was asked for is used whatever the probability of white noise.
+    requested = list(models)[-1] if isinstance(field, AbstractField) else None
+    probabilities = posterior_probabilities(
+        {model: fit for model, fit in fitted.items() if requested in (None, model.field)}
+    )
+    return ModelComparison(
+        basis,
+        models,
+        built,
+        views,
+        solution.z,
+        linearised,
+        fitted,
+        probabilities,
+        _candidate_results(fitted, probabilities, views.white_sigma),
+        _target_scale_evidence(built, linearised, solution.z, fitted, probabilities)
+        if test_scale
+        else None,
+    )
+
+
+def _candidate_results(
+    fitted: Mapping[ModelName, FittedCandidate],
+    model_probabilities: Mapping[ModelName, float],
+    white_sigma: float,
+) -> tuple[CandidateResult, ...]:
+    """Return all models tried, with probabilities and likelihood ratios to white noise alone."""
+    white_noise_deviance = fitted[ModelName(WHITE_NOISE, False)].maximum.deviance
+    return tuple(
+        CandidateResult(
+            name,
+            model_probabilities.get(name, 0.0),
+            white_noise_deviance - candidate.maximum.deviance,
+            noise_from_sigmas(candidate.maximum.sigmas, white_sigma, candidate.active),
+        )
+        for name, candidate in fitted.items()
+    )
+
+
+def _target_scale_evidence(
+    built: BuiltProblem,
+    views: LinearisedViews,
+    z: Step,
+    fitted: Mapping[ModelName, FittedCandidate],
+    model_probabilities: Mapping[ModelName, float],
+) -> TargetScaleEvidence:
+    """Estimate the target's size by the most probable model in which its scale is free."""
+    free_scale_probabilities = {
+        name: probability for name, probability in model_probabilities.items() if name.free_scale
+    }
+    best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
+    marginal = marginalise(views, fitted[best].maximum.sigmas)
+    index = built.shared_names.index(TARGET_SCALE)
+    scale_at_start = np.asarray(built.problem.parameters.start.target_scale)
+    scale = scale_at_start + np.asarray(z.shared)[index] + marginal.step.shared[index]
+    std = np.sqrt(marginal.shared_covariance[index, index])
+    return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
+
+
+def noise_from_sigmas(
+    sigmas: StandardDeviations, white_sigma: float, active: Bool[np.ndarray, "robot"] | None = None
+) -> Noise:
+    """Convert to a `Noise`; with `active`, only the active groups of the field are kept."""
+    field = sigmas.field if active is None else sigmas.field[active[2:]]
+    pixel_and_pose = (float(sigmas.pixel), float(sigmas.translation), float(sigmas.rotation))
+    return Noise(*pixel_and_pose, field=tuple(map(float, field)), white_pixel=white_sigma)

@@ -1,0 +1,115 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+from smartview_jax.engine import Noise
+from smartview_jax.geometry import five_viewpoints, host_matrices
+from smartview_jax.modeling import triangulate_points, wrong_correspondences
+from smartview_jax.simulation import paper_calibration, reported_poses
+
+SIGMA = 0.3
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return paper_calibration()
+
+
+@pytest.fixture(scope="module")
+def poses(calibration):
+    five = five_viewpoints(
+        np.array([0.02, 0.0175, 0.01]), 0.2, roll=np.array([0.3, 0, -0.2, 0.5, 1.0])
+    )
+    return host_matrices(calibration.command_for(five))
+
+
+def clicks(calibration, poses, count, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([0.008, 0.008, 0.0], [0.032, 0.027, 0.02], (count, 3))
+    pixels = np.array(calibration.project(poses, points)[0])
+    return pixels + SIGMA * rng.standard_normal(pixels.shape)
+
+
+def test_right_clicks_are_named_as_rarely_as_stated(calibration, poses):
+    """At a false-alarm probability of a half the rate shows in few runs; Bonferroni is a bound."""
+    runs = [
+        bool(wrong_correspondences(calibration, poses, clicks(calibration, poses, 8, seed),
+                                   pixel_sigma=SIGMA, false_alarm=0.5))
+        for seed in range(60)
+    ]  # fmt: skip
+    assert 0.2 < np.mean(runs) < 0.6
+
+
+def test_a_click_on_the_wrong_corner_is_named(calibration, poses):
+    """Also where its own residual is not the largest of its point."""
+    named, hidden = [], 0
+    for seed in range(40):
+        rng = np.random.default_rng((seed, 1))
+        pixels = clicks(calibration, poses, 8, seed)
+        # Of three views the wrong one's residual is the smaller one more often.
+        visible = np.zeros((5, 8), dtype=bool)
+        visible[: 5 if seed % 2 else 3] = True
+        view, feature, angle = rng.integers(3), rng.integers(8), rng.uniform(0, 2 * np.pi)
+        pixels[view, feature] += 4.0 * np.array([np.cos(angle), np.sin(angle)])
+        plain = triangulate_points(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
+        hidden += np.nanargmax(np.linalg.norm(plain.residuals[:, feature], axis=1)) != view
+        found = wrong_correspondences(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
+        named.append(
+            bool(found)
+            and all(one.feature == feature for one in found)
+            and any(view in (one.view, *one.instead) for one in found)
+        )
+        if named[-1] and found[0].view == view:
+            assert found[0].distance == pytest.approx(4.0, abs=2.0)
+            assert f"feature {feature} in view {view}" in str(found[0])
+    assert np.mean(named) > 0.9
+    assert hidden > 0
+
+
+def test_two_wrong_clicks_are_both_named(calibration, poses):
+    pixels = clicks(calibration, poses, 8, 3)
+    pixels[1, 4] += [8.0, 3.0]
+    pixels[3, 6] += [-2.0, 9.0]
+    found = wrong_correspondences(calibration, poses, pixels, pixel_sigma=SIGMA)
+    assert {(one.view, one.feature) for one in found} == {(1, 4), (3, 6)}
+    assert all(one.p_value < 1e-6 for one in found)
+
+
+def test_of_two_views_neither_can_be_acquitted(calibration, poses):
+    pixels = clicks(calibration, poses, 3, 0)
+    # Across the epipolar line of views 0 and 1: in that direction alone they can contradict.
+    visible = np.ones((5, 3), dtype=bool)
+    visible[2:, 1] = False
+    for shift in ([8.0, 0.0], [0.0, 8.0]):
+        moved = pixels.copy()
+        moved[0, 1] += shift
+        found = wrong_correspondences(calibration, poses, moved, visible, pixel_sigma=SIGMA)
+        if found:
+            break
+    assert len(found) == 1
+    assert {found[0].view, *found[0].instead} == {0, 1}
+    assert np.isnan(found[0].distance)
+
+
+def test_what_the_robots_noise_explains_is_not_named(calibration, poses):
+    noise = Noise(0.15, 2e-4, 2e-3)
+    named = {"known": 0, "unknown": 0}
+    for seed in range(10):
+        reported = host_matrices(
+            reported_poses(
+                SE3.from_matrix(jnp.asarray(poses)),
+                np.random.default_rng(seed),
+                noise.translation,
+                noise.rotation,
+            )
+        )
+        pixels = clicks(calibration, poses, 6, seed)
+        for key, stated in (("known", noise), ("unknown", None)):
+            named[key] += bool(
+                wrong_correspondences(
+                    calibration, reported, pixels, noise=stated, pixel_sigma=SIGMA
+                )
+            )
+    assert named["unknown"] >= 8
+    assert named["known"] <= 1
