@@ -25,6 +25,7 @@ BENCHMARKS = {
     "growth": "time and memory of the joint fit by points, views and devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
+    "object_features": "corners and proposed models on pictures of objects, against references",
     "modeling": "vertices of objects from clicks: NEES, edges, peers, real pictures, times",
     "fuzz": "malformed files: refused by name, or their values in range",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",

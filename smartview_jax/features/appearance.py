@@ -30,7 +30,7 @@ MIN_PATCH_CONTRAST = 1.0
 
 
 class Appearance(NamedTuple):
-    """How the corners of one picture look.
+    """The appearance of the corners of one picture.
 
     Attributes:
         patches: grey levels with mean zero and unit length: the product of two is their normalised

@@ -92,6 +92,7 @@ def line_corners(lines: Lines) -> LineCorners:
             continue
         points.append(solved[0])
         covariances.append(solved[1])
+        # As many columns for every corner, so that corners are one array.
         row = np.full(MAX_SEGMENTS_PER_CORNER, -1)
         row[: len(members)] = members[:MAX_SEGMENTS_PER_CORNER]
         joined.append(row)
@@ -107,6 +108,7 @@ def _meeting_points(lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     first, second = np.triu_indices(len(lines.centres), k=1)
     n, m = lines.normals[first], lines.normals[second]
     sine = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
+    # Nearly parallel lines meet anywhere.
     steep = np.abs(sine) > np.sin(MIN_ANGLE)
     first, second, n, m, sine = (x[steep] for x in (first, second, n, m, sine))
     # n . x = a and m . x = b: Cramer's rule.
@@ -199,6 +201,7 @@ def _structure_peaks(
     is_peak &= 4.0 * determinant > MIN_ROUNDNESS * trace**2
     is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
     row, column = np.nonzero(is_peak)
+    # A textured picture has tens of thousands of peaks; the strongest are found again elsewhere.
     order = np.argsort(-strength[row, column])[:MAX_GRADIENT_CORNERS]
     row, column = row[order], column[order]
     shifts = [
@@ -227,6 +230,7 @@ def _vertices(
     refined = cv2.cornerSubPix(grey.astype(np.float32), start, window, (-1, -1), stop)
     refined = refined[:, 0].astype(float)
     covariances = _meeting_covariances(slopes, refined)
+    # A vertex far from its peak belongs to another one, and one that is uncertain is an edge.
     good = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
     good &= np.linalg.eigvalsh(covariances)[:, 1] < MAX_VERTEX_SIGMA**2
     refined, covariances = refined[good], covariances[good]

@@ -74,11 +74,13 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
     lines = find_lines(grey, find_edge_points(grey), plane)
     junctions = line_corners(lines)
     corners, covariances = _corner_pixels(junctions, plane)
+    # Two lines may meet beyond the picture's border.
     inside = _is_inside(corners, camera.image_size)
     junctions = LineCorners(*(part[inside] for part in junctions))
     corners, covariances = corners[inside], covariances[inside]
     ends, end_covariances, free = _end_pixels(lines, junctions, plane)
     normals, normal_covariances = _plane_normals(lines, plane)
+    # From the best known to the least: each kind adds corners only where none is yet.
     free_corners = _free_ends(ends, end_covariances, free, junctions.segments.shape[1], corners)
     junction_parts = (corners, covariances, junctions.segments)
     known = [np.concatenate(parts) for parts in zip(junction_parts, free_corners, strict=True)]
@@ -105,6 +107,7 @@ def _free_ends(
     corners: Float[np.ndarray, "corners 2"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the ends of long segments where no corner is: pixels, covariances, segments."""
+    # Short segments are often texture, whose ends mean nothing.
     long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= MIN_FREE_LENGTH
     segment, side = np.nonzero(free & long[:, None])
     far = _far_from(ends[segment, side], corners, SAME_END_DISTANCE)
@@ -144,6 +147,7 @@ def _end_pixels(
     count = len(lines.centres)
     index = np.repeat(np.arange(count), 2)
     ends = lines.ends.reshape(-1, 2).copy()
+    # Well known across the segment, poorly along it: edges fade out, they do not end.
     across, along = lines.normals[index], lines.directions[index]
     covariances = lines.variances_at(index, ends)[:, None, None] * _outer(across)
     covariances = covariances + END_SIGMA**2 * _outer(along)
@@ -188,6 +192,7 @@ def _plane_normals(
     # a (t . c), since c stays on the line.
     by_shift = np.column_stack([np.zeros_like(n), -np.ones(len(n))]) / lengths
     by_turn = np.column_stack([f * t, -(t * lines.centres).sum(axis=1)]) / lengths
+    # The two errors of a line are independent about its centre, so their covariances add up.
     covariances = np.zeros((len(n), 3, 3))
     for derivative, variance in (
         (by_shift, lines.offset_variances),

@@ -56,6 +56,7 @@ def _in_batches(
     function: Callable[..., tuple[Array, Array]], camera: Camera, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Apply a compiled function to points, a fixed number at a time."""
+    # The last batch is padded with zeros, which every lens maps without harm.
     values, derivatives = np.empty((len(points), 2)), np.empty((len(points), 2, 2))
     for start in range(0, len(points), POINTS_PER_BATCH):
         part = points[start : start + POINTS_PER_BATCH]
@@ -75,7 +76,9 @@ def _to_normalised(
 
     def normalised(points: Float[Array, "points 2"]) -> Float[Array, "points 2"]:
         rays, valid = camera.unproject(points)
+        # Rays to the side or behind have no place in the ideal plane.
         usable: Bool[Array, "points"] = valid & (rays[:, 2] > 0.0)
+        # The inner `where` keeps the derivatives of other points finite.
         depth = jnp.where(usable, rays[:, 2], 1.0)
         return jnp.where(usable[:, None], rays[:, :2] / depth[:, None], jnp.nan)
 

@@ -101,8 +101,10 @@ def find_lines(
     """Return the straight segments of a picture, the longest proposals first."""
     points = plane.from_pixels(edge_points.pixels)
     normals = _ideal_normals(edge_points, plane)
+    # Points that the lens cannot place in the ideal plane are left out.
     usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     search = _Search(points[usable], normals[usable])
+    # The longest first: each takes its points, and the pieces of the same edge find them used.
     for start, end in _proposals(grey, plane):
         search.follow(start, end)
     return search.lines()
@@ -148,6 +150,7 @@ class _Search:
         normal = self._light_side(centre, direction, half_length)
         run = np.zeros(0, dtype=int)
         for half_width in BAND_HALF_WIDTHS:
+            # The tree is asked anew, because the segment may have grown.
             near = self._near(centre, half_length)
             run = self._run(near, centre, normal, half_length, half_width)
             if len(run) < MIN_DENSITY * MIN_LENGTH or self._used[run].mean() > MAX_USED_FRACTION:
@@ -159,6 +162,7 @@ class _Search:
         """Return the indices of the points around a line so far and around what may continue it."""
         if self._tree is None:
             return np.zeros(0, dtype=int)
+        # A disc is more than is needed, but a tree answers it quickly.
         reach = 2.0 * half_length + MAX_EXTENSION
         return np.array(self._tree.query_ball_point(centre, reach), dtype=int)
 
@@ -173,6 +177,7 @@ class _Search:
             & (np.abs(offset @ normal) < BAND_HALF_WIDTHS[0])
         ]
         alignment = self._normals[members] @ normal
+        # Where two edges run side by side, both polarities are near: the more frequent one wins.
         lighter, darker = (alignment > MIN_ALIGNMENT).sum(), (alignment < -MIN_ALIGNMENT).sum()
         return normal if lighter >= darker else -normal
 
@@ -189,6 +194,7 @@ class _Search:
         close = np.abs((self._points[near] - centre) @ normal) < half_width
         chosen = near[aligned & close]
         along = (self._points[chosen] - centre) @ np.array([-normal[1], normal[0]])
+        # Cut into pieces at the gaps; the piece over the proposal goes on.
         order = np.argsort(along)
         pieces = np.split(order, np.nonzero(np.diff(along[order]) > MAX_GAP)[0] + 1)
         inside = [(np.abs(along[piece]) <= half_length).sum() for piece in pieces]
@@ -217,6 +223,7 @@ class _Search:
         direction = np.array([-normal[1], normal[0]])
         along = (self._points[run] - centre) @ direction
         length = float(np.ptp(along))
+        # Only what is fitted is freed of outliers; the extent is that of all points.
         fitted = self._without_outliers(self._middle(run, normal))
         if length < MIN_LENGTH or len(run) < MIN_DENSITY * length or len(fitted) < 4:
             return
@@ -267,6 +274,7 @@ def _total_least_squares(
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], float]:
     """Return mean, unit normal and variance across of the line of least squared distances."""
     mean = points.mean(axis=0)
+    # The eigenvector of the smaller eigenvalue of the scatter matrix is the normal.
     values, vectors = np.linalg.eigh((points - mean).T @ (points - mean))
     # Two numbers of a line are fitted.
     return mean, vectors[:, 0], float(max(values[0], 0.0)) / max(len(points) - 2, 1)

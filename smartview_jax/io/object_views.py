@@ -66,6 +66,7 @@ def load_object_views(folder: str | Path) -> ObjectViews:
     readings = read_robot_readings(folder, content, path, "raise")
     width, height = description.camera.image_size
     pattern = description.pictures.pattern
+    # By the name of the view, so that a picture too many or too few shifts nothing.
     paths = tuple(folder / pattern.format(view=view) for view in readings.view_ids)
     pictures = tuple(read_picture(file, (width, height)) for file in paths)
     return ObjectViews(tuple(readings.view_ids), paths, pictures, readings.poses, (width, height))
@@ -100,8 +101,10 @@ def write_object_views(
     if len(sizes) > 1:
         raise ValueError(f"pictures: expected one size, found {sorted(sizes)}")
     for view, picture in zip(view_ids, pictures, strict=True):
+        # Encoded in memory, because `cv2.imwrite` leaves half a file when it is interrupted.
         encoded = cv2.imencode(suffix, picture)[1].tobytes()
         write_atomically(folder / "images" / f"{view}{suffix}", encoded)
+    # Matrices need no convention of angles, whatever the robot reports.
     codec = pose_codec("matrix")
     rows = codec.encode(poses)
     write_table(

@@ -69,7 +69,9 @@ def rank_candidates(
         max_distance: largest distance of a candidate from the curve, px.
     """
     distance, depth = curve.nearest(corners)
+    # The distance alone decides who is a candidate; the rest only ranks, as it may mislead.
     index = np.flatnonzero(distance <= max_distance)
+    # The mean of both axes: the curve's direction there changes little about the ranking.
     variance = np.full(len(corners), CURVE_SIGMA**2)
     if covariances is not None:
         variance = variance + 0.5 * np.trace(covariances, axis1=1, axis2=2)
@@ -109,6 +111,7 @@ def direction_turn(
     gap = np.abs((gap + np.pi) % (2.0 * np.pi) - np.pi)
     gap = np.where(np.isfinite(gap), gap, np.inf)
     means = [_finite_mean(gap.min(axis=axis)) for axis in (-1, -2)]
+    # Each segment of the corner that has fewer should be found at the other one.
     fewer = np.isfinite(first).sum(axis=-1) <= np.isfinite(second).sum(axis=-1)
     return np.where(fewer, means[0], means[1])
 

@@ -21,11 +21,13 @@ def project_points(
     pixels = np.empty((count, len(points), 2))
     for start in range(0, len(points), POINTS_PER_BATCH):
         part = points[start : start + POINTS_PER_BATCH]
+        # Padded to one size, for which the program is compiled once.
         padded = np.zeros((POINTS_PER_BATCH, 3))
         padded[: len(part)] = part
         projected = _project(views.camera, to_device(views.padded), to_device(padded))
         pixels[:, start : start + len(part)] = np.asarray(projected)[:count, : len(part)]
     size = np.array(views.camera.image_size)
+    # Comparisons with NaN are false: what cannot be projected counts as outside.
     with np.errstate(invalid="ignore"):
         within = (pixels > -0.5) & (pixels < size - 0.5)
     return np.where(within.all(axis=-1, keepdims=True), pixels, np.nan)

@@ -35,7 +35,7 @@ MAX_RMS = 1.0
 MIN_SIMILARITY = 0.7
 """Smallest mean correlation of the patches of a proposed point."""
 
-SAME_POINT_DISTANCE = 3.0
+SAME_POINT_DISTANCE = 2.5
 """Distance in all common views below which two proposed points are the same, px."""
 
 
@@ -102,11 +102,13 @@ def propose_model(
         ValueError: fewer than two views, numbers of poses, pictures and features that differ, wrong
             depths, or a picture that `features.find` refuses; the view is named.
     """
+    # Poses are checked before pictures, which take longer.
     seen = SeenViews.of(calibration, poses)
     count = len(seen.camera_from_world)
     needed = _checked(count, pictures, features, depths, min_views)
     found = tuple(features or _found(pictures, calibration))
     views = _corner_views(seen, pictures, found)
+    # Every two views, since a point may be hidden or missed in any of them.
     all_pairs = [
         epipolar_pairs(views, a, b, depths) for a in range(count) for b in range(a + 1, count)
     ]
@@ -189,9 +191,11 @@ def _proposal(
     similarity = tracks.similarity[kept]
     points = _triangulated(calibration, poses, found, corners, covariance)
     rms = _rms(points)
+    # What fits badly or looks different is not worth a person's time.
     good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
     order = np.flatnonzero(good)
     order = order[_distinct(project_points(seen, points.points[order]))]
+    # Dots and grain on an edge would divide it into pieces: edges run between junctions.
     ends = np.flatnonzero(_junction_counts(found, corners[:, order]) >= 2)
     edges, edge_segments = _edges(seen, found, points.points[order[ends]])
     return ModelProposal(
@@ -245,6 +249,7 @@ def _rms(points: TriangulatedPoints) -> Float[np.ndarray, "points"]:
     """Return the RMS reprojection error of each point over its views, px; infinite if it failed."""
     squared = (points.residuals**2).sum(axis=-1)
     count = np.isfinite(squared).sum(axis=0)
+    # A point that failed has no residuals, and its error is infinite.
     mean = np.nansum(squared, axis=0) / np.maximum(count, 1)
     return np.where(points.ok & (count > 0), np.sqrt(mean), np.inf)
 
@@ -295,6 +300,7 @@ def _edges(
     seen: SeenViews, found: tuple[Features, ...], points: Float[np.ndarray, "points 3"]
 ) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, "views edges"]]:
     """Return pairs of points that segments of two or more views join, and those segments."""
+    # Points are looked for where they are seen, found there or not: segments tell more.
     projected, plane = project_points(seen, points), IdealPlane(seen.camera)
     segment_of: dict[tuple[int, int], Int[np.ndarray, "views"]] = {}
     for k, features in enumerate(found):

@@ -45,6 +45,7 @@ def joined_points(
     near &= along < lengths[:, None] + MAX_END_DISTANCE
     pairs, segments = [], []
     for k in np.flatnonzero(near.sum(axis=1) >= 2):
+        # Neighbours along the segment are joined; others are, by way of them.
         members = np.flatnonzero(near[k])
         members = members[np.argsort(along[k, members])]
         for p, q in pairwise(members):

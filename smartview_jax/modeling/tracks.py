@@ -174,7 +174,7 @@ def supported_tracks(
     )
     # More views first, then more junctions; among as many, those that look more alike and lie
     # closer.
-    score = count + 0.5 * junctions + mean_similarity - 0.5 * spread / REPROJECTION_GATE
+    score = count + 0.2 * junctions + mean_similarity - 0.5 * spread / REPROJECTION_GATE
     order = np.argsort(-np.where(count >= min_views, score, -np.inf), kind="stable")
     order = order[count[order] >= min_views]
     chosen = _one_to_one(corners[:, order], [len(view.pixels) for view in views])

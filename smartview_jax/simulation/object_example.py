@@ -81,6 +81,7 @@ def object_example(seed: int = 0, pattern: str = "cross") -> ObjectExample:
     truth, solid = paper_calibration(), example_solid()
     scene = _example_scene(solid)
     poses = truth.command_for(_tilted_viewpoints(solid.vertices.mean(axis=0), pattern))
+    # A generator of its own for the robot, so that the boards' number does not change its noise.
     rng = np.random.default_rng((seed, 1))
     pictures = tuple(
         render_solids(truth, pose, scene, exposure=EXPOSURE, seed=5 * seed + k, samples=16)
@@ -119,7 +120,9 @@ def _example_scene(solid: Polyhedron) -> SolidScene:
     centre = _board_centre()
     shift = np.eye(4)
     shift[:3, 3] = centre
+    # Textures are centred where the object stands: they are functions of their own frame.
     printed = labelled(speckled(0.5, 0.1, 0.0025, seed=3), 40, 0.014, 0.06, seed=4)
+    # Low boxes at the border of the pictures: clutter with edges and shadows of its own.
     boxes = [
         box(*size).moved(shift @ _turned(angle, x, y))
         for size, angle, x, y in (
@@ -198,6 +201,7 @@ def write_object_example(
     )
     names = [f"object_{k}" for k in range(len(example.pictures))]
     write_object_views(folder / "object", names, example.pictures, example.reported, suffix)
+    # In the board's frame, in which a calibration by these boards places its results.
     content = {
         "unit": "m",
         "frame": "world",

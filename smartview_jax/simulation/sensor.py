@@ -28,4 +28,5 @@ def sensor_picture(
         picture = cv2.GaussianBlur(picture, (0, 0), blur)
     picture = exposure * picture
     picture = picture + noise * np.random.default_rng(seed).standard_normal(picture.shape)
+    # Saturation and rounding come last, as in a converter.
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)

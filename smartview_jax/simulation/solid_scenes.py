@@ -124,6 +124,7 @@ def scene_brightness(
     camera_from_world = host_matrices(calibration.camera_from_world(as_se3(base_from_tool)))
     if camera_from_world.shape != (4, 4):
         raise ValueError(f"base_from_tool: expected one pose, found {camera_from_world.shape[:-2]}")
+    # One ray for every pixel shows where edges are; only there more are needed.
     brightness_along = _ray_brightness(scene, calibration.camera, np.linalg.inv(camera_from_world))
     width, rows = calibration.camera.image_size
     pixels = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(rows))), axis=-1)
@@ -136,6 +137,7 @@ def scene_brightness(
 
 def _at_edges(picture: Float[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """Return which pixels differ from one of their eight neighbours by more than a smooth step."""
+    # The largest minus the smallest value of each neighbourhood.
     square = np.ones((3, 3), np.uint8)
     return cv2.dilate(picture, square) - cv2.erode(picture, square) > MAX_SMOOTH_STEP
 
@@ -162,16 +164,19 @@ def _ray_brightness(
     counts = [len(surface.vertices) for surface in scene.surfaces]
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     parts = [s.triangles + start for s, start in zip(scene.surfaces, starts, strict=True)]
+    # One mesh for all surfaces, so that each hides the others and throws shadows on them.
     caster = RayCaster(
         np.concatenate([surface.vertices for surface in scene.surfaces]), np.concatenate(parts)
     )
     surface_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
     def batch_brightness(pixels: np.ndarray) -> np.ndarray:
+        # Padded to one size, for which the program is compiled once.
         padded = np.zeros((RAYS_PER_BATCH, 2))
         padded[: len(pixels)] = pixels
         rays, valid = (np.asarray(x)[: len(pixels)] for x in _unproject(camera, to_device(padded)))
         directions = np.where(valid[:, None], rays, [0.0, 0.0, 1.0]) @ world_from_camera[:3, :3].T
+        # Pixels that the lens has no ray for get any ray, and count as a miss below.
         hits = caster.first_hits(world_from_camera[:3, 3], directions)
         surface = np.where(valid & (hits.triangle != MISSED), surface_of[hits.triangle], MISSED)
         return _shade(scene, caster, hits, surface)
@@ -198,6 +203,7 @@ def _shade(
     # brightness = white * albedo * (ambient + sum over lights of strength * max(n . l, 0)), without
     # the lights that something hides.
     light = np.full(len(surface), scene.ambient)
+    # A surface that faces away from a light is dark without asking what hides it.
     for direction, strength in scene.lights:
         unit = np.array(direction) / np.linalg.norm(direction)
         cosine = hits.normals @ unit

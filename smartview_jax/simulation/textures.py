@@ -67,9 +67,11 @@ def labelled(ground: Texture, count: int, size: float, extent: float, seed: int 
 
     def texture(points: np.ndarray) -> np.ndarray:
         albedo = ground(points)
+        # Later rectangles lie on earlier ones.
         for centre, extents, angle, level in zip(centres, half, angles, albedos, strict=True):
             x, y = (points[:, :2] - centre).T
             c, s = np.cos(angle), np.sin(angle)
+            # Coordinates along the rectangle's own axes.
             inside = (np.abs(c * x + s * y) < extents[0]) & (np.abs(c * y - s * x) < extents[1])
             albedo = np.where(inside, level, albedo)
         return albedo

@@ -70,7 +70,8 @@ def test_the_lens_is_taken_out():
     x_axis = np.array([1.0, 0.0, 0.0])
     first = features.describe(picture(), CAMERA, corners_at(ideal), x_axis)
     second = features.describe(seen, bent, corners_at(pixels), x_axis)
-    assert (first.patches * second.patches).sum(axis=1).min() > 0.95
+    # Without the lens's stretching of the patches it would be 0.965.
+    assert (first.patches * second.patches).sum(axis=1).min() > 0.99
 
 
 def test_patches_are_normalised_and_zero_without_contrast():

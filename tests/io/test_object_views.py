@@ -28,7 +28,7 @@ def test_what_is_written_is_read(folder):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[16,", "[17,", r"above.png: expected 17 x 12 px, found 16 x 12 px"),
+        ("[16,", "[17,", r"above.png: expected 17 x 12 px, found 16 x 12"),
         ("rows: 5", "rows: 6", "poses.csv: .*6"),
         ("pictures:", "picture:", r"object_views.yaml: .*'picture'.*pictures"),
         ("end: smartview_object_views", "", r"object_views.yaml: entry 'end' is missing"),
