@@ -78,7 +78,7 @@ def _opencv(clicks: Clicks, ideal: np.ndarray) -> np.ndarray:
 
 
 def _pycolmap(clicks: Clicks, ideal: np.ndarray) -> np.ndarray:
-    import pycolmap
+    import pycolmap  # pyright: ignore[reportMissingImports]
 
     points = []
     for k in range(ideal.shape[1]):
@@ -94,7 +94,7 @@ def _pycolmap(clicks: Clicks, ideal: np.ndarray) -> np.ndarray:
 
 def _pycolmap_estimate(clicks: Clicks, ideal: np.ndarray) -> np.ndarray:
     """Its robust estimate, with the pixels of an ideal camera of the same focal length."""
-    import pycolmap
+    import pycolmap  # pyright: ignore[reportMissingImports]
 
     camera = pycolmap.Camera(
         model="PINHOLE", width=1920, height=1200, params=[1056.0, 1056.0, 958.0, 587.0]
