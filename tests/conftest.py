@@ -13,6 +13,11 @@ import equinox as eqx
 import jax
 import jaxlie
 import pytest
+import scipy.linalg  # noqa: F401 (its BLAS must be there to be limited)
+from threadpoolctl import threadpool_limits
+
+# Two workers on two cores: threads of one worker's BLAS would wait for the other's.
+threadpool_limits(limits=1, user_api="blas")
 
 # The strictest JAX: silent promotion of types or ranks is an error here.
 jax.config.update("jax_enable_x64", True)

@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from smartview_jax.blas_threads import on_one_blas_thread
+
+
+def thread_counts():
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+
+@pytest.fixture
+def two_threads():
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = thread_counts()
+        if not before or 2 not in before:
+            pytest.skip("this machine's BLAS has one thread only")
+        yield before
+
+
+def test_a_function_runs_on_one_thread_and_leaves_the_rest_as_it_was(two_threads):
+    @on_one_blas_thread
+    def product(x, scale=1.0):
+        assert set(thread_counts()) == {1}
+        return scale * (x @ x)
+
+    np.testing.assert_array_equal(product(np.eye(2), scale=3.0), 3.0 * np.eye(2))
+    assert thread_counts() == two_threads
+    assert product.__name__ == "product"
+
+
+def test_an_error_leaves_the_threads_as_they_were_too(two_threads):
+    @on_one_blas_thread
+    def fail():
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        fail()
+    assert thread_counts() == two_threads
