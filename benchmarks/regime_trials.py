@@ -11,7 +11,7 @@ every program is compiled once for the whole map.
 
 import dataclasses
 from collections.abc import Callable, Collection
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import equinox as eqx
@@ -144,7 +144,7 @@ def methods(regime: Regime) -> dict[str, Method]:
     def staged(data: sv.Dataset) -> sv.Calibration:
         return sv.fit_staged(data, lens).calibration
 
-    def joint(noise: str, field: bool | None = None) -> Method:
+    def joint(noise: str, field: Literal["auto"] | None = "auto") -> Method:
         options: dict[str, Any] = {"noise": noise, "field": field}
         return lambda data: sv.fit_joint(data, staged(data), **options).calibration
 

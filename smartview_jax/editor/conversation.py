@@ -347,7 +347,7 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "grasp_at": Conversation.grasp_at,
     "turn_grasp": Conversation.turn_grasp,
 }
-"""What a page can ask for, besides the changes of a document."""
+"""The commands of a page, by name, besides the changes of a document."""
 
 SLOW_COMMANDS = ("features", "propose")
 """Commands that change nothing of the document and may take seconds."""

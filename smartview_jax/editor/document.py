@@ -299,4 +299,4 @@ CHANGES: dict[str, Callable[..., Document]] = {
     "confirm_symmetry": _confirm_symmetry,
     "several": _several,
 }
-"""What can be done to a document, by name."""
+"""The changes of a document, by name."""

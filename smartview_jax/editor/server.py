@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ..extras import import_extra
 from .conversation import SLOW_COMMANDS, Conversation
 from .session import ModelSession
 
@@ -23,13 +24,13 @@ HOST = "127.0.0.1"
 """The only address that the server listens on."""
 
 JPEG_QUALITY = 93
-"""Of the pictures sent to the page; clicks snap to features of the pictures themselves."""
+"""The quality of the pictures sent to the page; clicks snap to the features of the originals."""
 
 _COOKIE = "smartview_editor"
-"""Name of the cookie that has the token, for the requests that the page makes by itself."""
+"""The name of the cookie with the token, for the requests that the page makes by itself."""
 
 PAGE = Path(__file__).parent / "page"
-"""Folder of the page's files."""
+"""The folder of the page's files."""
 
 
 def editor_app(session: ModelSession, token: str, port: int) -> Any:
@@ -43,7 +44,7 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     Raises:
         ImportError: starlette is not installed.
     """
-    import_extra("starlette")
+    import_extra("starlette", "editor", "the editor's page")
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
     from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -183,7 +184,7 @@ def serve(
         ImportError: starlette or uvicorn is not installed.
         OSError: the port is in use.
     """
-    uvicorn = import_extra("uvicorn")
+    uvicorn = import_extra("uvicorn", "editor", "the editor's page")
     import socket as sockets
 
     listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
@@ -203,15 +204,3 @@ def serve(
         threading.Thread(target=session.prepare, daemon=True).start()
         announce(f"http://{HOST}:{taken}/?token={token}")
         uvicorn.Server(config).run([listener])
-
-
-def import_extra(name: str) -> Any:
-    """Return a module of the extra `editor`, or raise an error that says how to install it."""
-    import importlib
-
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(
-            f"the editor's page needs {name}: pip install 'smartview-jax[editor]'"
-        ) from error

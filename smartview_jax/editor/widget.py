@@ -10,8 +10,9 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from ..extras import import_extra
 from .conversation import Conversation
-from .server import PAGE, encoded_picture, import_extra
+from .server import PAGE, encoded_picture
 from .session import ModelSession
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def editor_widget(session: ModelSession) -> "anywidget.AnyWidget":
     Raises:
         ImportError: anywidget is not installed.
     """
-    anywidget = import_extra("anywidget")
+    anywidget = import_extra("anywidget", "editor", "the editor in a notebook")
     conversation = Conversation(session)
 
     # Made here, because anywidget is imported only where a widget is wanted.

@@ -40,6 +40,7 @@ from .held_out import view_folds as view_folds
 from .measures import Predictor as Predictor
 from .measures import ReprojectionErrors as ReprojectionErrors
 from .measures import reprojection_errors as reprojection_errors
+from .measures import root_mean_square as root_mean_square
 from .rejections import RejectionCount as RejectionCount
 from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by

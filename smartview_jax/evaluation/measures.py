@@ -55,17 +55,17 @@ class ReprojectionErrors(NamedTuple):
     @property
     def rms(self) -> float:
         """The root mean square reprojection error over points, px."""
-        return _rms(self.px)
+        return root_mean_square(self.px)
 
     @property
     def rms_mm(self) -> float:
         """The root mean square error over points, mm at the target."""
-        return 1e3 * _rms(self.metres)
+        return 1e3 * root_mean_square(self.metres)
 
     @property
     def rms_per_view(self) -> Float[np.ndarray, "views"]:
         """The RMS error of each view, px; NaN for a view without points."""
-        return np.array([_rms(row) for row in self.px])
+        return np.array([root_mean_square(row) for row in self.px])
 
     @property
     def values(self) -> Float[np.ndarray, "predicted"]:
@@ -78,7 +78,7 @@ class ReprojectionErrors(NamedTuple):
         return int(np.count_nonzero(np.isinf(self.px)))
 
 
-def _rms(values: np.ndarray) -> float:
+def root_mean_square(values: np.ndarray) -> float:
     """Return the root mean square of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")

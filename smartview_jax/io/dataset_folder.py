@@ -31,12 +31,12 @@ from jaxlie import SE3
 
 from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
-from ..geometry import PoseLike, pose_codec
+from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
-from .csv_tables import write_table
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
+from .poses import write_poses
 from .robot_readings import RobotReadings, read_robot_readings
 from .rough_pose import rough_pose
 
@@ -173,13 +173,6 @@ def write_dataset_folder(
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         extra_entries: further entries of the description, such as `pictures` or `joints`.
     """
-    codec = pose_codec("matrix")
-    rows = codec.encode(base_from_tool)
-    write_table(
-        folder / "poses.csv",
-        ("view", *codec.columns),
-        [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
-    )
     description = {
         "smartview_dataset": FORMAT_VERSION,
         # Declares that the last line is an end mark, so that a truncated file is an error. A file
@@ -188,14 +181,7 @@ def write_dataset_folder(
         "camera": {"image_size": list(image_size)},
         "target": target_to_dict(target),
         "mount": mount,
-        "poses": {
-            "file": "poses.csv",
-            "codec": "matrix",
-            "length_unit": "m",
-            "angle_unit": "rad",
-            "direction": "base_from_tool",
-            "rows": len(rows),
-        },
+        "poses": write_poses(folder, view_ids, base_from_tool),
         **(extra_entries or {}),
         "end": "smartview_dataset",
     }

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..extras import import_extra
 from ..files import write_atomically
 from ..geometry import LENGTH_UNITS
 from ..modeling import Face, ObjectModel, face_plane
@@ -61,7 +62,7 @@ def read_mesh(
     if unit not in LENGTH_UNITS:
         raise ValueError(f"unit: expected one of {', '.join(LENGTH_UNITS)}, found {unit!r}")
     kind = _format_of(path)
-    trimesh = import_trimesh()
+    trimesh = import_extra("trimesh", "objects", "a mesh")
     try:
         mesh = trimesh.load_mesh(path, file_type=kind, process=False)
         if isinstance(mesh, trimesh.Scene):
@@ -111,7 +112,7 @@ def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
     """
     if not model.faces:
         raise ValueError(f"model {model.name!r} has no faces, only a wireframe, so it is no mesh")
-    trimesh = import_trimesh()
+    trimesh = import_extra("trimesh", "objects", "a mesh")
     # Vertices stay those of the model, in its order.
     parts = [face_triangles(model.vertices, face) for face in model.faces]
     owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
@@ -126,10 +127,7 @@ def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.nda
     Raises:
         ImportError: mapbox-earcut is not installed.
     """
-    try:
-        import mapbox_earcut
-    except ImportError as error:
-        raise ImportError(_INSTALL.format("mapbox-earcut")) from error
+    mapbox_earcut = import_extra("mapbox_earcut", "objects", "cutting faces into triangles")
     plane = face_plane(vertices, face)
     # Earcut works in the plane; the loops follow one another.
     flat = plane.coordinates(vertices[face.indices])
@@ -140,18 +138,6 @@ def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.nda
     area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     corners = np.where(area[:, None] < 0.0, corners[:, ::-1], corners)
     return np.array(face.indices)[corners.astype(int)]
-
-
-_INSTALL = "this needs {}: pip install 'smartview-jax[objects]'"
-
-
-def import_trimesh() -> Any:
-    """Return the module trimesh, or raise an error that says how to install it."""
-    try:
-        import trimesh
-    except ImportError as error:
-        raise ImportError(_INSTALL.format("trimesh")) from error
-    return trimesh
 
 
 def _format_of(path: Path) -> str:
@@ -216,7 +202,9 @@ def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"
         first[b] = min(first[b], first[a])
     joined = first[triangles]
     distinct = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
-    mesh = import_trimesh().Trimesh(vertices, joined[distinct], process=False)
+    mesh = import_extra("trimesh", "objects", "a mesh").Trimesh(
+        vertices, joined[distinct], process=False
+    )
     # Slivers without an area have no normal.
     mesh.update_faces(mesh.area_faces > 1e-12 * np.ptp(vertices, axis=0).max() ** 2)
     if not len(mesh.faces):

@@ -22,8 +22,8 @@ from jaxtyping import UInt8
 
 from ..detection import read_picture
 from ..files import dump_yaml, read_yaml, write_atomically
-from ..geometry import PoseLike, as_se3, pose_codec
-from .csv_tables import write_table
+from ..geometry import PoseLike, as_se3
+from .poses import write_poses
 from .robot_readings import read_robot_readings
 
 OBJECT_VIEWS_FILE = "object_views.yaml"
@@ -104,26 +104,11 @@ def write_object_views(
         # Encoded in memory, because `cv2.imwrite` leaves half a file when it is interrupted.
         encoded = cv2.imencode(suffix, picture)[1].tobytes()
         write_atomically(folder / "images" / f"{view}{suffix}", encoded)
-    # Matrices need no convention of angles, whatever the robot reports.
-    codec = pose_codec("matrix")
-    rows = codec.encode(poses)
-    write_table(
-        folder / "poses.csv",
-        ("view", *codec.columns),
-        [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
-    )
     height, width = pictures[0].shape
     description = {
         "smartview_object_views": 1,
         "camera": {"image_size": [width, height]},
-        "poses": {
-            "file": "poses.csv",
-            "codec": "matrix",
-            "length_unit": "m",
-            "angle_unit": "rad",
-            "direction": "base_from_tool",
-            "rows": len(rows),
-        },
+        "poses": write_poses(folder, view_ids, poses),
         "pictures": {"pattern": f"images/{{view}}{suffix}"},
         "end": "smartview_object_views",
     }

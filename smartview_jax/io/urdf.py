@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ..extras import import_extra
 from ..files import read_text
 from ..robots import SerialArm, arm_from_axes
 from ..schemas.messages import shortened_repr
@@ -76,15 +77,12 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
 
 
 def _parse_urdf(content: bytes, path: Path) -> Any:
-    try:
-        from urdf_parser_py.urdf import URDF  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise ImportError("reading URDF needs urdf-parser-py: smartview-jax[urdf]") from error
+    urdf = import_extra("urdf_parser_py.urdf", "urdf", "reading URDF")
     # The parser prints every tag that it does not know, such as those of simulators.
     with open(os.devnull, "w") as devnull, contextlib.redirect_stderr(devnull):
         # The parser raises errors of many unrelated types for a malformed file.
         try:
-            return URDF.from_xml_string(content)
+            return urdf.URDF.from_xml_string(content)
         except Exception as error:
             raise ValueError(f"{path}: not a URDF file: {error}") from error
 

@@ -3,12 +3,12 @@
 from .candidates import Candidates as Candidates
 from .candidates import direction_turn as direction_turn
 from .candidates import rank_candidates as rank_candidates
+from .constraint_geometry import Edge as Edge
+from .constraint_geometry import LineIndex as LineIndex
 from .constraint_verdicts import ConstraintVerdict as ConstraintVerdict
 from .constraints import AbstractConstraint as AbstractConstraint
-from .constraints import Edge as Edge
 from .constraints import EqualLength as EqualLength
 from .constraints import KnownLength as KnownLength
-from .constraints import LineIndex as LineIndex
 from .constraints import OnPlane as OnPlane
 from .constraints import Parallel as Parallel
 from .constraints import RightAngle as RightAngle

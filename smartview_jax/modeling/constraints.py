@@ -1,148 +1,29 @@
 """State what a person knows of an object: planes, parallels, right angles, lengths, symmetry.
 
 A constraint says that some numbers computed from vertices and lines are zero, exactly or within a
-standard deviation. An *edge* is a pair of vertex indices, or a `LineIndex` for a triangulated line;
-edges have a direction, and pairs of vertices a length.
-
-Derivatives are written out in NumPy: there are few constraints, each with few numbers.
+standard deviation.
 """
 
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from .line_jacobians import Lines, perpendicular_axes
-
-
-class LineIndex(NamedTuple):
-    """The index of a triangulated line, where an edge is expected.
-
-    Attributes:
-        line: the index.
-    """
-
-    line: int
-
-
-Edge: TypeAlias = tuple[int, int] | LineIndex
-"""A pair of vertices, or a line."""
-
-
-class Shape(NamedTuple):
-    """The vertices and lines of an object, with the planes that constraints speak of.
-
-    A plane is the set of points x with `normal . (x - centre) = offset`; three numbers move it: two
-    turn the normal, one changes the offset.
-
-    Attributes:
-        points: vertices, m.
-        lines: straight lines.
-        normals: unit normals of the planes.
-        offsets: offsets of the planes from their centres, m.
-        centres: fixed points near each plane, m.
-    """
-
-    points: Float[np.ndarray, "points 3"]
-    lines: Lines
-    normals: Float[np.ndarray, "planes 3"]
-    offsets: Float[np.ndarray, "planes"]
-    centres: Float[np.ndarray, "planes 3"]
-
-    def moved(
-        self,
-        points: Float[np.ndarray, "points 3"],
-        lines: Float[np.ndarray, "lines 4"],
-        planes: Float[np.ndarray, "planes 3"],
-    ) -> "Shape":
-        """Return the shape after steps of all points, lines and planes."""
-        # To first order, then back to unit length: the derivatives are those at a step of zero.
-        normals = self.normals + np.einsum(
-            "pij,pj->pi", perpendicular_axes(self.normals), planes[:, :2]
-        )
-        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        return Shape(
-            self.points + points,
-            self.lines.moved(lines),
-            normals,
-            self.offsets + planes[:, 2],
-            self.centres,
-        )
-
-
-Variable: TypeAlias = tuple[str, int]
-"""A kind of variable ("point", "line" or "plane") and its index."""
-
-
-class Evaluation(NamedTuple):
-    """The numbers that a constraint wants to be zero, with their derivatives.
-
-    Attributes:
-        values: the numbers, m or rad.
-        jacobians: their derivatives by the step of each variable that they depend on.
-    """
-
-    values: Float[np.ndarray, "numbers"]
-    jacobians: dict[Variable, Float[np.ndarray, "numbers _"]]
-
-
-class _Accumulator:
-    """Derivatives of some numbers, summed by variable."""
-
-    def __init__(self) -> None:
-        self.parts: dict[Variable, np.ndarray] = {}
-
-    def add(self, variable: Variable, jacobian: np.ndarray) -> None:
-        """Add a contribution to the derivatives by a variable."""
-        # An edge that two constraints share, or a vertex of both edges, comes up twice.
-        known = self.parts.get(variable)
-        self.parts[variable] = jacobian if known is None else known + jacobian
-
-    def chain(self, outer: np.ndarray, inner: dict[Variable, np.ndarray]) -> None:
-        """Add the derivatives of a function of something whose derivatives are known."""
-        for variable, jacobian in inner.items():
-            self.add(variable, outer @ jacobian)
-
-
-def _direction(shape: Shape, edge: Edge) -> tuple[np.ndarray, dict[Variable, np.ndarray]]:
-    """Return the unit direction of an edge and its derivatives."""
-    if isinstance(edge, LineIndex):
-        direction = shape.lines.directions[edge.line]
-        axes = perpendicular_axes(direction[None])[0]
-        return direction, {("line", edge.line): np.hstack([np.zeros((3, 2)), axes])}
-    i, j = edge
-    difference = shape.points[j] - shape.points[i]
-    length = np.linalg.norm(difference)
-    direction = difference / length
-    # d(x / |x|) = (I - u u^T) / |x| dx
-    jacobian = (np.eye(3) - np.outer(direction, direction)) / length
-    return direction, {("point", j): jacobian, ("point", i): -jacobian}
-
-
-def _length(shape: Shape, edge: tuple[int, int]) -> tuple[float, dict[Variable, np.ndarray]]:
-    """Return the length of an edge and its derivatives."""
-    i, j = edge
-    difference = shape.points[j] - shape.points[i]
-    # d|x| = (x / |x|) . dx
-    length = float(np.linalg.norm(difference))
-    row = difference[None] / length
-    return length, {("point", j): row, ("point", i): -row}
-
-
-def _height(shape: Shape, plane: int, point: int) -> tuple[float, dict[Variable, np.ndarray]]:
-    """Return the height of a point above a plane and its derivatives."""
-    normal = shape.normals[plane]
-    offset = shape.points[point] - shape.centres[plane]
-    # h = n . (x - c) - o, and n turns along two axes across itself: dh = n . dx + (x - c) . dn - do
-    turn = offset @ perpendicular_axes(normal[None])[0]
-    jacobians = {
-        ("point", point): normal[None],
-        ("plane", plane): np.array([[*turn, -1.0]]),
-    }
-    return float(normal @ offset - shape.offsets[plane]), jacobians
+from .constraint_geometry import (
+    DerivativeSum,
+    Edge,
+    Evaluation,
+    LineIndex,
+    Shape,
+    Variable,
+    cross_matrix,
+    edge_direction,
+    edge_length,
+    height_above_plane,
+)
+from .line_jacobians import perpendicular_axes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,9 +104,9 @@ class SamePlane(AbstractConstraint):
         """Return the heights of the vertices above the plane."""
         # The plane is an unknown of its own, rather than a determinant of every four vertices: the
         # numbers are then distances, and all vertices count alike.
-        values, total = np.zeros(len(self.points)), _Accumulator()
+        values, total = np.zeros(len(self.points)), DerivativeSum()
         for k, point in enumerate(self.points):
-            values[k], parts = _height(shape, plane, point)
+            values[k], parts = height_above_plane(shape, plane, point)
             total.chain(np.eye(len(values))[:, k : k + 1], parts)
         return Evaluation(values, total.parts)
 
@@ -260,15 +141,15 @@ class OnPlane(AbstractConstraint):
         # The plane is known, so that nothing but the points moves.
         normal, count = np.array(self.normal), len(self.points)
         values = shape.points[list(self.points)] @ normal - self.offset
-        total = _Accumulator()
+        total = DerivativeSum()
         for k, point in enumerate(self.points):
             total.add(("point", point), np.outer(np.eye(count)[k], normal))
         return Evaluation(values, total.parts)
 
 
 @dataclasses.dataclass(frozen=True)
-class Parallel(AbstractConstraint):
-    """Two edges are parallel; sigma is the angle between them, rad."""
+class AbstractEdgePair(AbstractConstraint):
+    """Something known of two edges."""
 
     first: Edge
     second: Edge
@@ -277,39 +158,36 @@ class Parallel(AbstractConstraint):
     def edges(self) -> tuple[Edge, ...]:
         """The two edges."""
         return self.first, self.second
+
+
+@dataclasses.dataclass(frozen=True)
+class Parallel(AbstractEdgePair):
+    """Two edges are parallel; sigma is the angle between them, rad."""
 
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return two components of the vector product of the directions, across the first."""
         del plane
-        u, du = _direction(shape, self.first)
-        v, dv = _direction(shape, self.second)
+        u, du = edge_direction(shape, self.first)
+        v, dv = edge_direction(shape, self.second)
         # The components along two axes across u: of the product, the third is zero.
         across = perpendicular_axes(u[None])[0].T
         # d(u x v) = -[v] du + [u] dv; across u itself the product has no component.
-        total = _Accumulator()
-        total.chain(-across @ _cross_matrix(v), du)
-        total.chain(across @ _cross_matrix(u), dv)
+        total = DerivativeSum()
+        total.chain(-across @ cross_matrix(v), du)
+        total.chain(across @ cross_matrix(u), dv)
         return Evaluation(across @ np.cross(u, v), total.parts)
 
 
 @dataclasses.dataclass(frozen=True)
-class RightAngle(AbstractConstraint):
+class RightAngle(AbstractEdgePair):
     """Two edges are at right angles; sigma is the deviation, rad."""
-
-    first: Edge
-    second: Edge
-
-    @property
-    def edges(self) -> tuple[Edge, ...]:
-        """The two edges."""
-        return self.first, self.second
 
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the cosine of the angle."""
         del plane
-        u, du = _direction(shape, self.first)
-        v, dv = _direction(shape, self.second)
-        total = _Accumulator()
+        u, du = edge_direction(shape, self.first)
+        v, dv = edge_direction(shape, self.second)
+        total = DerivativeSum()
         # d(u . v) = v . du + u . dv
         total.chain(v[None], du)
         total.chain(u[None], dv)
@@ -317,24 +195,19 @@ class RightAngle(AbstractConstraint):
 
 
 @dataclasses.dataclass(frozen=True)
-class EqualLength(AbstractConstraint):
+class EqualLength(AbstractEdgePair):
     """Two edges between vertices are equally long; sigma is the difference, m."""
 
     first: tuple[int, int]
     second: tuple[int, int]
 
-    @property
-    def edges(self) -> tuple[Edge, ...]:
-        """The two edges."""
-        return self.first, self.second
-
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the difference of the lengths."""
         del plane
         # The difference and not the ratio, so that sigma is a length.
-        a, da = _length(shape, self.first)
-        b, db = _length(shape, self.second)
-        total = _Accumulator()
+        a, da = edge_length(shape, self.first)
+        b, db = edge_length(shape, self.second)
+        total = DerivativeSum()
         total.chain(np.ones((1, 1)), da)
         total.chain(-np.ones((1, 1)), db)
         return Evaluation(np.array([a - b]), total.parts)
@@ -365,7 +238,7 @@ class KnownLength(AbstractConstraint):
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the difference from the known length."""
         del plane
-        length, parts = _length(shape, self.edge)
+        length, parts = edge_length(shape, self.edge)
         return Evaluation(np.array([length - self.length]), parts)
 
 
@@ -409,31 +282,25 @@ class Symmetric(AbstractConstraint):
         # Three numbers for a pair, one for a vertex in the plane; together they also fix the plane.
         rows: list[dict[Variable, np.ndarray]] = []
         for i, j in self.pairs:
-            height, parts = _height(shape, plane, i)
+            height, parts = height_above_plane(shape, plane, i)
             if i == j:
                 values.append(np.array([height]))
                 rows.append(parts)
                 continue
             # x_i - 2 h n - x_j, with h the height of x_i
-            one = _Accumulator()
+            one = DerivativeSum()
             one.add(("point", i), np.eye(3))
             one.add(("point", j), -np.eye(3))
             one.chain(-2.0 * normal[:, None], parts)
             one.add(("plane", plane), -2.0 * height * np.hstack([axes, np.zeros((3, 1))]))
             values.append(shape.points[i] - 2.0 * height * normal - shape.points[j])
             rows.append(one.parts)
-        total, start = _Accumulator(), 0
+        total, start = DerivativeSum(), 0
         count = sum(map(len, values))
         for value, parts in zip(values, rows, strict=True):
             total.chain(np.eye(count)[:, start : start + len(value)], parts)
             start += len(value)
         return Evaluation(np.concatenate(values), total.parts)
-
-
-def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix of the vector product with a vector from the left."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def check_edges(

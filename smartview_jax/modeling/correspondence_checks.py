@@ -22,7 +22,7 @@ from .calibration_uncertainty import CalibrationUncertainty
 from .pixel_jacobians import pixel_jacobians
 from .point_estimation import PointStatus
 from .triangulation import CLICK_SIGMA, solve_points
-from .view_poses import SeenViews, checked_visibility, whitening_of
+from .view_poses import SeenViews, whitening_of
 
 FALSE_ALARM = 0.01
 """Probability that any observation is named although all are right."""
@@ -86,12 +86,7 @@ def wrong_correspondences(
         ValueError: as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
-    measured = np.asarray(pixels, dtype=float)
-    if measured.ndim != 3 or measured.shape[2] != 2:
-        raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")
-    seen = checked_visibility(
-        measured, visible, calibration.camera.image_size, len(views.camera_from_world)
-    )
+    measured, seen = views.checked_points(pixels, visible)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
     whitening = np.broadcast_to(whitening_of(pixel_sigma, seen.shape), (*seen.shape, 2, 2))
     check = _Check(views, uncertainty, np.where(seen[..., None], measured, 0.0), whitening)

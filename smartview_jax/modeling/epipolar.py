@@ -17,14 +17,14 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
 from ..geometry import PoseLike
-from .view_poses import SeenViews, checked_visibility, single_pose
+from .view_poses import SeenViews, single_pose
 
 SAMPLES = 128
 """Points of a curve. In a picture of 4000 px they are 30 px apart, so that a curve whose radius of
 curvature is that of the picture is drawn to 0.03 px."""
 
 REFINEMENTS = 3
-"""Times that the samples are placed anew, so that they lie evenly within the picture."""
+"""The number of times that samples are placed anew, to lie evenly within the picture."""
 
 
 class EpipolarCurve(NamedTuple):
@@ -156,7 +156,7 @@ def epipolar_curves(
     first = SeenViews.of(calibration, single_pose(pose_a))
     others = SeenViews.of(calibration, poses_b)
     given = np.asarray(pixel, dtype=float)
-    checked_visibility(given[None, None], None, calibration.camera.image_size, 1)
+    first.checked_points(given[None, None], None)
     origin, direction = _ray(first, given)
     limits = _inverse_depths(origin, direction, depths, box)
     views = len(others.camera_from_world)

@@ -17,13 +17,19 @@ from jaxtyping import Array, Bool, Float, Int
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise
-from ..evaluation import CalibrationEstimate
+from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
 from .line_jacobians import Lines, line_jacobians, unit_rays
-from .point_estimation import CONVERGED_DECREMENT, MAX_RELATIVE_STD, MAX_STEPS, PointStatus
+from .point_estimation import (
+    CONVERGED_DECREMENT,
+    MAX_RELATIVE_STD,
+    MAX_STEPS,
+    PointStatus,
+    failure_messages,
+)
 from .triangulation import CLICK_SIGMA
-from .view_poses import SeenViews, checked_visibility, padded_count, padded_to
+from .view_poses import SeenViews, padded_count, padded_to
 
 MIN_SEGMENT_LENGTH = 2.0
 """Shortest segment, px, that has a direction."""
@@ -61,7 +67,7 @@ class TriangulatedLines(NamedTuple):
     @property
     def failures(self) -> dict[int, str]:
         """The reason, in words, of every line that was not estimated, by its index."""
-        return {int(k): PointStatus(self.status[k]).message for k in np.flatnonzero(~self.ok)}
+        return failure_messages(self.status)
 
     def covariance(self) -> Float[np.ndarray, "lines 4 4"]:
         """Return the covariance of each line's four numbers due to pictures and calibration."""
@@ -71,8 +77,7 @@ class TriangulatedLines(NamedTuple):
     @property
     def rms(self) -> float:
         """The root mean square distance of segments' ends from their lines, px."""
-        squared = self.residuals[:, self.ok] ** 2
-        return float(np.sqrt(np.nanmean(squared))) if np.isfinite(squared).any() else float("nan")
+        return root_mean_square(self.residuals[:, self.ok])
 
 
 def triangulate_lines(
@@ -106,12 +111,7 @@ def triangulate_lines(
             segment without length, or as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
-    measured = np.asarray(segments, dtype=float)
-    if measured.ndim != 4 or measured.shape[2:] != (2, 2):
-        raise ValueError(f"segments: expected shape (views, lines, 2, 2), found {measured.shape}")
-    seen = checked_visibility(
-        measured, visible, calibration.camera.image_size, len(views.camera_from_world)
-    )
+    measured, seen = views.checked_segments(segments, visible)
     _check_lengths(measured, seen)
     covariances = end_covariances(pixel_sigma, seen.shape)
     rays, seen = world_rays(views, measured, seen)

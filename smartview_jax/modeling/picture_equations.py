@@ -16,12 +16,12 @@ from ..geometry import host_exponentials
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty, camera_parameter_count
 from .constrained_system import FeatureBlocks
-from .constraints import Shape
+from .constraint_geometry import Shape
 from .line_jacobians import line_jacobians
 from .line_triangulation import end_covariances
 from .pixel_jacobians import pixel_jacobians
 from .triangulation import CLICK_SIGMA
-from .view_poses import SeenViews, checked_visibility, whitening_of
+from .view_poses import SeenViews, whitening_of
 
 
 class ModelObservations(NamedTuple):
@@ -72,18 +72,15 @@ class CheckedObservations(NamedTuple):
         Raises:
             ValueError: as in `triangulate_points` and `triangulate_lines`.
         """
-        calibration = observations.calibration
-        views = SeenViews.of(calibration, observations.poses)
-        count, size = len(views.camera_from_world), calibration.camera.image_size
-        pixels = np.asarray(observations.pixels, dtype=float)
-        if pixels.ndim != 3 or pixels.shape[2] != 2:
-            raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
-        seen = checked_visibility(pixels, observations.visible, size, count)
+        views = SeenViews.of(observations.calibration, observations.poses)
+        pixels, seen = views.checked_points(observations.pixels, observations.visible)
         # No lines are lines of number zero, so that nothing below has to ask.
-        segments = np.zeros((count, 0, 2, 2))
-        if observations.segments is not None:
-            segments = np.asarray(observations.segments, dtype=float)
-        segments_seen = checked_visibility(segments, observations.segments_visible, size, count)
+        segments, segments_seen = views.checked_segments(
+            np.zeros((len(pixels), 0, 2, 2))
+            if observations.segments is None
+            else observations.segments,
+            observations.segments_visible,
+        )
         return cls(
             views,
             np.where(seen[..., None], pixels, 0.0),

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from ..cameras import Camera
 from ..compilation import compiled
@@ -65,6 +66,12 @@ _MESSAGES = {
     PointStatus.EPIPOLAR_PLANE: "it lies in the epipolar plane of its views within its errors: "
     "any line of that plane explains them, and a view from outside it is needed",
 }
+
+
+def failure_messages(status: Int[np.ndarray, "features"]) -> dict[int, str]:
+    """Return the reason, in words, of every point or line that was not estimated, by its index."""
+    failed = np.flatnonzero(status != PointStatus.OK)
+    return {int(k): PointStatus(status[k]).message for k in failed}
 
 
 class PointSolution(NamedTuple):

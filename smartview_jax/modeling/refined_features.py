@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..evaluation import root_mean_square
 from ..fit_result import FitResult
 from .constrained_system import Factorisation
 from .constraint_verdicts import ConstraintVerdict
 from .line_jacobians import Lines
-from .point_estimation import PointStatus
+from .point_estimation import PointStatus, failure_messages
 
 
 class RefinedFeatures(NamedTuple):
@@ -68,7 +69,7 @@ class RefinedFeatures(NamedTuple):
     @property
     def failures(self) -> dict[int, str]:
         """The reason, in words, of every point that is not determined, by its index."""
-        return {int(k): PointStatus(self.status[k]).message for k in np.flatnonzero(~self.ok)}
+        return failure_messages(self.status)
 
     @property
     def contradictions(self) -> tuple[ConstraintVerdict, ...]:
@@ -79,8 +80,7 @@ class RefinedFeatures(NamedTuple):
     @property
     def rms(self) -> float:
         """The root mean square reprojection error of the points, px."""
-        squared = np.sum(self.residuals**2, axis=-1)
-        return float(np.sqrt(np.nanmean(squared))) if np.isfinite(squared).any() else float("nan")
+        return root_mean_square(np.linalg.norm(self.residuals, axis=-1))
 
     def covariance(self) -> Float[np.ndarray, "points 3 3"]:
         """Return the covariance of each point due to all causes, m^2."""

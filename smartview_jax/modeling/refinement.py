@@ -20,8 +20,9 @@ from ..evaluation import CalibrationEstimate
 from ..fit_result import FitResult
 from .calibration_uncertainty import CalibrationUncertainty
 from .constrained_system import Factorisation
+from .constraint_geometry import Shape
 from .constraint_verdicts import constraint_verdicts
-from .constraints import AbstractConstraint, Shape, check_constraints, check_edges
+from .constraints import AbstractConstraint, check_constraints, check_edges
 from .line_jacobians import Lines
 from .line_triangulation import triangulate_lines, world_rays
 from .picture_equations import CheckedObservations, ModelObservations, picture_equations

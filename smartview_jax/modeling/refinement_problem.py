@@ -10,7 +10,8 @@ from ..engine import AbstractLoss
 from ..fit_result import FitCode, FitResult
 from .calibration_uncertainty import CalibrationUncertainty
 from .constrained_system import ConstrainedSystem, FeatureBlocks
-from .constraints import AbstractConstraint, Shape
+from .constraint_geometry import Shape
+from .constraints import AbstractConstraint
 from .picture_equations import CheckedObservations, PictureEquations, picture_equations
 
 MAX_STEPS = 50

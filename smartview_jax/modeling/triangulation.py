@@ -16,14 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import AbstractLoss, Noise
-from ..evaluation import CalibrationEstimate
+from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
 from .pixel_jacobians import pixel_jacobians
-from .point_estimation import PointStatus, estimate_points
+from .point_estimation import PointStatus, estimate_points, failure_messages
 from .view_poses import (
     SeenViews,
-    checked_visibility,
     padded_count,
     padded_to,
     whitening_of,
@@ -63,7 +62,7 @@ class TriangulatedPoints(NamedTuple):
     @property
     def failures(self) -> dict[int, str]:
         """The reason, in words, of every point that was not estimated, by its index."""
-        return {int(k): PointStatus(self.status[k]).message for k in np.flatnonzero(~self.ok)}
+        return failure_messages(self.status)
 
     def covariance(self) -> Float[np.ndarray, "points 3 3"]:
         """Return the covariance of each point due to pictures and calibration, m^2."""
@@ -89,8 +88,7 @@ class TriangulatedPoints(NamedTuple):
     @property
     def rms(self) -> float:
         """The root mean square reprojection error of all points that were estimated, px."""
-        squared = np.sum(self.residuals[:, self.ok] ** 2, axis=-1)
-        return float(np.sqrt(np.nanmean(squared))) if np.isfinite(squared).any() else float("nan")
+        return root_mean_square(np.linalg.norm(self.residuals[:, self.ok], axis=-1))
 
 
 def triangulate_points(
@@ -127,12 +125,7 @@ def triangulate_points(
     """
     # Everything is checked on the host before anything is computed.
     views = SeenViews.of(calibration, poses)
-    measured = np.asarray(pixels, dtype=float)
-    if measured.ndim != 3 or measured.shape[2] != 2:
-        raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")
-    seen = checked_visibility(
-        measured, visible, calibration.camera.image_size, len(views.camera_from_world)
-    )
+    measured, seen = views.checked_points(pixels, visible)
     whitening = whitening_of(pixel_sigma, seen.shape)
     points, picture_covariance, residuals, status = solve_points(
         views, measured, whitening, seen, loss

@@ -120,6 +120,33 @@ class SeenViews(NamedTuple):
         )
         return -np.einsum("vji,vj->vi", rotations, translations)
 
+    def checked_points(
+        self, pixels: np.ndarray | Array, visible: np.ndarray | Array | None
+    ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
+        """Return pixels of points and where they are seen, checked as `checked_visibility` does."""
+        measured = np.asarray(pixels, dtype=float)
+        if measured.ndim != 3 or measured.shape[2] != 2:
+            raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")
+        return measured, self._checked_visibility(measured, visible)
+
+    def checked_segments(
+        self, segments: np.ndarray | Array, visible: np.ndarray | Array | None
+    ) -> tuple[Float[np.ndarray, "views lines 2 2"], Bool[np.ndarray, "views lines"]]:
+        """Return the ends of segments and where they are seen, checked likewise."""
+        measured = np.asarray(segments, dtype=float)
+        if measured.ndim != 4 or measured.shape[2:] != (2, 2):
+            raise ValueError(
+                f"segments: expected shape (views, lines, 2, 2), found {measured.shape}"
+            )
+        return measured, self._checked_visibility(measured, visible)
+
+    def _checked_visibility(
+        self, pixels: Float[np.ndarray, "views *features 2"], visible: np.ndarray | Array | None
+    ) -> Bool[np.ndarray, "views features"]:
+        """Return where features of these views are seen."""
+        views = len(self.camera_from_world)
+        return checked_visibility(pixels, visible, self.camera.image_size, views)
+
 
 def checked_visibility(
     pixels: Float[np.ndarray, "views *features 2"],

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..extras import import_extra
+
 MISSED = -1
 """Index of the triangle for a ray that hits nothing."""
 
@@ -118,15 +120,9 @@ def _corners(vertices: np.ndarray, triangles: np.ndarray) -> Float[np.ndarray, "
 
 def _embree_intersector(vertices: np.ndarray, triangles: np.ndarray) -> Any:
     """Return trimesh's interface to Embree for the triangles."""
-    try:
-        import embreex  # noqa: F401  # pyright: ignore[reportMissingImports]
-        import trimesh  # pyright: ignore[reportMissingImports]
-        from trimesh.ray.ray_pyembree import (  # pyright: ignore[reportMissingImports]
-            RayMeshIntersector,
-        )
-    except ImportError as error:
-        raise ImportError(
-            "pictures of solid objects need trimesh and embreex: smartview-jax[objects]"
-        ) from error
+    trimesh, _, embree = (
+        import_extra(module, "objects", "a picture of solid objects")
+        for module in ("trimesh", "embreex", "trimesh.ray.ray_pyembree")
+    )
     # `process=False` keeps the order of the triangles, by which hits are named.
-    return RayMeshIntersector(trimesh.Trimesh(vertices, triangles, process=False))
+    return embree.RayMeshIntersector(trimesh.Trimesh(vertices, triangles, process=False))

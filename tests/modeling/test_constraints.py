@@ -15,7 +15,8 @@ from smartview_jax.modeling import (
     SamePlane,
     Symmetric,
 )
-from smartview_jax.modeling.constraints import Shape, check_constraints
+from smartview_jax.modeling.constraint_geometry import Shape
+from smartview_jax.modeling.constraints import check_constraints
 
 CASES = [
     SamePlane((0, 2, 3, 4)),

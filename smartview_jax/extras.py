@@ -1,0 +1,24 @@
+"""Import the optional packages, with an error that says how to install the one that is missing."""
+
+import importlib
+from typing import Any
+
+
+def import_extra(module: str, extra: str, purpose: str) -> Any:
+    """Return a module of an optional package.
+
+    Args:
+        module: its name, dotted.
+        extra: the extra of this package that installs it.
+        purpose: what needs it, for the message.
+
+    Raises:
+        ImportError: it is not installed; the message says what to install.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0].replace("_", "-")
+        raise ImportError(
+            f"{purpose} needs {package}: pip install 'smartview-jax[{extra}]'"
+        ) from error
