@@ -1,5 +1,6 @@
 """Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Unpack
@@ -12,9 +13,10 @@ from .calibration import Calibration
 from .cameras import AbstractLens, Camera
 from .dataset import Dataset, chain_residuals
 from .deprecation import DeprecatedAttribute
-from .engine import JointProblem, Noise, Observability, parameter_names
+from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, parameter_names
 from .fit_result import FitResult, Rejection
 from .joint import JointFit, JointOptions, batch_least_squares, fit_joint, precompile
+from .robot_errors import RobotError
 from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
 from .variance import NoiseEstimate
 
@@ -30,6 +32,9 @@ MAX_RMS_RATIO_TO_STAGED, MAX_UNCORRECTED_RMS_RATIO_TO_STAGED = 1.5, 5.0
 
 The first applies to the whole joint fit, the second to its chain without the robot correction.
 """
+
+EXACT_POSE_SIGMA = 1e-9
+"""The standard deviation, m and rad, of poses that are exact: it moves pixels by less than 1e-5."""
 
 STEP2_METHODS = {"kalman": kalman_filter, "batch": batch_least_squares}
 """The methods, by name, that fit one camera to all views."""
@@ -200,6 +205,10 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     estimate of the camera's mount. Rejected observations stay out and held parameters stay held;
     priors are not known here.
 
+    Where the noise was estimated, the poses are not exact but good to `EXACT_POSE_SIGMA`, and the
+    robot error fields of that fit are held at zero: the fit has no other optimum, and is solved by
+    the program that is compiled already.
+
     Args:
         data: the data set that `fit` was fitted to.
         fit: the calibration to refit without a correction.
@@ -208,7 +217,18 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
     free = tuple(name for name in ("target_scale",) if name in estimated)
     used = fit.joint.problem.observations.visible
-    return fit_joint(data, start, noise="trusted", fixed=fixed, free=free, inliers=used).calibration
+    options: JointOptions = {"noise": "trusted"}
+    if fit.noise_estimate is not None:
+        field, pixel = fit.noise_estimate.encompassing_field, fit.noise_estimate.noise.pixel
+        groups = () if field is None else tuple(name for name, _ in field.groups)
+        # The standard deviation of a group that is held has no effect.
+        noise = Noise(pixel, EXACT_POSE_SIGMA, EXACT_POSE_SIGMA, field=(1.0,) * len(groups))
+        options = {"noise": noise, "field": field}
+        if field is not None:
+            start = dataclasses.replace(start, robot_error=RobotError.zero(field))
+            fixed += tuple(f"{ROBOT_ERROR}.{name}" for name in groups)
+    refitted = fit_joint(data, start, fixed=fixed, free=free, inliers=used, **options)
+    return refitted.calibration.uncorrected
 
 
 def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:

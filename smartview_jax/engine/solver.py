@@ -190,6 +190,8 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         return y, aux, {"costs": state.costs}
 
 
+# Compiled by itself, it is traced once within a program, and not for each of its two uses.
+@compiled
 def _quadratic_model(problem: JointProblem, z: Step) -> QuadraticModel:
     """Linearise the problem at a scaled step."""
     equations = problem.normal_equations(z)
