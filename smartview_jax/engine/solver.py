@@ -40,7 +40,7 @@ hundred-millionth of that.
 MAX_CONSECUTIVE_REJECTIONS = 25
 """Largest number of rejected steps in a row before a fit is given up."""
 
-MIN_UNPADDED_OBSERVATIONS = 10_000
+MIN_UNPADDED_OBSERVATIONS = 40_000
 """Smallest number of observations, visible or not, of a problem that is solved without padding.
 
 With more, the additional columns cost more than the compilation of a program that has none.
