@@ -34,6 +34,7 @@ from .geometry import (
     region_to_dict,
     transform_from_dict,
     transform_points,
+    transform_text,
     transform_to_dict,
 )
 from .robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
@@ -133,6 +134,21 @@ class Calibration(eqx.Module):
         self.mount = mount
         self.robot_error = robot_error
         self.region = region
+
+    def __repr__(self) -> str:
+        # A traced calibration, inside `jit`, has no figures to show.
+        if is_traced(self):
+            return super().__repr__()
+        transforms = (self.camera_from_mount, self.holder_from_world)
+        parts = [
+            f"{name}: {transform_text(host_matrices(transform))}"
+            for name, transform in zip(self.transform_names, transforms, strict=True)
+        ]
+        if self.robot_error is not None:
+            parts.append(f"robot error: {type(self.robot_error.field).__name__}")
+        if float(self.target_scale) != 1.0:
+            parts.append(f"target: {float(self.target_scale):.5g} of its stated size")
+        return "\n  ".join([f"<{self.mount} calibration", repr(self.camera), *parts]) + ">"
 
     @classmethod
     def eye_in_hand(

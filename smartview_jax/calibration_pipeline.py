@@ -15,7 +15,15 @@ from .dataset import Dataset, chain_residuals
 from .deprecation import DeprecatedAttribute
 from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, parameter_names
 from .fit_result import FitResult, Rejection
-from .joint import JointFit, JointOptions, batch_least_squares, fit_joint, precompile
+from .joint import (
+    JointFit,
+    JointOptions,
+    batch_least_squares,
+    fit_html,
+    fit_joint,
+    fit_text,
+    precompile,
+)
 from .robot_errors import RobotError
 from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
 from .variance import NoiseEstimate
@@ -56,6 +64,15 @@ class CalibrationFit(eqx.Module):
     freedom = DeprecatedAttribute("freedom", "degrees_of_freedom")
     estimate = DeprecatedAttribute("estimate", "noise_estimate")
     margin = DeprecatedAttribute("margin", "confidence_half_width")
+
+    def __repr__(self) -> str:
+        return repr(self.joint)
+
+    def __str__(self) -> str:
+        return fit_text(self.joint, self.warnings)
+
+    def _repr_html_(self) -> str:
+        return fit_html(self.joint, self.warnings)
 
     @property
     def rejected(self) -> tuple[Rejection, ...]:
@@ -217,17 +234,17 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
     free = tuple(name for name in ("target_scale",) if name in estimated)
     used = fit.joint.problem.observations.visible
-    options: JointOptions = {"noise": "trusted"}
+    options: JointOptions = {"noise": "trusted", "fixed": fixed, "free": free}
     if fit.noise_estimate is not None:
         field, pixel = fit.noise_estimate.encompassing_field, fit.noise_estimate.noise.pixel
         groups = () if field is None else tuple(name for name, _ in field.groups)
         # The standard deviation of a group that is held has no effect.
         noise = Noise(pixel, EXACT_POSE_SIGMA, EXACT_POSE_SIGMA, field=(1.0,) * len(groups))
-        options = {"noise": noise, "field": field}
+        held = tuple(f"{ROBOT_ERROR}.{name}" for name in groups)
+        options |= {"noise": noise, "field": field, "fixed": (*fixed, *held)}
         if field is not None:
             start = dataclasses.replace(start, robot_error=RobotError.zero(field))
-            fixed += tuple(f"{ROBOT_ERROR}.{name}" for name in groups)
-    refitted = fit_joint(data, start, fixed=fixed, free=free, inliers=used, **options)
+    refitted = fit_joint(data, start, inliers=used, **options)
     return refitted.calibration.uncorrected
 
 

@@ -2,9 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from ..array_namespace import as_float_array
+from ..array_namespace import AnyArray, as_float_array
+from ..compilation import is_traced
 from .lens import AbstractLens
 
 
@@ -44,6 +46,30 @@ class Camera(eqx.Module):
         self.v0 = as_float_array(v0)
         self.lens = lens
         self.image_size = image_size
+
+    def __repr__(self) -> str:
+        # A traced camera, inside `jit`, has no figures to show.
+        if is_traced(self):
+            return super().__repr__()
+        lens = ", ".join(
+            f"{name}={float(value):.6g}"
+            for name, value in vars(self.lens).items()
+            if np.ndim(value) == 0
+        )
+        return (
+            f"Camera(alpha_u={float(self.alpha_u):.6g}, alpha_v={float(self.alpha_v):.6g}, "
+            f"u0={float(self.u0):.6g}, v0={float(self.v0):.6g}, "
+            f"lens={type(self.lens).__name__}({lens}), image_size={self.image_size})"
+        )
+
+    @property
+    def K(self) -> Float[AnyArray, "3 3"]:  # noqa: N802 - as everybody calls it
+        """The camera matrix `[[alpha_u, 0, u0], [0, alpha_v, v0], [0, 0, 1]]`, px."""
+        if is_traced(self):
+            zero, one = jnp.zeros(()), jnp.ones(())
+            rows = [[self.alpha_u, zero, self.u0], [zero, self.alpha_v, self.v0], [zero, zero, one]]
+            return jnp.stack([jnp.stack(row) for row in rows])
+        return np.array([[self.alpha_u, 0.0, self.u0], [0.0, self.alpha_v, self.v0], [0, 0, 1]])
 
     def project(
         self, points: Float[Array, "*batch 3"]

@@ -72,12 +72,9 @@ def calibrate(
                 split_half, budget = _diagnosis(fit, inlier_data, lens, noise, progress, notes)
                 warnings += () if split_half is None else split_half.warnings
         notes += [f"warning: {text}" for text in warnings]
-        print_result(error_summaries(fit, data, held_out_reports), fit, data)
-        for text in (
-            *notes,
-            *(f"even and odd views: {text}" for _, text in repeatability_rows(split_half)),
-        ):
-            typer.echo(text)
+        print_result(error_summaries(fit, data, held_out_reports), fit, data, notes)
+        for _, text in repeatability_rows(split_half):
+            typer.echo(f"even and odd views: {text}")
         if budget is not None:
             print_budget(budget)
         with progress_line() as progress, file_transaction(out, tuple(_RESULT_FILES)) as folder:

@@ -16,6 +16,8 @@ from ..report import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..calibration_pipeline import CalibrationFit
     from ..dataset import Dataset
     from ..evaluation import ErrorBudget
@@ -38,19 +40,24 @@ def print_budget(budget: "ErrorBudget") -> None:
     console.print(budget.summary, highlight=False)
 
 
-def print_result(rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset") -> None:
-    """Print the table of errors, the summary, undetermined directions, remarks and rejections."""
+def print_result(
+    rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset", notes: "Sequence[str]"
+) -> None:
+    """Print what was found with its uncertainty, notes and warnings, errors and rejections."""
+    from ..joint import fit_text
+
+    console = Console()
+    console.print(fit_text(fit.joint, ()), highlight=False, markup=False)
+    for note in notes:
+        console.print(note, highlight=False, markup=False)
     table = Table()
     table.add_column("")
     for row in rows:
         table.add_column(row.name, justify="right")
     for texts in table_rows(rows):
         table.add_row(*texts)
-    console = Console()
     console.print(table)
     console.print(result_summary(rows, fit))
-    for direction in fit.joint.observability.null_directions:
-        console.print(f"not determined: {direction.description}")
     for row in rows:
         for remark in remarks(row.name, row.reprojection_errors, row.held_out_report):
             console.print(remark, highlight=False)

@@ -36,6 +36,7 @@ from .rigid_transforms import se3_left_jacobian as se3_left_jacobian
 from .rigid_transforms import transform_points as transform_points
 from .serialization import transform_from_dict as transform_from_dict
 from .serialization import transform_to_dict as transform_to_dict
+from .transform_text import transform_text as transform_text
 from .viewed_region import ViewedRegion as ViewedRegion
 from .viewed_region import region_from_dict as region_from_dict
 from .viewed_region import region_to_dict as region_to_dict

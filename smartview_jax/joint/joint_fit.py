@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri, stdtrit
 
 from ..calibration import Calibration
+from ..compilation import is_traced
 from ..deprecation import DeprecatedAttribute
 from ..engine import (
     JointProblem,
@@ -20,6 +21,7 @@ from ..engine import (
 )
 from ..fit_result import FitResult, Rejection
 from ..variance import NoiseEstimate, p_value
+from .fit_text import fit_html, fit_line, fit_text
 from .influence import Influence, deletion_changes
 
 
@@ -83,6 +85,20 @@ class JointFit(eqx.Module):
     freedom = DeprecatedAttribute("freedom", "degrees_of_freedom")
     estimate = DeprecatedAttribute("estimate", "noise_estimate")
     margin = DeprecatedAttribute("margin", "confidence_half_width")
+
+    def __repr__(self) -> str:
+        # A traced fit, inside `jit`, has no figures to show.
+        if is_traced(self):
+            return super().__repr__()
+        return f"<{fit_line(self)}>"
+
+    def __str__(self) -> str:
+        if is_traced(self):
+            return super().__repr__()
+        return fit_text(self, self.warnings)
+
+    def _repr_html_(self) -> str:
+        return fit_html(self, self.warnings)
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.

@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..calibration import Calibration
 from ..calibration_pipeline import CalibrationFit
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
-from ..engine import ROBOT_ERROR
 from ..evaluation import (
     UNCORRECTED_SUFFIX,
     ErrorBudget,
@@ -24,9 +22,7 @@ from ..evaluation import (
     reprojection_errors,
     without_rejected_views,
 )
-from ..geometry import host_logarithms, host_matrices
-from ..joint import JointFit
-from ..robot_errors import nominal_arm
+from ..joint import JointFit, parameter_estimates
 
 
 class ErrorSummary(NamedTuple):
@@ -312,83 +308,15 @@ def scale_hypothesis_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str,
 
 
 def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
-    """Return the name, value with unit, and standard deviation of the joint fit's parameters.
-
-    The coefficients of a robot error field are included only if they are parameters of a known arm,
-    because those of other fields have no meaning one by one.
-    """
-    calibration = fit.joint.calibration
-    prismatic_offsets, rows = _prismatic_offset_names(calibration), []
-    values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
-    for name, value in values.items():
-        std = fit.joint.std.get(name)
-        scale, unit = _display_unit(name, prismatic_offsets)
-        if std is None:
+    """Return the name, value with unit, and standard deviation of the joint fit's parameters."""
+    rows = []
+    for estimate in parameter_estimates(fit.joint):
+        if estimate.std is None:
             std_text = "held"
         else:
-            std_text = f"{scale * std:.2g}" if np.isfinite(std) else "not determined"
-        rows.append((name, f"{scale * value:.6g} {unit}".strip(), std_text))
+            std_text = f"{estimate.std:.2g}" if np.isfinite(estimate.std) else "not determined"
+        rows.append((estimate.name, f"{estimate.value:.6g} {estimate.unit}".strip(), std_text))
     return rows
-
-
-def _parameter_values(calibration: Calibration) -> dict[str, float]:
-    """Return the camera's, the transforms' (m, rad) and the target's parameters by name."""
-    # The names are the keys of `JointFit.std`, so that both can be combined.
-    camera = calibration.camera
-    values = {
-        f"camera.{key}": float(getattr(camera, key)) for key in ("alpha_u", "alpha_v", "u0", "v0")
-    }
-    values |= {
-        f"camera.lens.{key}": float(value)
-        for key, value in vars(camera.lens).items()
-        if np.ndim(value) == 0
-    }
-    transforms = (calibration.camera_from_mount, calibration.holder_from_world)
-    for name, transform in zip(calibration.transform_names, transforms, strict=True):
-        matrix = host_matrices(transform)
-        # The last three numbers of a transform's logarithm are its rotation vector.
-        rotation_vector = host_logarithms(matrix)[3:]
-        for part, numbers in (("translation", matrix[:3, 3]), ("rotation", rotation_vector)):
-            values |= {
-                f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
-            }
-    values["target_scale"] = float(calibration.target_scale)
-    return values
-
-
-def _arm_error_coefficients(calibration: Calibration) -> dict[str, float]:
-    """Return the robot error coefficients by name, for an arm with known joints; else none."""
-    error = calibration.robot_error
-    if error is None or nominal_arm(calibration.field) is None:
-        return {}
-    coefficients = np.asarray(error.coefficients)
-    return {
-        f"{ROBOT_ERROR}.{name}": float(coefficient)
-        for name, coefficient in zip(error.field.names, coefficients, strict=True)
-    }
-
-
-def _prismatic_offset_names(calibration: Calibration) -> set[str]:
-    """Return the names of the joint offsets of prismatic joints, whose unit is a length."""
-    arm = nominal_arm(calibration.field)
-    if arm is None:
-        return set()
-    return {
-        f"{ROBOT_ERROR}.joint_offset.{1 + k}"
-        for k, is_prismatic in enumerate(arm.prismatic)
-        if is_prismatic
-    }
-
-
-def _display_unit(name: str, prismatic_offsets: set[str]) -> tuple[float, str]:
-    """Return the factor from SI units, and the unit to print, of a parameter by its name."""
-    if ".translation." in name or ".link_length." in name or name in prismatic_offsets:
-        return 1e3, "mm"
-    if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
-        return float(np.rad2deg(1.0)), "deg"
-    if name.split(".")[-1] in ("alpha_u", "alpha_v", "u0", "v0"):
-        return 1.0, "px"
-    return 1.0, ""
 
 
 def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:

@@ -1,0 +1,124 @@
+"""Say in words and figures what a joint fit found, for `print(fit)` and for notebooks."""
+
+import html
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..cameras import lens_name
+from .parameter_estimates import ParameterEstimate, parameter_estimates
+
+if TYPE_CHECKING:
+    from .joint_fit import JointFit
+
+
+def fit_line(fit: "JointFit") -> str:
+    """Return the outcome of a fit in one line."""
+    seen = np.asarray(fit.problem.observations.visible)
+    squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)[seen]
+    rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")
+    outcome = "converged" if fit.result.converged else f"not converged: {fit.result.message}"
+    return (
+        f"joint fit of {seen.sum()} points in {seen.any(axis=1).sum()} views, {rms:.3g} px RMS, "
+        f"{outcome}"
+    )
+
+
+def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
+    """Return camera, transforms and target with their 95 % intervals, the noise and the doubts.
+
+    Args:
+        fit: the fit.
+        warnings: the doubts, a sentence each.
+    """
+    lines = [fit_line(fit)]
+    for heading, estimates in _groups(fit):
+        lines.append(heading)
+        rows = [_label_and_text(estimate) for estimate in estimates]
+        width = 2 + max(len(label) for label, _ in rows)
+        lines += [f"  {label:{width}}{text}" for label, text in rows]
+    lines.append(_noise_text(fit))
+    lines += [f"not determined: {d.description}" for d in fit.observability.null_directions]
+    lines += [f"warning: {text}" for text in warnings]
+    return "\n".join(lines)
+
+
+def fit_html(fit: "JointFit", warnings: Sequence[str]) -> str:
+    """Return the same as `fit_text`, as a table in HTML for notebooks."""
+    rows = []
+    for heading, estimates in _groups(fit):
+        rows.append(f"<tr><th colspan='2' style='text-align:left'>{html.escape(heading)}</th></tr>")
+        rows += [
+            f"<tr><td>{html.escape(label)}</td><td style='text-align:right'>{html.escape(text)}"
+            "</td></tr>"
+            for label, text in map(_label_and_text, estimates)
+        ]
+    texts = [_noise_text(fit), *(f"warning: {text}" for text in warnings)]
+    remarks = "".join(f"<p>{html.escape(text)}</p>" for text in texts)
+    return f"<p>{html.escape(fit_line(fit))}</p><table>{''.join(rows)}</table>{remarks}"
+
+
+def _groups(fit: "JointFit") -> Iterable[tuple[str, list[ParameterEstimate]]]:
+    """Return the parameters under headings: camera, each transform, and the rest."""
+    estimates = parameter_estimates(fit)
+    for prefix, heading in _headings(fit.calibration):
+        yield heading, [one for one in estimates if one.name.startswith(f"{prefix}.")]
+    arm = [one for one in estimates if one.name.startswith("robot_error.")]
+    scale = [one for one in estimates if one.name == "target_scale" and one.std is not None]
+    for heading, rest in (("arm (+- 95 %)", arm), ("target (+- 95 %)", scale)):
+        if rest:
+            yield heading, rest
+
+
+def _headings(calibration: Calibration) -> list[tuple[str, str]]:
+    """Return the beginning of the names in each group, and its heading."""
+    camera = calibration.camera
+    width, height = camera.image_size
+    lens = lens_name(camera.lens)
+    transforms = [(name, f"{name} (+- 95 %)") for name in calibration.transform_names]
+    return [("camera", f"camera, {lens}, {width} x {height} px (+- 95 %)"), *transforms]
+
+
+def _label_and_text(estimate: ParameterEstimate) -> tuple[str, str]:
+    """Return the last part of a parameter's name, and its value with unit and interval."""
+    # A rotation vector has the same axes as the translation: its name says which it is.
+    parts = estimate.name.split(".")
+    label = f"turn {parts[-1]}" if parts[-2:-1] == ["rotation"] else parts[-1]
+    if parts[0] == "robot_error":
+        label = ".".join(parts[1:])
+    if estimate.name == "target_scale":
+        label = "scale"
+    if estimate.half_width is None:
+        return label, f"{_rounded(estimate.value, None)} {estimate.unit} (held)".replace("  ", " ")
+    if not np.isfinite(estimate.half_width):
+        return label, f"{_rounded(estimate.value, None)} {estimate.unit} (not determined)"
+    # Both with the digits that the interval leaves meaningful.
+    digits = estimate.half_width
+    text = f"{_rounded(estimate.value, digits)} +- {_rounded(digits, digits)} {estimate.unit}"
+    return label, text.rstrip()
+
+
+def _rounded(value: float, half_width: float | None) -> str:
+    """Return a number to two digits of its interval's half width; to six digits without one."""
+    if half_width is None or not half_width > 0.0:
+        return f"{value:.6g}"
+    decimals = max(0, 1 - int(np.floor(np.log10(half_width))))
+    return f"{value:.{decimals}f}"
+
+
+def _noise_text(fit: "JointFit") -> str:
+    """Return the standard deviations of pixels and poses in words."""
+    if fit.noise is None:
+        return f"pixels +- {fit.pixel_sigma:.2g} px; the robot's poses are trusted"
+    text = f"pixels +- {fit.pixel_sigma:.2g} px"
+    if fit.noise.white_pixel is not None:
+        text += f" between views, {fit.noise.white_pixel:.2g} px within one"
+    text += (
+        f"; reported poses +- {1e3 * fit.noise.translation:.2g} mm, "
+        f"{np.rad2deg(fit.noise.rotation):.2g} deg"
+    )
+    if fit.noise_estimate is not None:
+        text += f"; model of the robot's error: {fit.noise_estimate.name}"
+    return text

@@ -1,0 +1,111 @@
+"""List the parameters of a joint fit with their uncertainty, in the units that people use."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..engine import ROBOT_ERROR
+from ..geometry import host_logarithms, host_matrices
+from ..robot_errors import nominal_arm
+
+if TYPE_CHECKING:
+    from .joint_fit import JointFit
+
+
+class ParameterEstimate(NamedTuple):
+    """The estimate of one parameter, in the unit in which it is shown.
+
+    Attributes:
+        name: as in `JointFit.std`.
+        value: the estimate.
+        unit: mm, deg, px, or empty for a plain number.
+        std: standard deviation; None for a parameter that was held, infinite for one that the data
+            do not determine.
+        half_width: half width of the 95 % confidence interval, likewise.
+    """
+
+    name: str
+    value: float
+    unit: str
+    std: float | None
+    half_width: float | None
+
+
+def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
+    """Return the parameters of camera, transforms, target and arm, with their uncertainty.
+
+    The coefficients of a robot error field are included only if they are parameters of a known arm,
+    because those of other fields have no meaning one by one.
+    """
+    calibration, estimates = fit.calibration, []
+    prismatic_offsets = _prismatic_offset_names(calibration)
+    values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
+    for name, value in values.items():
+        factor, unit = _display_unit(name, prismatic_offsets)
+        # Pose corrections are in `std` too, but only common parameters have an interval.
+        std = half_width = None
+        if name in fit.std:
+            std, half_width = factor * fit.std[name], factor * fit.confidence_half_width(name)
+        estimates.append(ParameterEstimate(name, factor * value, unit, std, half_width))
+    return tuple(estimates)
+
+
+def _parameter_values(calibration: Calibration) -> dict[str, float]:
+    """Return the camera's, the transforms' (m, rad) and the target's parameters by name."""
+    # The names are the keys of `JointFit.std`, so that both can be combined.
+    camera = calibration.camera
+    values = {
+        f"camera.{key}": float(getattr(camera, key)) for key in ("alpha_u", "alpha_v", "u0", "v0")
+    }
+    values |= {
+        f"camera.lens.{key}": float(value)
+        for key, value in vars(camera.lens).items()
+        if np.ndim(value) == 0
+    }
+    transforms = (calibration.camera_from_mount, calibration.holder_from_world)
+    for name, transform in zip(calibration.transform_names, transforms, strict=True):
+        matrix = host_matrices(transform)
+        # The last three numbers of a transform's logarithm are its rotation vector.
+        rotation_vector = host_logarithms(matrix)[3:]
+        for part, numbers in (("translation", matrix[:3, 3]), ("rotation", rotation_vector)):
+            values |= {
+                f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
+            }
+    values["target_scale"] = float(calibration.target_scale)
+    return values
+
+
+def _arm_error_coefficients(calibration: Calibration) -> dict[str, float]:
+    """Return the robot error coefficients by name, for an arm with known joints; else none."""
+    error = calibration.robot_error
+    if error is None or nominal_arm(calibration.field) is None:
+        return {}
+    coefficients = np.asarray(error.coefficients)
+    return {
+        f"{ROBOT_ERROR}.{name}": float(coefficient)
+        for name, coefficient in zip(error.field.names, coefficients, strict=True)
+    }
+
+
+def _prismatic_offset_names(calibration: Calibration) -> set[str]:
+    """Return the names of the joint offsets of prismatic joints, whose unit is a length."""
+    arm = nominal_arm(calibration.field)
+    if arm is None:
+        return set()
+    return {
+        f"{ROBOT_ERROR}.joint_offset.{1 + k}"
+        for k, is_prismatic in enumerate(arm.prismatic)
+        if is_prismatic
+    }
+
+
+def _display_unit(name: str, prismatic_offsets: set[str]) -> tuple[float, str]:
+    """Return the factor from SI units, and the unit to print, of a parameter by its name."""
+    if ".translation." in name or ".link_length." in name or name in prismatic_offsets:
+        return 1e3, "mm"
+    if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
+        return float(np.rad2deg(1.0)), "deg"
+    if name.split(".")[-1] in ("alpha_u", "alpha_v", "u0", "v0"):
+        return 1.0, "px"
+    return 1.0, ""
