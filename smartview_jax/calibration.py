@@ -11,7 +11,8 @@ true tool pose, not the reported one.
 
 import dataclasses
 import os
-from collections.abc import Sequence
+import pathlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -23,7 +24,7 @@ from .array_namespace import AnyArray, as_float_array
 from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
 from .compilation import compiled, is_traced
 from .deprecation import DeprecatedAttribute
-from .files import dump_yaml, read_yaml, write_atomically
+from .files import dump_json, dump_yaml, read_yaml, write_atomically
 from .geometry import (
     PoseLike,
     ViewedRegion,
@@ -355,11 +356,19 @@ class Calibration(eqx.Module):
         """
         return _project(self, as_command(base_from_tool), as_float_array(points), corrected)
 
-    def to_dict(self, run: str | None = None, warnings: Sequence[str] = ()) -> dict[str, Any]:
+    def to_dict(
+        self,
+        run: str | None = None,
+        warnings: Sequence[str] = (),
+        *,
+        source: str | None = None,
+        uncertainty: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
         """Return a dictionary of plain numbers with names and units, as written by `save`."""
         content: dict[str, Any] = {
             "smartview_calibration": FORMAT_VERSION,
             **({} if run is None else {"run": run}),
+            **({} if source is None else {"source": source}),
             **({"warnings": list(warnings)} if warnings else {}),
             "units": {"length": "m", "angle": "rad", "image": "px"},
             "mount": self.mount,
@@ -373,6 +382,8 @@ class Calibration(eqx.Module):
         content["robot_error"] = None if error is None else robot_error_to_dict(error)
         if self.region is not None:
             content["region"] = region_to_dict(self.region)
+        if uncertainty is not None:
+            content["uncertainty"] = dict(uncertainty)
         # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.
         content["end"] = _END_MARK
         return content
@@ -421,15 +432,22 @@ class Calibration(eqx.Module):
         path: str | os.PathLike[str],
         run: str | None = None,
         warnings: Sequence[str] = (),
+        *,
+        source: str | None = None,
+        uncertainty: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write a human-readable YAML file atomically.
+        """Write a human-readable file atomically: YAML, or JSON where the name ends in `.json`.
 
         Args:
             path: of the file.
             run: name of the run that produced this, written to all its files.
             warnings: sentences such as a fit's `warnings`; for human readers, not read back.
+            source: where the calibration is from, such as the data set's name; likewise.
+            uncertainty: how well it is known, as `JointFit.save` writes it.
         """
-        write_atomically(path, dump_yaml(self.to_dict(run, warnings)))
+        content = self.to_dict(run, warnings, source=source, uncertainty=uncertainty)
+        as_json = pathlib.PurePath(path).suffix.lower() == ".json"
+        write_atomically(path, dump_json(content) if as_json else dump_yaml(content))
 
     @classmethod
     def load(

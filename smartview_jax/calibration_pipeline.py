@@ -1,6 +1,7 @@
 """Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
 import dataclasses
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Unpack
@@ -73,6 +74,12 @@ class CalibrationFit(eqx.Module):
 
     def _repr_html_(self) -> str:
         return fit_html(self.joint, self.warnings)
+
+    def save(
+        self, path: str | os.PathLike[str], run: str | None = None, source: str | None = None
+    ) -> None:
+        """Write the calibration with its covariance; see `JointFit.save`."""
+        self.joint.save(path, run, source)
 
     @property
     def rejected(self) -> tuple[Rejection, ...]:

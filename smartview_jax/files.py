@@ -1,5 +1,6 @@
 """Read and write text files safely and atomically, with errors that name the file."""
 
+import json
 import os
 import re
 import shutil
@@ -278,3 +279,8 @@ def dump_yaml(content: dict[str, Any]) -> str:
     return yaml.dump(
         content, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True
     )
+
+
+def dump_json(content: dict[str, Any]) -> str:
+    """Return readable JSON text, keys in the given order."""
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"

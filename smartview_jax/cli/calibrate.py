@@ -79,7 +79,7 @@ def calibrate(
             print_budget(budget)
         with progress_line() as progress, file_transaction(out, tuple(_RESULT_FILES)) as folder:
             # All files appear together, so that the report always belongs to the calibration.
-            _save_calibrations(fit, data, folder, run, warnings)
+            _save_calibrations(fit, data, name, folder, run, warnings)
             title, page_path = f"Calibration of {name}", folder / "report.html"
             write_page(
                 page_path,
@@ -120,12 +120,21 @@ def _run_name() -> str:
 
 
 def _save_calibrations(
-    fit: "CalibrationFit", data: "Dataset", folder: Path, run: str, warnings: tuple[str, ...]
+    fit: "CalibrationFit",
+    data: "Dataset",
+    name: str,
+    folder: Path,
+    run: str,
+    warnings: tuple[str, ...],
 ) -> None:
     """Write the calibrations of a fit to a folder, by the names in `_RESULT_FILES`."""
     from ..calibration_pipeline import refit_uncorrected
+    from ..joint import uncertainty_to_dict
 
-    fit.calibration.save(folder / "calibration.yaml", run, warnings)
+    uncertainty = uncertainty_to_dict(fit.joint)
+    fit.calibration.save(
+        folder / "calibration.yaml", run, warnings, source=name, uncertainty=uncertainty
+    )
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
         uncorrected = refit_uncorrected(data, fit)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..calibration import Calibration
+    from ..joint import SavedEstimate
 
 
 def model(
@@ -41,12 +42,9 @@ def model(
         names, pictures, base_from_tool = _load_views(dataset)
         target = out or dataset / "object.json"
         try:
+            estimate, covariance = load_calibration(dataset, calibration)
             with ModelSession(
-                _load_calibration(dataset, calibration),
-                base_from_tool,
-                pictures,
-                names,
-                target,
+                estimate, base_from_tool, pictures, names, target, covariance=covariance
             ) as session:
                 for note in session.notes:
                     typer.echo(note)
@@ -70,9 +68,13 @@ def _load_views(dataset: Path) -> "tuple[list[str], list[Path], np.ndarray]":
     return views.view_ids, views.pictures, views.base_from_tool
 
 
-def _load_calibration(dataset: Path, calibration: Path | None) -> "Calibration":
-    """Return the calibration of the option, or the one in the folder."""
+def load_calibration(
+    dataset: Path, calibration: Path | None
+) -> "tuple[Calibration, SavedEstimate | None]":
+    """Return the calibration of the option or of the folder, with its covariance if it has one."""
     from ..calibration import Calibration
+    from ..files import read_yaml
+    from ..joint import load_estimate
 
     candidates = [dataset / "calibration.yaml", dataset / "calibration" / "calibration.yaml"]
     found = calibration or next((path for path in candidates if path.is_file()), None)
@@ -81,7 +83,11 @@ def _load_calibration(dataset: Path, calibration: Path | None) -> "Calibration":
             f"{candidates[0]}: no such file; name the camera's calibration by --calibration "
             "(smartview calibrate makes one)"
         )
-    return Calibration.load(found)
+    if "uncertainty" not in read_yaml(found):
+        typer.echo(f"{found} says nothing of its uncertainty: taken as exact", err=True)
+        return Calibration.load(found), None
+    estimate = load_estimate(found)
+    return estimate.calibration, estimate
 
 
 def _announce(address: str, target: Path, browser: bool) -> None:

@@ -18,5 +18,8 @@ from .parameter_estimates import parameter_estimates as parameter_estimates
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
 from .precompile import precompile as precompile
+from .saved_estimate import SavedEstimate as SavedEstimate
+from .saved_estimate import load_estimate as load_estimate
+from .saved_estimate import uncertainty_to_dict as uncertainty_to_dict
 
 __getattr__ = _deprecated_names(__name__)

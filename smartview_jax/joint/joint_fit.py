@@ -1,5 +1,6 @@
 """The result of a joint fit: estimates, their covariance, and what they rest on."""
 
+import os
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -23,6 +24,7 @@ from ..fit_result import FitResult, Rejection
 from ..variance import NoiseEstimate, p_value
 from .fit_text import fit_html, fit_line, fit_text
 from .influence import Influence, deletion_changes
+from .saved_estimate import uncertainty_to_dict
 
 
 class JointFit(eqx.Module):
@@ -99,6 +101,23 @@ class JointFit(eqx.Module):
 
     def _repr_html_(self) -> str:
         return fit_html(self, self.warnings)
+
+    def save(
+        self, path: str | os.PathLike[str], run: str | None = None, source: str | None = None
+    ) -> None:
+        """Write the calibration with its covariance, noise and warnings, as YAML or JSON.
+
+        `Calibration.load` reads the calibration back, `load_estimate` the covariance too. Nothing
+        is said of the uncertainty where the data leave something undetermined.
+
+        Args:
+            path: of the file; a name that ends in `.json` makes it JSON.
+            run: name of the run, written to all its files.
+            source: where the calibration is from, such as the data set's name.
+        """
+        self.calibration.save(
+            path, run, self.warnings, source=source, uncertainty=uncertainty_to_dict(self)
+        )
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.

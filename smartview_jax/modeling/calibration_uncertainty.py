@@ -17,7 +17,7 @@ from ..calibration import Calibration
 from ..compilation import compiled
 from ..engine import Noise, Parameters, Step, linearise_poses, parameter_names
 from ..evaluation import CalibrationEstimate, covariance_root
-from ..joint import JointFit
+from ..joint import JointFit, SavedEstimate
 from ..robots import Command
 from .view_poses import SeenViews
 
@@ -69,7 +69,7 @@ class CalibrationUncertainty(NamedTuple):
         if estimate is None and noise is None:
             return cls.none(views)
         # A bound knows no noise of its own: there it is given, or the poses are exact.
-        if noise is None and isinstance(estimate, JointFit):
+        if noise is None and isinstance(estimate, (JointFit, SavedEstimate)):
             noise = estimate.noise
         names = parameter_names(calibration)
         roots = np.zeros((0, len(names)))

@@ -142,15 +142,56 @@ class RegionEntry(Entry):
         return self
 
 
+_Sigma = Annotated[
+    float, Field(gt=0.0, le=1e6), Expected("a standard deviation, above 0 up to 1e6")
+]
+
+
+class NoiseEntry(Entry):
+    """Standard deviations of pixels (px) and reported poses (m, rad); null where it is infinite."""
+
+    pixel: _Sigma
+    translation: _Sigma | None
+    rotation: _Sigma | None
+    field: list[_Sigma]
+    white_pixel: _Sigma | None = None
+
+
+class UncertaintyEntry(Entry):
+    """The covariance of the parameters that a fit estimated, in their own units."""
+
+    parameters: Annotated[list[Name], Field(max_length=1000), Expected("names of parameters")]
+    covariance: Annotated[list[_NumberRow], Field(max_length=1000), Expected("a square matrix")]
+    noise: NoiseEntry | None = None
+    smallest_singular_value: FiniteNumber
+
+    @model_validator(mode="after")
+    def _check_covariance(self) -> "UncertaintyEntry":
+        """Raise a ValueError for a matrix that is no covariance of the parameters."""
+        count = len(self.parameters)
+        if len(self.covariance) != count or any(len(row) != count for row in self.covariance):
+            raise ValueError(f"covariance: expected {count} rows of {count} numbers")
+        for i, name in enumerate(self.parameters):
+            if not self.covariance[i][i] > 0.0:
+                raise ValueError(f"covariance: the variance of {name} is not positive")
+            for j in range(i):
+                scale = (self.covariance[i][i] * self.covariance[j][j]) ** 0.5
+                if abs(self.covariance[i][j] - self.covariance[j][i]) > 1e-9 * scale:
+                    raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
+        return self
+
+
 class _CalibrationFile(Entry):
     smartview_calibration: Literal[1, 2]
     run: Name | None = None
+    source: str | None = None
     warnings: list[str] | None = None
     units: UnitsEntry
     camera: CameraEntry
     target_scale: _TargetScale
     robot_error: RobotErrorEntry | None = None
     region: RegionEntry | None = None
+    uncertainty: UncertaintyEntry | None = None
     end: Literal["smartview_calibration"] | None = None
 
     @model_validator(mode="after")

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from smartview_jax import fit_joint
 from smartview_jax.cli import app
+from smartview_jax.cli.model import load_calibration
 from smartview_jax.io import object_sample_folder
-from smartview_jax.simulation import paper_calibration
+from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 pytest.importorskip("uvicorn")
 
@@ -73,3 +75,16 @@ def test_a_data_set_of_a_board_is_a_data_set_of_views(folder):
     assert len(found.view_ids) == len(found.pictures) == 12
     assert all(path.is_file() for path in found.pictures)
     np.testing.assert_allclose(np.linalg.det(found.base_from_tool[:, :3, :3]), 1.0)
+
+
+def test_a_calibration_comes_with_its_covariance_where_the_file_has_one(folder, capsys):
+    scene = random_scene(2, 8, paper_points((0.0, 0.02))[::6])
+    fit = fit_joint(scene.data, scene.calibration, noise="trusted")
+    fit.save(folder / "calibration.yaml")
+    calibration, estimate = load_calibration(folder, None)
+    assert estimate is not None
+    assert estimate.parameter_names == fit.parameter_names
+    assert float(calibration.camera.alpha_u) == float(fit.calibration.camera.alpha_u)
+    fit.calibration.save(folder / "calibration.yaml")
+    assert load_calibration(folder, None)[1] is None
+    assert "taken as exact" in capsys.readouterr().err

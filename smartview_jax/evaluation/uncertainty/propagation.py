@@ -17,8 +17,11 @@ from ...engine import Observability, Parameters, Step, parameter_names
 class CalibrationEstimate(Protocol):
     """A calibration with the covariance of its parameters, such as a joint fit or a bound."""
 
-    calibration: Calibration
-    covariance: Float[np.ndarray, "free free"]
+    @property
+    def calibration(self) -> Calibration: ...
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "free free"]: ...
 
     @property
     def parameter_names(self) -> tuple[str, ...]: ...

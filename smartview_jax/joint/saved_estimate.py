@@ -1,0 +1,108 @@
+"""Keep a calibration with its covariance in a file, and read both back.
+
+Whoever uses a calibration later, to model objects, to localise or to grasp, needs to know how well
+it is known.
+"""
+
+import os
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..calibration import Calibration
+from ..engine import Noise, Observability, parameter_names
+from ..files import read_yaml
+
+if TYPE_CHECKING:
+    from .joint_fit import JointFit
+
+
+class SavedEstimate(NamedTuple):
+    """A calibration from a file, with the covariance of its parameters.
+
+    Attributes:
+        calibration: the calibration.
+        covariance: covariance of the parameters that were estimated, in their own units.
+        parameter_names: names of these parameters.
+        noise: standard deviations of pixels and reported poses; None if the robot was trusted.
+        observability: the rank of the fit: everything is determined.
+    """
+
+    calibration: Calibration
+    covariance: Float[np.ndarray, "free free"]
+    parameter_names: tuple[str, ...]
+    noise: Noise | None
+    observability: Observability
+
+
+def uncertainty_to_dict(fit: "JointFit") -> dict[str, Any] | None:
+    """Return the uncertainty of a fit as plain numbers; None where something is undetermined."""
+    if fit.observability.null_directions or not np.isfinite(fit.covariance).all():
+        return None
+    noise = fit.noise
+    return {
+        "parameters": list(fit.parameter_names),
+        "covariance": [[float(x) for x in row] for row in np.asarray(fit.covariance)],
+        "noise": None
+        if noise is None
+        else {
+            "pixel": float(noise.pixel),
+            # YAML and JSON have no common word for infinity.
+            "translation": _finite(noise.translation),
+            "rotation": _finite(noise.rotation),
+            "field": [float(sigma) for sigma in noise.field],
+            "white_pixel": None if noise.white_pixel is None else float(noise.white_pixel),
+        },
+        "smallest_singular_value": float(fit.observability.smallest_singular_value),
+    }
+
+
+def load_estimate(path: str | os.PathLike[str]) -> SavedEstimate:
+    """Read a calibration with its covariance from a file that `JointFit.save` wrote.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: naming the file and the entry that is wrong, or that the file says nothing of
+            the uncertainty.
+    """
+    content = read_yaml(path)
+    try:
+        calibration = Calibration.from_dict(content)
+        entry = content.get("uncertainty")
+        if entry is None:
+            raise ValueError(
+                "uncertainty: the file has none; `fit.save` and `smartview calibrate` write it, "
+                "where the data determine everything"
+            )
+        names, known = tuple(entry["parameters"]), parameter_names(calibration)
+        if unknown := [name for name in names if name not in known]:
+            raise ValueError(f"uncertainty: the calibration has no parameter {unknown[0]!r}")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return SavedEstimate(
+        calibration,
+        np.array(entry["covariance"], dtype=float),
+        names,
+        _noise_from_dict(entry.get("noise")),
+        Observability(len(names), len(names), (), (), float(entry["smallest_singular_value"])),
+    )
+
+
+def _finite(sigma: float) -> float | None:
+    """Return a standard deviation, or None for an infinite one."""
+    return float(sigma) if np.isfinite(sigma) else None
+
+
+def _noise_from_dict(entry: dict[str, Any] | None) -> Noise | None:
+    """Return the noise model of a file."""
+    if entry is None:
+        return None
+    infinite = float("inf")
+    return Noise(
+        entry["pixel"],
+        infinite if entry["translation"] is None else entry["translation"],
+        infinite if entry["rotation"] is None else entry["rotation"],
+        tuple(entry["field"]),
+        entry.get("white_pixel"),
+    )
