@@ -5,9 +5,11 @@ from typing import Annotated
 import typer
 
 from .calibrate import calibrate
+from .check import check
 from .compare import compare
 from .export import export
 from .model import model
+from .new import new
 from .schema import schema
 from .viewpoint import viewpoint
 
@@ -39,5 +41,5 @@ def main(
     """
 
 
-for _subcommand in (calibrate, compare, export, model, schema, viewpoint):
+for _subcommand in (calibrate, check, compare, export, model, new, schema, viewpoint):
     app.command()(_subcommand)

@@ -1,0 +1,134 @@
+"""Begin a data-set folder: a commented description and an empty table, for a person to fill in."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from ..files import write_atomically
+from ..geometry import pose_codec
+from .dataset_folder import DESCRIPTION_FILE
+from .poses import POSES_FILE
+
+
+class RobotFormat(NamedTuple):
+    """The way in which a maker's robots report poses.
+
+    Attributes:
+        codec: name of the pose format.
+        length_unit: unit of lengths.
+        angle_unit: unit of angles.
+        source: where the numbers are read.
+    """
+
+    codec: str
+    length_unit: str
+    angle_unit: str
+    source: str
+
+
+ROBOTS = {
+    "abb": RobotFormat("abb", "mm", "rad", "the robtarget: pos and orient"),
+    "fanuc": RobotFormat("fanuc_wpr", "mm", "deg", "the position screen: X Y Z W P R"),
+    "kawasaki": RobotFormat("kawasaki_oat", "mm", "deg", "the pendant: X Y Z O A T"),
+    "kuka": RobotFormat("kuka_abc", "mm", "deg", "$POS_ACT: X Y Z A B C"),
+    "puma": RobotFormat("val_oat", "mm", "deg", "VAL's WHERE: X Y Z O A T"),
+    "ros": RobotFormat("quaternion_xyzw", "m", "rad", "tf2_echo base tool: translation, rotation"),
+    "ur": RobotFormat("ur", "m", "rad", "get_actual_tcp_pose(): x y z rx ry rz"),
+    "matrix": RobotFormat("matrix", "m", "rad", "4 x 4 matrices, row by row"),
+}
+"""The makers whose formats are known, by the name that a user gives."""
+
+TARGETS = {
+    "chessboard": """target:
+  kind: chessboard
+  rows: 9            # inner corners, not squares
+  columns: 6         # one of the two odd, the other even, so that it looks the same one way only
+  square: 0.025      # MEASURE over many squares with a calliper, m""",
+    "circle_grid": """target:
+  kind: circle_grid
+  rows: 10
+  columns: 10
+  spacing: 0.0254    # MEASURE from centre to centre over many circles, m
+  origin_mark: true  # one circle is larger, so that the pattern cannot be taken upside down""",
+    "charuco": """target:
+  kind: charuco
+  squares_x: 7
+  squares_y: 5
+  square: 0.03       # MEASURE over many squares, m
+  marker: 0.022      # side of a marker, m
+  dictionary: DICT_4X4_250
+  legacy: false      # true for boards made before OpenCV 4.6 with an even number of rows""",
+    "tag_grid": """target:
+  kind: tag_grid
+  rows: 6
+  columns: 6
+  size: 0.088        # MEASURE the black square's side, m
+  gap: 0.0264        # between two tags, m
+  dictionary: DICT_APRILTAG_36h11
+  first_id: 0""",
+}
+"""The entry `target` of every kind of target, with what a person has to measure."""
+
+_DESCRIPTION = """# A data set for smartview: pictures of a target, and the robot's pose for each.
+smartview_dataset: 1
+camera: {{image_size: [{width}, {height}]}}  # width and height of the pictures, px
+{target}
+# eye_in_hand: the camera is on the tool, the target stands still.
+# eye_to_hand: the camera stands still, the target is on the tool.
+mount: {mount}
+# One row for each picture: its name, then {source}.
+poses:
+  file: {poses_file}
+  codec: {robot.codec}
+  length_unit: {robot.length_unit}
+  angle_unit: {robot.angle_unit}
+  direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse
+# {{view}} stands for the name in the first column of {poses_file}.
+pictures: {{pattern: "images/{{view}}.png"}}
+"""
+
+
+def write_new_dataset(
+    folder: Path, robot: str, target: str, mount: str, image_size: tuple[int, int]
+) -> Path:
+    """Write a commented `dataset.yaml`, the heading of `poses.csv` and the folder `images`.
+
+    Args:
+        folder: may exist, and may have pictures already.
+        robot: one of `ROBOTS`.
+        target: one of `TARGETS`.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height, px.
+
+    Returns:
+        The path of the description.
+
+    Raises:
+        ValueError: an unknown robot, target or mount.
+        FileExistsError: the folder has a description or a table already.
+    """
+    for name, value, known in (
+        ("robot", robot, ROBOTS),
+        ("target", target, TARGETS),
+        ("mount", mount, ("eye_in_hand", "eye_to_hand")),
+    ):
+        if value not in known:
+            raise ValueError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+    description, table = folder / DESCRIPTION_FILE, folder / POSES_FILE
+    for path in (description, table):
+        if path.exists():
+            raise FileExistsError(f"{path}: exists already; nothing is overwritten")
+    form = ROBOTS[robot]
+    text = _DESCRIPTION.format(
+        width=image_size[0],
+        height=image_size[1],
+        target=TARGETS[target],
+        mount=mount,
+        source=form.source,
+        poses_file=POSES_FILE,
+        robot=form,
+    )
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    write_atomically(table, ",".join(("view", *pose_codec(form.codec).columns)) + "\n")
+    # Written last: a folder without a description is none that was begun.
+    write_atomically(description, text)
+    return description

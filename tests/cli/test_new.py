@@ -1,0 +1,59 @@
+"""A folder that was begun can be filled in and read, for every robot and every target."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from smartview_jax.cli import app
+from smartview_jax.files import read_yaml
+from smartview_jax.geometry import ANGLE_UNITS, LENGTH_UNITS, host_matrices, pose_codec
+from smartview_jax.io.new_dataset import ROBOTS, TARGETS, write_new_dataset
+from smartview_jax.io.poses import read_poses
+from smartview_jax.schemas.dataset import DATASET_SCHEMA
+from smartview_jax.schemas.validation import validate_content
+from smartview_jax.simulation import paper_viewpoints
+from smartview_jax.targets import target_from_dict
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("target", TARGETS)
+def test_what_is_written_is_a_description(tmp_path, robot, target):
+    path = write_new_dataset(tmp_path, robot, target, "eye_in_hand", (640, 480))
+    content = read_yaml(path)
+    validate_content(content, DATASET_SCHEMA)
+    assert content["camera"]["image_size"] == [640, 480]
+    assert len(target_from_dict(content["target"]).points) > 10
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_rows_of_the_robot_are_read_as_its_poses(tmp_path, robot):
+    content = read_yaml(write_new_dataset(tmp_path, robot, "charuco", "eye_to_hand", (640, 480)))
+    entry, codec, poses = content["poses"], pose_codec(ROBOTS[robot].codec), paper_viewpoints(np.random.default_rng(0))
+    rows = np.asarray(codec.encode(poses), dtype=float)
+    rows[:, list(codec.length_columns)] /= LENGTH_UNITS[entry["length_unit"]]
+    rows[:, list(codec.angle_columns)] /= ANGLE_UNITS[entry["angle_unit"]]
+    with open(tmp_path / "poses.csv", "a") as table:
+        for view, row in enumerate(rows):
+            table.write(",".join([str(view), *map(repr, row.tolist())]) + "\n")
+    view_ids, found, masked = read_poses(tmp_path, entry, "raise")
+    assert len(view_ids) == len(rows)
+    assert not masked
+    np.testing.assert_allclose(host_matrices(found), host_matrices(poses), atol=1e-9)
+
+
+def test_the_command_says_what_to_do_next_and_overwrites_nothing(tmp_path):
+    words = ["new", str(tmp_path / "mine"), "--robot", "fanuc", "--target", "chessboard"]
+    run = CliRunner().invoke(app, words)
+    assert run.exit_code == 0
+    assert f"smartview check {tmp_path / 'mine'}" in run.output
+    assert (tmp_path / "mine" / "poses.csv").read_text().startswith("view,x,y,z,W,P,R")
+    again = CliRunner().invoke(app, words)
+    assert again.exit_code == 2
+    assert "exists already" in again.output
+
+
+def test_an_unknown_robot_is_named_with_the_known_ones(tmp_path):
+    run = CliRunner().invoke(app, ["new", str(tmp_path / "mine"), "--robot", "kukka"])
+    assert run.exit_code == 2
+    assert "kuka" in run.output
+    assert not (tmp_path / "mine").exists()
