@@ -1,8 +1,10 @@
 """Report progress, errors and interrupts on the terminal."""
 
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -13,19 +15,59 @@ from ..interrupts import (
     message_printed,
 )
 
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
 
 @contextmanager
 def progress_line() -> Iterator[Callable[[str], None]]:
-    """Report progress on stderr: one changing line on a terminal, plain lines elsewhere."""
+    """Report progress on stderr: a bar with the time left on a terminal, plain lines elsewhere.
+
+    A text that counts, such as "fold 2 of 5", moves the bar; any other starts one without an end.
+    """
     from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 
     # On stderr, so that redirected results contain no progress.
     console = Console(stderr=True)
     if not console.is_terminal:
         yield lambda text: console.print(text, highlight=False, soft_wrap=True)
         return
-    with console.status("starting") as status:
-        yield lambda text: status.update(text)
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        yield BarUpdate(bar)
+
+
+class BarUpdate:
+    """A function of a line of text that shows it beside a bar."""
+
+    def __init__(self, bar: "Progress"):
+        self._bar = bar
+        self._stage, self._task = "", bar.add_task("starting", total=None)
+
+    def __call__(self, text: str) -> None:
+        counted = _COUNTED.search(text)
+        stage = text if counted is None else f"{text.partition(':')[0]} of {counted[2]}"
+        if stage != self._stage:
+            # Time left is estimated from the speed, which is another in each stage.
+            self._bar.remove_task(self._task)
+            self._stage, self._task = stage, self._bar.add_task(text, total=None)
+        number, total = (None, None) if counted is None else map(int, counted.groups())
+        self._bar.update(
+            self._task,
+            description=text,
+            total=total,
+            completed=0 if number is None else number - 1,
+        )
+
+
+_COUNTED = re.compile(r"\b(\d+) of (\d+)\)?$")
+"""The end of a text that counts, such as "fold 2 of 5"."""
 
 
 @contextmanager

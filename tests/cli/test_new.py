@@ -28,7 +28,11 @@ def test_what_is_written_is_a_description(tmp_path, robot, target):
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_rows_of_the_robot_are_read_as_its_poses(tmp_path, robot):
     content = read_yaml(write_new_dataset(tmp_path, robot, "charuco", "eye_to_hand", (640, 480)))
-    entry, codec, poses = content["poses"], pose_codec(ROBOTS[robot].codec), paper_viewpoints(np.random.default_rng(0))
+    entry, codec, poses = (
+        content["poses"],
+        pose_codec(ROBOTS[robot].codec),
+        paper_viewpoints(np.random.default_rng(0)),
+    )
     rows = np.asarray(codec.encode(poses), dtype=float)
     rows[:, list(codec.length_columns)] /= LENGTH_UNITS[entry["length_unit"]]
     rows[:, list(codec.angle_columns)] /= ANGLE_UNITS[entry["angle_unit"]]

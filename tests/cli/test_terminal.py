@@ -1,0 +1,37 @@
+"""The bar on a terminal moves with what the texts count."""
+
+import io
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+from smartview_jax.cli.terminal import BarUpdate
+
+
+@pytest.fixture
+def bar():
+    return Progress(console=Console(file=io.StringIO(), force_terminal=True), transient=True)
+
+
+def test_the_bar_shows_what_is_done_of_what_is_counted(bar):
+    show = BarUpdate(bar)
+    show("Step 1: each of 15 views by itself")
+    assert bar.tasks[0].total is None
+    show("looking for the target: view a7 (3 of 15)")
+    assert (bar.tasks[0].completed, bar.tasks[0].total) == (2, 15)
+    assert bar.tasks[0].description.endswith("view a7 (3 of 15)")
+    first = bar.tasks[0].id
+    show("looking for the target: view b1 (4 of 15)")
+    assert bar.tasks[0].completed == 3
+    assert bar.tasks[0].id == first
+
+
+def test_every_stage_has_a_bar_of_its_own(bar):
+    show = BarUpdate(bar)
+    show("held-out: fold 5 of 5")
+    first = bar.tasks[0].id
+    show("drawing the report")
+    assert len(bar.tasks) == 1
+    assert bar.tasks[0].id != first
+    assert bar.tasks[0].total is None
