@@ -12,6 +12,7 @@ from . import evaluation as evaluation
 from . import features as features
 from . import fit_result as fit_result
 from . import geometry as geometry
+from . import grasping as grasping
 from . import io as io
 from . import joint as joint
 from . import modeling as modeling
@@ -41,6 +42,9 @@ from .geometry import five_viewpoints as five_viewpoints
 from .geometry import look_at as look_at
 from .geometry import se3_from_xyzoat as se3_from_xyzoat
 from .geometry import xyzoat as xyzoat
+from .grasping import GraspScene as GraspScene
+from .grasping import Gripper as Gripper
+from .grasping import grasps_for as grasps_for
 from .io import load_dataset as load_dataset
 from .io import save_dataset as save_dataset
 from .joint import JointFit as JointFit

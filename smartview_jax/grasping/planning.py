@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..robots import Command, Gripper
 from .candidates import Candidate, candidate_grasps
@@ -204,6 +205,6 @@ def _errors_of_reached(
     at = PHASES.index("grasp")
     command = Command(
         host_transforms(motions.base_from_tool[padded, at]),
-        None if motions.joints is None else motions.joints[padded, at],
+        None if motions.joints is None else to_device(motions.joints[padded, at]),
     )
     return dict(zip(reached, gripper_errors(scene, gripper, command), strict=False))

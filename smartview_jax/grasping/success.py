@@ -56,7 +56,7 @@ def grasp_conditions(
     """
     rows: list[tuple[np.ndarray, float, str]] = []
 
-    def require(bound: float, name: str, both: bool = True, **coefficients: float) -> None:
+    def require(coefficients: dict[str, float], bound: float, name: str, both: bool = True) -> None:
         row = np.zeros(12)
         for axis, value in coefficients.items():
             row[_COLUMNS[axis]] = value
@@ -67,23 +67,23 @@ def grasp_conditions(
     depth = candidate.grasp.depth
     room = 0.5 * (candidate.opening - candidate.width) - gripper.tolerance
     half_finger = 0.5 * gripper.finger_width
-    low, high = np.clip(candidate.along_finger, -half_finger, half_finger)
+    low, high = np.clip(candidate.along_finger, -half_finger, half_finger).tolist()
     # A side of the object at (y, z) moves along x by eta_x + (theta x p)_x.
     for y in (low, high):
         for z in (-depth, 0.0):
-            require(room, "beside the fingers", eta_x=1.0, theta_y=z, theta_z=-float(y))
-    require(depth - gripper.min_hold, "too shallow", both=False, eta_z=1.0)
-    require(gripper.finger_length - depth, "under the palm", both=False, eta_z=-1.0)
+            require({"eta_x": 1.0, "theta_y": z, "theta_z": -y}, room, "beside the fingers")
+    require({"eta_z": 1.0}, depth - gripper.min_hold, "too shallow", both=False)
+    require({"eta_z": -1.0}, gripper.finger_length - depth, "under the palm", both=False)
     # The overlap of [low, high] with the finger, [-h, h], shrinks when the object moves.
     side_low, side_high = candidate.along_finger
-    overlap = 0.5 * float(high - low)
-    require(half_finger - overlap - side_low, "past the fingers", both=False, eta_y=1.0)
-    require(half_finger - overlap + side_high, "past the fingers", both=False, eta_y=-1.0)
-    require(gripper.max_turn, "turned", theta_y=1.0)
-    require(gripper.max_turn, "turned", theta_z=1.0)
+    overlap = 0.5 * (high - low)
+    require({"eta_y": 1.0}, half_finger - overlap - side_low, "past the fingers", both=False)
+    require({"eta_y": -1.0}, half_finger - overlap + side_high, "past the fingers", both=False)
+    require({"theta_y": 1.0}, gripper.max_turn, "turned")
+    require({"theta_z": 1.0}, gripper.max_turn, "turned")
     if np.isfinite(clearance):
         for axis in ("tau_x", "tau_y", "tau_z"):
-            require(clearance, "collision", **{axis: 1.0})
+            require({axis: 1.0}, clearance, "collision")
     matrix, bounds, names = zip(*rows, strict=True)
     return Conditions(np.array(matrix), np.array(bounds, dtype=float), tuple(names))
 
