@@ -167,7 +167,9 @@ def _fans(model: ObjectModel) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndar
             row[k] = sign
             corners.append(triangle)
             signs.append(row)
-    return np.array(corners).reshape(-1, 3, 3), np.array(signs).reshape(-1, len(model.faces))
+    # With its length stated: an array of no faces could have any.
+    shape = len(corners), len(model.faces)
+    return np.array(corners).reshape(-1, 3, 3), np.array(signs).reshape(shape)
 
 
 def _fan(
