@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
+from ..array_namespace import AnyArray
 from ..cameras import Camera
 from ..compilation import compiled_optimised
 from .edge_lookup import EdgeLookup
@@ -27,11 +28,17 @@ MAX_RADIUS = 12
 MAX_ALONG = 1.5
 """Largest distance of an edge point from the normal along which it is looked for, px."""
 
+ALONG_WEIGHT = 2.0
+"""Weight of that distance against the distance along the normal, where the nearest is chosen."""
+
 MIN_ALIGNMENT = 0.9
 """Smallest cosine, about 25 degrees, between an edge point's gradient and the edge's normal."""
 
 CORRELATED_LENGTH = 3.5
 """Length along an edge whose points count as one, px: see `CORRELATED_POINTS` of the segments."""
+
+CLEARANCE = 5.0
+"""Distance from other edges of the model, px, within which a blurred edge is biased by them."""
 
 MIN_POINT_SIGMA = 0.03
 """Smallest standard deviation of an edge point that is believed, px: pixels have an extent."""
@@ -45,11 +52,8 @@ MIN_EDGE_PX = 8.0
 MIN_SHARE = 0.25
 """Smallest part of an edge's visible length along which edge points make a line."""
 
-ROBUST_SCALES = (1.0, 0.5, 0.25)
-"""Scales of the rounds of the robust line fit, as fractions of the search radius."""
-
-MIN_ROBUST_SCALE = 0.5
-"""Smallest of these scales, px."""
+ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
+"""Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
 
 RADII = (12.0, 10.0, 8.0, 6.5, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0)
 """Search radius of each step towards a pose, px."""
@@ -88,20 +92,20 @@ class EdgeLines(NamedTuple):
         points: index of the edge point of each sample.
     """
 
-    offsets: Float[Array, "*views E 2"]
-    variances: Float[Array, "*views E 2"]
-    by_pose: Float[Array, "*views E 2 6"]
-    measured: Bool[Array, "*views E"]
-    visible_px: Float[Array, "*views E"]
-    found_px: Float[Array, "*views E"]
-    strength: Float[Array, "*views E"]
-    scatter: Float[Array, "*views E"]
-    samples: Float[Array, "*views S 2"]
-    sample_px: Float[Array, "*views S"]
-    normals: Float[Array, "*views S 2"]
-    distances: Float[Array, "*views S"]
-    combination: Float[Array, "*views 2 S"]
-    points: Int[Array, "*views S"]
+    offsets: Float[AnyArray, "*views E 2"]
+    variances: Float[AnyArray, "*views E 2"]
+    by_pose: Float[AnyArray, "*views E 2 6"]
+    measured: Bool[AnyArray, "*views E"]
+    visible_px: Float[AnyArray, "*views E"]
+    found_px: Float[AnyArray, "*views E"]
+    strength: Float[AnyArray, "*views E"]
+    scatter: Float[AnyArray, "*views E"]
+    samples: Float[AnyArray, "*views S 2"]
+    sample_px: Float[AnyArray, "*views S"]
+    normals: Float[AnyArray, "*views S 2"]
+    distances: Float[AnyArray, "*views S"]
+    combination: Float[AnyArray, "*views 2 S"]
+    points: Int[AnyArray, "*views S"]
 
 
 def edge_lines(
@@ -138,7 +142,8 @@ def edge_lines(
     # Positions along the edge, from the mean of its visible samples.
     middle = over_edges(px[:, None] * p) / _positive(over_edges(px))[:, None]
     t = ((p - middle[edges]) * d).sum(axis=1)
-    weights = _robust_weights(over_edges, edges, t, r, found.astype(r.dtype), radius)
+    clear = found & _is_clear(wireframe, view.vertices, view.edge_px, p)
+    weights = _robust_weights(over_edges, edges, t, r, clear.astype(r.dtype), radius)
     # a = sum w r / W,  b = sum w (t - t_mean) r / S,  S = sum w (t - t_mean)^2
     W = _positive(over_edges(weights))
     t = t - (over_edges(weights * t) / W)[edges]
@@ -149,10 +154,11 @@ def edge_lines(
     by_pose = jnp.stack([over_edges(row[:, None] * J) for row in combination], axis=1)
     # The scatter about the line is the noise of its points.
     rest = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
-    count = over_edges((weights > 0.0).astype(r.dtype))
-    variance = over_edges(weights * rest**2) / W * count / jnp.maximum(count - 2.0, 1.0)
     found_px = over_edges(px * weights)
     independent = jnp.maximum(jnp.minimum(W, found_px / CORRELATED_LENGTH), 1.0)
+    # Two numbers of the line are fitted to so many independent points.
+    variance = over_edges(weights * rest**2) / W
+    variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
     variance = jnp.maximum(variance, MIN_POINT_SIGMA**2)
     # A line as a whole may be off by MODEL_SIGMA at either end, independently.
     tilt = MODEL_SIGMA * jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
@@ -186,6 +192,24 @@ def _positive(values: Array) -> Array:
     return jnp.where(values > 0.0, values, 1.0)
 
 
+def _is_clear(
+    wireframe: Wireframe,
+    vertices: Float[Array, "V 2"],
+    edge_px: Float[Array, "E"],
+    p: Float[Array, "S 2"],
+) -> Bool[Array, "S"]:
+    """Return which samples are far enough from all visible edges but their own."""
+    a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
+    seen = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
+    a, b = (jnp.where(seen[:, None], x, 0.0) for x in (a, b))
+    along = (b - a) / _positive(((b - a) ** 2).sum(axis=1))[:, None]
+    gap = p[:, None] - a[None]
+    s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
+    squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
+    own = wireframe.sample_edges[:, None] == jnp.arange(len(a))[None]
+    return (own | ~seen[None] | (squared > CLEARANCE**2)).all(axis=1)
+
+
 def _nearest_along_normals(
     lookup: EdgeLookup,
     p: Float[Array, "S 2"],
@@ -207,7 +231,10 @@ def _nearest_along_normals(
     across, along = (gap * n[:, None]).sum(axis=-1), (gap * d[:, None]).sum(axis=-1)
     alignment = jnp.abs((lookup.normals[index] * n[:, None]).sum(axis=-1))
     usable = within & (jnp.abs(across) <= radius) & (jnp.abs(along) <= MAX_ALONG)
-    distance = jnp.where(usable & (alignment >= MIN_ALIGNMENT), jnp.abs(across), jnp.inf)
+    # Of neighbours on one edge the one on the normal is taken: the one nearest to the prediction
+    # would draw the line towards it.
+    distance = jnp.abs(across) + ALONG_WEIGHT * jnp.abs(along)
+    distance = jnp.where(usable & (alignment >= MIN_ALIGNMENT), distance, jnp.inf)
     best = jnp.argmin(distance, axis=1)[:, None]
     r = jnp.take_along_axis(jnp.where(jnp.isfinite(distance), across, jnp.inf), best, axis=1)
     return r[:, 0], jnp.take_along_axis(index, best, axis=1)[:, 0]
@@ -222,15 +249,15 @@ def _robust_weights(
     radius: Float[Array, ""],
 ) -> Float[Array, "S"]:
     """Return weights of samples in their line; those far from it have none."""
-    weights = found
-    for fraction in ROBUST_SCALES:
+    weights, rest, scale = found, r, radius
+    for largest in ROBUST_SCALES:
         W = _positive(over_edges(weights))
         mean_t, mean_r = over_edges(weights * t) / W, over_edges(weights * r) / W
         t0, r0 = t - mean_t[edges], r - mean_r[edges]
         slope = over_edges(weights * t0 * r0) / _positive(over_edges(weights * t0**2))
         rest = r0 - slope[edges] * t0
         # Geman and McClure's weight, then a limit of the same scale.
-        scale = jnp.maximum(fraction * radius, MIN_ROBUST_SCALE)
+        scale = jnp.minimum(radius, largest)
         weights = found / (1.0 + (rest / scale) ** 2) ** 2
     # The last round counts what is within the scale in full, so that the noise is not made less.
     return jnp.where(jnp.abs(rest) <= scale, found, 0.0)

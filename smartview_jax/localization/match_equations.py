@@ -45,12 +45,12 @@ class Matches(NamedTuple):
             np.zeros((0, 2, 2)),
         )
 
-    def __add__(self, other: "Matches") -> "Matches":
+    def joined(self, other: "Matches") -> "Matches":
         """Return both together."""
         return Matches(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         """The number of corners and segments."""
         return len(self.corners) + len(self.segments)
 

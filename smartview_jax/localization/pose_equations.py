@@ -77,9 +77,10 @@ class CommonErrors(NamedTuple):
         vertices = np.zeros((count, count))
         given, factor = model.covariance, model.calibration_factor
         if given is not None:
-            vertices += given if given.ndim == 2 else block_diag(*given)
+            blocks = np.asarray(given)
+            vertices = blocks if blocks.ndim == 2 else np.asarray(block_diag(*blocks))
         if factor is not None:
-            vertices += factor @ factor.T
+            vertices = vertices + factor @ factor.T
         return cls(uncertainty.covariance, vertices)
 
     def covariances(
@@ -116,10 +117,15 @@ class PoseStep(NamedTuple):
 def joined(parts: Sequence[PoseEquations]) -> PoseEquations:
     """Return the equations of several kinds of features together; blocks are numbered anew."""
     starts = np.cumsum([0, *(1 + max(part.block, default=-1) for part in parts[:-1])])
+    residuals, by_pose, _, by_calibration, by_vertices, _ = (
+        [part[k] for part in parts] for k in range(6)
+    )
     return PoseEquations(
-        *(np.concatenate([part[k] for part in parts]) for k in (0, 1)),
-        block_diag(*(part.noise for part in parts)),
-        *(np.concatenate([part[k] for part in parts]) for k in (3, 4)),
+        np.concatenate(residuals),
+        np.concatenate(by_pose),
+        np.asarray(block_diag(*(part.noise for part in parts))),
+        np.concatenate(by_calibration),
+        np.concatenate(by_vertices),
         np.concatenate([part.block + start for part, start in zip(parts, starts, strict=True)]),
     )
 
