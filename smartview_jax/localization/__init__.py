@@ -10,7 +10,8 @@ from .matching import PoseState as PoseState
 from .matching import kalman_update as kalman_update
 from .matching import match_features as match_features
 from .prediction import PredictedView as PredictedView
-from .prediction import hidden_points as hidden_points
+from .prediction import hidden_samples as hidden_samples
+from .prediction import hidden_vertices as hidden_vertices
 from .prediction import pose_jacobians as pose_jacobians
 from .prediction import predict_view as predict_view
 from .prediction import search_regions as search_regions

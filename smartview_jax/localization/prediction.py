@@ -65,46 +65,52 @@ def predict_view(
     slopes = jnp.where(usable[:, None], slopes, 0.0)
     scale = _norm(slopes)
     directions = slopes / jnp.where(scale > 0.0, scale, 1.0)[:, None]
-    vertex_hidden, sample_hidden = hidden_points(wireframe, centre)
-    vertex_visible = wireframe.vertex_mask & ~vertex_hidden & _within(vertices, camera)
-    sample_visible = (wireframe.sample_lengths > 0.0) & ~sample_hidden & _within(samples, camera)
+    vertex_visible = wireframe.vertex_mask & ~hidden_vertices(wireframe, centre)
+    sample_visible = (wireframe.sample_lengths > 0.0) & ~hidden_samples(wireframe, centre)
+    sample_visible = sample_visible & usable & _within(samples, camera)
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
     return PredictedView(
         vertices,
-        vertex_visible,
+        vertex_visible & _within(vertices, camera),
         samples,
         directions,
-        sample_visible & usable,
+        sample_visible,
         sample_px,
-        edge_px.add(jnp.where(sample_visible & usable, sample_px, 0.0)),
+        edge_px.add(jnp.where(sample_visible, sample_px, 0.0)),
     )
 
 
-def hidden_points(
-    wireframe: Wireframe, centre: Float[Array, "3"]
-) -> tuple[Bool[Array, "V"], Bool[Array, "S"]]:
-    """Return which vertices and which samples the faces hide from a point.
+def hidden_samples(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "S"]:
+    """Return which samples of the edges the model's own faces hide from a point.
 
     Args:
         wireframe: of the model.
         centre: the camera's centre in the object's frame, m.
     """
+    own = wireframe.edge_faces[wireframe.sample_edges]
+    return _hidden(wireframe, centre, wireframe.samples, own)
+
+
+def hidden_vertices(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "V"]:
+    """Return which vertices the model's own faces hide from a point; as `hidden_samples`."""
+    return _hidden(wireframe, centre, wireframe.vertices, wireframe.vertex_faces)
+
+
+def _hidden(
+    wireframe: Wireframe,
+    centre: Float[Array, "3"],
+    points: Float[Array, "n 3"],
+    own: Bool[Array, "n F"],
+) -> Bool[Array, "n"]:
+    """Return which points are hidden, with the faces to which each belongs."""
     # A face is seen from its outer side: n . (c - p) > 0.
     towards = ((centre[None] - wireframe.face_points) * wireframe.face_normals).sum(axis=1)
-    faces_camera = towards > 0.0
-    sample_faces = wireframe.edge_faces[wireframe.sample_edges]
-    hidden = []
-    for points, own in (
-        (wireframe.vertices, wireframe.vertex_faces),
-        (wireframe.samples, sample_faces),
-    ):
-        # A face does not hide its own border, nor a vertex or edge to which it belongs.
-        covered = (_faces_before(wireframe, centre, points) & ~own).any(axis=1)
-        # One face alone may be a sheet that is seen from both sides.
-        turned_away = (own.sum(axis=1) >= 2) & ~(own & faces_camera[None]).any(axis=1)
-        hidden.append(covered | turned_away)
-    return hidden[0], hidden[1]
+    # A face does not hide its own border.
+    covered = (_faces_before(wireframe, centre, points) & ~own).any(axis=1)
+    # One face alone may be a sheet that is seen from both sides.
+    turned_away = (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
+    return covered | turned_away
 
 
 def _faces_before(
