@@ -22,6 +22,9 @@ from .edge_lookup import EdgeLookup
 from .prediction import pose_jacobians, predict_view
 from .wireframe import Wireframe
 
+EXPLAINED_DISTANCE = 2.0
+"""Largest distance, px, of an edge point from the predicted edge that it explains."""
+
 MAX_RADIUS = 12
 """Largest distance, px, of an edge point from the predicted edge."""
 
@@ -80,6 +83,7 @@ class EdgeLines(NamedTuple):
         by_pose: derivatives of the predicted numbers by the tangent at the object.
         measured: whether there is a line.
         visible_px: visible length of each edge, px.
+        explained_px: length of the part of it with an edge point within the radius, px.
         found_px: length of the part of it where the line has points, px.
         strength: mean gradient of these points, grey levels per px.
         scatter: standard deviation of the points about their line, px.
@@ -97,6 +101,7 @@ class EdgeLines(NamedTuple):
     by_pose: Float[AnyArray, "*views E 2 6"]
     measured: Bool[AnyArray, "*views E"]
     visible_px: Float[AnyArray, "*views E"]
+    explained_px: Float[AnyArray, "*views E"]
     found_px: Float[AnyArray, "*views E"]
     strength: Float[AnyArray, "*views E"]
     scatter: Float[AnyArray, "*views E"]
@@ -175,6 +180,7 @@ def edge_lines(
         jnp.where(keep[..., None], by_pose, 0.0),
         measured,
         visible_px,
+        over_edges(jnp.where(found, px, 0.0)),
         jnp.where(measured, found_px, 0.0),
         jnp.where(measured, over_edges(weights * strengths) / W, 0.0),
         jnp.sqrt(variance),
@@ -306,8 +312,8 @@ def converged_poses(
 
     def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, ""]]:
         pose, _ = jax.lax.scan(step, pose, jnp.asarray(RADII))
-        lines = lines_at(pose, jnp.asarray(RADII[-1]))
-        share = lines.found_px.sum() / jnp.maximum(lines.visible_px.sum(), 1.0)
+        lines = lines_at(pose, jnp.asarray(EXPLAINED_DISTANCE))
+        share = lines.explained_px.sum() / jnp.maximum(lines.visible_px.sum(), 1.0)
         return pose, share
 
     # One pose after the other: their arrays stay in the processor's cache.

@@ -40,6 +40,9 @@ FINAL_RADIUS = 4.0
 MAX_EDGE_SIGMA = 1.5
 """Largest standard deviation by which edges of pictures may differ from those of the model, px."""
 
+EDGE_SIGMAS = (0.0, *np.geomspace(0.01, MAX_EDGE_SIGMA, 16))
+"""Standard deviations of whole edges that are compared, px."""
+
 FIT_SAMPLES = 1024
 """Number of points along all edges in the final fit: enough to meet almost every edge point."""
 
@@ -166,13 +169,15 @@ def refine_pose(
         if matches is not None:
             given = match_equations(matches, model, views, pose, uncertainty)
             equations = joined([equations, given])
-        keep, edge_sigma = _gated(equations, errors, edge_rows)
-        step = solve_pose(_with_edge_sigma(equations, edge_sigma, edge_rows).of(keep), errors)
+        keep, edge_sigmas = _gated(equations, errors, edge_rows)
+        step = solve_pose(_with_edge_sigmas(equations, edge_sigmas, edge_rows).of(keep), errors)
         pose = pose @ host_exponentials(step.tangent)
         if _has_converged(step) or not remaining:
             used = np.zeros(lines.measured.shape, dtype=bool)
             used[lines.measured] = keep[:edge_rows:2]
-            return RefinedPose(pose, *step[1:4], edge_sigma, *step[4:], lines, used)
+            parts = step.pictures, step.calibration, step.model
+            fit = step.chi_square, step.degrees_of_freedom
+            return RefinedPose(pose, *parts, edge_sigmas[0], *fit, lines, used)
     raise AssertionError("the last step returns")
 
 
@@ -263,55 +268,77 @@ def _places_on_edges(
     return ((samples - starts) * along).sum(axis=1) / (along**2).sum(axis=1)
 
 
-def _with_edge_sigma(equations: PoseEquations, sigma: float, edge_rows: int) -> PoseEquations:
-    """Return equations whose first rows, those of edges, have an additional independent error."""
+def _with_edge_sigmas(
+    equations: PoseEquations, sigmas: tuple[float, float], edge_rows: int
+) -> PoseEquations:
+    """Return equations whose first rows, those of edges, have additional independent errors.
+
+    The two standard deviations, px, are those of an edge's distance and of its tilt.
+    """
     extra = np.zeros(len(equations.residuals))
-    extra[:edge_rows] = sigma**2
+    extra[0:edge_rows:2], extra[1:edge_rows:2] = sigmas[0] ** 2, sigmas[1] ** 2
     return equations._replace(noise=equations.noise + np.diag(extra))
 
 
 def _gated(
     equations: PoseEquations, errors: CommonErrors, edge_rows: int
-) -> tuple[Bool[np.ndarray, "n"], float]:
-    """Return which equations are consistent with one pose, and the edges' own sigma, px.
+) -> tuple[Bool[np.ndarray, "n"], tuple[float, float]]:
+    """Return which equations are consistent with one pose, and the edges' own sigmas, px.
 
     Raises:
         ValueError: the equations leave the pose undetermined.
     """
-    # A robust start: the median of residuals is not moved by a few wrong edges.
-    median = float(np.median(np.abs(equations.residuals[:edge_rows]), axis=0)) if edge_rows else 0.0
-    sigma = min(1.48 * median, MAX_EDGE_SIGMA)
-    weighted = _with_edge_sigma(equations, sigma, edge_rows)
+    # A robust start: the median of the edges' numbers is not moved by a few wrong ones.
+    sigmas = (0.0, 0.0)
+    if edge_rows:
+        distance, tilt = np.median(np.abs(equations.residuals[:edge_rows].reshape(-1, 2)), axis=0)
+        sigmas = (min(1.48 * distance, MAX_EDGE_SIGMA), min(1.48 * tilt, MAX_EDGE_SIGMA))
+    weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
     step = solve_pose(_weighted(weighted, errors, 2.0), errors)
     keep = consistent_blocks(weighted, errors, step)
     for _ in range(2):
-        sigma = _likeliest_edge_sigma(equations, errors, edge_rows, keep)
-        weighted = _with_edge_sigma(equations, sigma, edge_rows)
+        sigmas = _likeliest_edge_sigmas(equations, errors, edge_rows, keep, sigmas)
+        weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
         step = solve_pose(weighted.of(keep), errors)
         keep = consistent_blocks(weighted, errors, step)
-    return keep, sigma
+    return keep, sigmas
 
 
-def _likeliest_edge_sigma(
-    equations: PoseEquations, errors: CommonErrors, edge_rows: int, keep: Bool[np.ndarray, "n"]
-) -> float:
-    """Return the standard deviation of whole edges of the largest restricted likelihood, px."""
-    # l = log|W^-1| + log|J^T W J| + r^T W r - (r^T W J) (J^T W J)^-1 (J^T W r)
-    best = (np.inf, 0.0)
-    for sigma in (0.0, *np.geomspace(0.01, MAX_EDGE_SIGMA, 16)):
-        own = _with_edge_sigma(equations, sigma, edge_rows).of(keep)
-        total = own.noise + sum(errors.covariances(own))
-        factor = cho_factor(total)
-        WJ, Wr = cho_solve(factor, own.by_pose), cho_solve(factor, own.residuals)
-        information = own.by_pose.T @ WJ
-        gradient = own.by_pose.T @ Wr
-        sign, determinant = np.linalg.slogdet(information)
-        if sign <= 0.0:
-            continue
-        value = 2.0 * np.log(np.diagonal(factor[0])).sum() + determinant
-        value += own.residuals @ Wr - gradient @ np.linalg.solve(information, gradient)
-        best = min(best, (float(value), float(sigma)))
-    return best[1]
+def _likeliest_edge_sigmas(
+    equations: PoseEquations,
+    errors: CommonErrors,
+    edge_rows: int,
+    keep: Bool[np.ndarray, "n"],
+    start: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the standard deviations of whole edges of the largest restricted likelihood, px."""
+    sigmas = list(start)
+    own = equations.of(keep)
+    rows = int(keep[:edge_rows].sum())
+    common = sum(errors.covariances(own))
+    for which in (0, 1, 0):
+        best = (np.inf, sigmas[which])
+        for sigma in EDGE_SIGMAS:
+            sigmas[which] = float(sigma)
+            noise = _with_edge_sigmas(own, (sigmas[0], sigmas[1]), rows).noise
+            best = min(best, (_restricted_deviance(own, noise + common), float(sigma)))
+        sigmas[which] = best[1]
+    return sigmas[0], sigmas[1]
+
+
+def _restricted_deviance(equations: PoseEquations, total: Float[np.ndarray, "n n"]) -> float:
+    """Return minus twice the restricted log-likelihood of a covariance, up to a constant."""
+    # l = log|C| + log|J^T W J| + r^T W r - (r^T W J) (J^T W J)^-1 (J^T W r),  W = C^-1
+    factor = cho_factor(total)
+    WJ, Wr = cho_solve(factor, equations.by_pose), cho_solve(factor, equations.residuals)
+    information, gradient = equations.by_pose.T @ WJ, equations.by_pose.T @ Wr
+    sign, determinant = np.linalg.slogdet(information)
+    if sign <= 0.0:
+        return np.inf
+    value = 2.0 * np.log(np.diagonal(factor[0])).sum() + determinant
+    return float(
+        value + equations.residuals @ Wr - gradient @ np.linalg.solve(information, gradient)
+    )
 
 
 def edge_points_used(refined: RefinedPose, view: int) -> np.ndarray:

@@ -24,13 +24,10 @@ from scipy.special import betainc
 from ..array_namespace import to_device
 from ..geometry import host_exponentials
 from ..modeling import ObjectModel, SeenViews
-from .edge_lines import EdgeLines, converged_poses
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, converged_poses
 from .edge_lookup import EdgeLookup, padded_poses
 from .refinement import measured_lines
 from .wireframe import Wireframe
-
-EXPLAINED_DISTANCE = 2.0
-"""Largest distance, px, of an edge point from the predicted edge that it explains."""
 
 ACCEPTED_SHARE, REJECTED_SHARE = 0.75, 0.5
 """Explained shares from which a pose may be accepted, and below which it is rejected."""
@@ -201,9 +198,7 @@ def evidence_of(
         chance: share of visible length that clutter explains.
     """
     lines = measured_lines(wireframe, views, lookup, pose, EXPLAINED_DISTANCE)
-    found = np.isfinite(lines.distances)
-    visible = lines.sample_px.sum(axis=1)
-    explained = np.where(found, lines.sample_px, 0.0).sum(axis=1)
+    visible, explained = lines.visible_px.sum(axis=1), lines.explained_px.sum(axis=1)
     in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
     numbers = lines.offsets[lines.measured]
     total, share = float(visible.sum()), float(explained.sum() / max(visible.sum(), 1.0))

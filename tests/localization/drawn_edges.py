@@ -38,7 +38,7 @@ def poses_towards(point, directions, distance=0.4):
     return np.linalg.inv(host_matrices(looking))
 
 
-TWO_DIRECTIONS = np.array([[0.25, 0.45, -1.0], [-0.45, 0.3, -0.9]])
+TWO_DIRECTIONS = np.array([[0.5, 0.6, -0.8], [-0.35, 0.75, -0.8]])
 
 
 def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidden=()):

@@ -31,7 +31,7 @@ from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
 
 MODEL = box()
-POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.3, 0.2, 0.5]))
+POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
 SIGMA = 0.3
 
 
