@@ -32,7 +32,7 @@ FLOORS = """
 
 NO_OPENCV = """
     compilation geometry cameras targets robots robot_errors calibration dataset staged engine
-    variance joint arm_identification viewpoints modeling
+    variance joint arm_identification viewpoints modeling localization
 """.split()
 
 NO_FACE = {"schemas"}

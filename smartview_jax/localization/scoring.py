@@ -1,0 +1,229 @@
+"""Score thousands of poses by how much of the visible wireframe lies on edges of the pictures.
+
+Every sample of the wireframe is projected into all views and looked up in the distance map of its
+own direction. Chunks of poses run through one compiled program, in single precision, which is far
+finer than the maps; memory does not grow with the number of poses.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from ..array_namespace import to_device
+from ..compilation import compiled_optimised
+from ..features import DISTANCE_STEP, FAR, ORIENTATIONS, UNSEEN, PictureEvidence
+from ..modeling import SeenViews
+from .prediction import hidden_samples
+from .wireframe import Wireframe
+
+POSES_PER_CALL = 1024
+"""Number of poses that one call of the compiled program takes."""
+
+POSES_PER_CHUNK = 32
+"""Number of poses that are computed at once: their samples fit in the processor's cache."""
+
+MIN_POINTS = 4096
+"""The number of points of the maps is rounded up to it times a power of two."""
+
+
+class SceneMaps(eqx.Module):
+    """The edge maps of all views on the device; see `features.EdgeMaps`.
+
+    Attributes:
+        distances: in units of `DISTANCE_STEP` cells.
+        nearest: index of the nearest point.
+        points: in ideal coordinates, those of all views padded to one number, px.
+        normals: unit normals of the points.
+        camera_from_world: extrinsics of the views.
+        origin: centre of the first cell, px.
+        cell_size, focal_length: px.
+    """
+
+    distances: UInt8[Array, "views orientations rows columns"]
+    nearest: Int[Array, "views orientations rows columns"]
+    points: Float[Array, "views points 2"]
+    normals: Float[Array, "views points 2"]
+    camera_from_world: Float[Array, "views 4 4"]
+    origin: Float[Array, "2"]
+    cell_size: Float[Array, ""]
+    focal_length: Float[Array, ""]
+
+    @classmethod
+    def of(cls, evidence: Sequence[PictureEvidence], views: SeenViews) -> "SceneMaps":
+        """Return the maps of some views.
+
+        Raises:
+            ValueError: no views, or another number of poses than of pictures.
+        """
+        if not len(evidence) or len(evidence) != len(views.camera_from_world):
+            raise ValueError(
+                f"evidence: expected that of {len(views.camera_from_world)} views, at least one, "
+                f"found {len(evidence)}"
+            )
+        maps = [one.maps for one in evidence]
+        size = MIN_POINTS
+        while size < max(len(one.points) for one in maps):
+            size *= 2
+
+        def padded(parts: list[np.ndarray]) -> np.ndarray:
+            return np.stack([np.pad(part, ((0, size - len(part)), (0, 0))) for part in parts])
+
+        return cls(
+            to_device(np.stack([one.distances for one in maps])),
+            to_device(np.stack([one.nearest for one in maps])),
+            *(
+                to_device(np.asarray(array, np.float32))
+                for array in (
+                    padded([one.points for one in maps]),
+                    padded([one.normals for one in maps]),
+                    views.camera_from_world,
+                    maps[0].origin,
+                    maps[0].cell_size,
+                    maps[0].focal_length,
+                )
+            ),
+        )
+
+
+class PoseScores(NamedTuple):
+    """How well poses agree with the pictures, in each view.
+
+    Attributes:
+        visible_px: length of the wireframe that should be seen, px.
+        explained_px: length of that which lies on edges, px.
+        support_px: the same with each part weighted by `1 - (distance / gate)^2`.
+    """
+
+    visible_px: Float[np.ndarray, "poses views"]
+    explained_px: Float[np.ndarray, "poses views"]
+    support_px: Float[np.ndarray, "poses views"]
+
+
+def score_poses(
+    maps: SceneMaps,
+    wireframe: Wireframe,
+    world_from_object: Float[np.ndarray, "poses 4 4"],
+    gate: float,
+) -> PoseScores:
+    """Return how well each pose of a model agrees with the pictures.
+
+    Args:
+        maps: of the pictures.
+        wireframe: of the model.
+        world_from_object: the poses.
+        gate: distance from an edge at which a part of the wireframe is no longer explained, px.
+    """
+    count = len(world_from_object)
+    single = in_single_precision(wireframe)
+    parts = []
+    for start in range(0, count, POSES_PER_CALL):
+        part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
+        chunk = world_from_object[start : start + POSES_PER_CALL]
+        part[: len(chunk)] = chunk
+        scores = _score_poses(maps, single, to_device(part), to_device(np.float32(gate)))
+        parts.append([np.asarray(x)[: len(chunk)].astype(float) for x in scores])
+    views = len(maps.camera_from_world)
+    if not parts:
+        return PoseScores(*(np.zeros((0, views)) for _ in range(3)))
+    return PoseScores(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def in_single_precision(tree: Any) -> Any:
+    """Return a pytree with its arrays of double precision as those of single precision."""
+    return jax.tree.map(
+        lambda x: to_device(np.asarray(x, np.float32)) if x.dtype == np.float64 else x, tree
+    )
+
+
+@compiled_optimised
+def _score_poses(
+    maps: SceneMaps,
+    wireframe: Wireframe,
+    world_from_object: Float[Array, "poses 4 4"],
+    gate: Float[Array, ""],
+) -> tuple[Float[Array, "poses views"], ...]:
+    """Return the three lengths of `PoseScores`."""
+
+    def score(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "views"], ...]:
+        views = range(len(maps.camera_from_world))
+        lengths = [_score(maps, v, wireframe, pose, gate) for v in views]
+        return tuple(map(jnp.stack, zip(*lengths, strict=True)))
+
+    chunks = world_from_object.reshape(-1, POSES_PER_CHUNK, 4, 4)
+    lengths = jax.lax.map(jax.vmap(score), chunks)
+    return tuple(x.reshape(-1, x.shape[-1]) for x in lengths)
+
+
+def _score(
+    maps: SceneMaps,
+    view: int,
+    wireframe: Wireframe,
+    world_from_object: Float[Array, "4 4"],
+    gate: Float[Array, ""],
+) -> tuple[Float[Array, ""], ...]:
+    """Return the three lengths of one pose in one view."""
+    samples = seen_samples(maps, view, wireframe, world_from_object)
+    distance = maps.distances[view, samples.map, samples.row, samples.column]
+    far = (distance == FAR) | (distance == UNSEEN)
+    px = jnp.where(samples.visible & (distance != UNSEEN), samples.px, 0.0)
+    squared = (distance.astype(px.dtype) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
+    weight = jnp.where(far, 0.0, jnp.maximum(1.0 - squared, 0.0))
+    return px.sum(), jnp.where(weight > 0.0, px, 0.0).sum(), (px * weight).sum()
+
+
+class SeenSamples(NamedTuple):
+    """The samples of a wireframe in one view.
+
+    Attributes:
+        in_camera: in the camera's frame, m.
+        ideal: in ideal coordinates, px.
+        px: lengths of the parts that they stand for, px.
+        visible: whether they are in front of the camera, within the map and not hidden.
+        map: number of the distance map of their direction.
+        row, column: of their cells.
+    """
+
+    in_camera: Float[Array, "S 3"]
+    ideal: Float[Array, "S 2"]
+    px: Float[Array, "S"]
+    visible: Bool[Array, "S"]
+    map: Int[Array, "S"]
+    row: Int[Array, "S"]
+    column: Int[Array, "S"]
+
+
+def seen_samples(
+    maps: SceneMaps, view: int, wireframe: Wireframe, world_from_object: Float[Array, "4 4"]
+) -> SeenSamples:
+    """Return the samples of a wireframe in one view, with their places in the maps."""
+    pose = maps.camera_from_world[view] @ world_from_object
+    R, t = pose[:3, :3], pose[:3, 3]
+    points, tangents = wireframe.samples @ R.T + t[None], wireframe.sample_tangents @ R.T
+    x, y, z = points.T
+    in_front = z > 1e-3 * jnp.abs(t[2])
+    z = jnp.where(in_front, z, 1.0)
+    f = maps.focal_length
+    ideal = f * jnp.stack([x / z, y / z], axis=1)
+    # d(x / z) = (dx - x / z dz) / z
+    slope = f * (tangents[:, :2] - ideal / f * tangents[:, 2:]) / z[:, None]
+    scale = jnp.sqrt((slope**2).sum(axis=1))
+    turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
+    cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
+    rows, columns = maps.distances.shape[-2:]
+    within = (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    visible = in_front & within & ~hidden_samples(wireframe, -R.T @ t)
+    cell = jnp.where(visible[:, None], cell, 0.0).astype(jnp.int32)
+    return SeenSamples(
+        points,
+        ideal,
+        scale * wireframe.sample_lengths,
+        visible & (wireframe.sample_lengths > 0.0),
+        jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS,
+        cell[:, 1],
+        cell[:, 0],
+    )
