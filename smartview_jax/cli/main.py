@@ -6,6 +6,7 @@ import typer
 
 from .calibrate import calibrate
 from .compare import compare
+from .demo import demo
 from .export import export
 from .model import model
 from .schema import schema
@@ -39,5 +40,5 @@ def main(
     """
 
 
-for _subcommand in (calibrate, compare, export, model, schema, viewpoint):
+for _subcommand in (calibrate, compare, demo, export, model, schema, viewpoint):
     app.command()(_subcommand)

@@ -13,7 +13,7 @@ from .candidates import Candidate, candidate_grasps
 from .collisions import CollisionChecker, swept_gripper
 from .localized import LocalizedObject, checked_object
 from .motions import Motions, plan_motions
-from .planned import PHASES, GraspPlan, PlannedGrasp
+from .planned import PHASES, GraspPlan, NoSafeGraspError, PlannedGrasp
 from .scene import GraspScene, Obstacle
 from .success import grasp_conditions, success_probability
 from .uncertainty import GripperErrors, error_covariance, gripper_errors
@@ -73,8 +73,12 @@ def grasps_for(
     Raises:
         ImportError: trimesh or python-fcl is not installed (smartview-jax[cell]).
         ValueError: a pose or covariance that cannot be right, or a model without grasps and faces.
+        NoSafeGraspError: the verdict of the localisation is not "accepted".
     """
     motion = motion or Motion()
+    # A pose that is only the best guess is never acted upon.
+    if not getattr(localization, "accepted", True):
+        raise NoSafeGraspError(f"no safe grasp: {getattr(localization, 'message', 'not accepted')}")
     pose, _ = checked_object(localization)
     middle = localization.model.vertices.mean(axis=0)
     candidates = candidate_grasps(localization.model, gripper)

@@ -29,7 +29,10 @@ class Obstacle(NamedTuple):
 
     @classmethod
     def box(
-        cls, name: str, size: Sequence[float], world_from_box: Float[np.ndarray, "4 4"]
+        cls,
+        name: str,
+        size: Sequence[float] | Float[np.ndarray, "3"],
+        world_from_box: Float[np.ndarray, "4 4"],
     ) -> "Obstacle":
         """Return a box about the origin of its own frame; size along x, y and z, m."""
         vertices = BOX_CORNERS * np.asarray(size, dtype=float)

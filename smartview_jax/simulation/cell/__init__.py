@@ -12,4 +12,5 @@ from .simulated_cell import Judgement as Judgement
 from .simulated_cell import SimulatedCell as SimulatedCell
 from .truth import BOARD as BOARD
 from .truth import CellTruth as CellTruth
+from .truth import drawn_calibration as drawn_calibration
 from .truth import random_truth as random_truth

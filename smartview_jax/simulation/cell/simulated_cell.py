@@ -314,6 +314,10 @@ class SimulatedCell:
         )
         return Judgement(held, poses, self._physics.world_from_gripper, self._physics.opening)
 
+    def judge_tool(self) -> Float[np.ndarray, "4 4"]:
+        """Return the true `base_from_tool`, m; what drives the cell must not look at it."""
+        return self._base_from_tool.copy()
+
     @property
     def truth(self) -> CellTruth:
         """The true kinematics, hand-eye transform and lens, for the judge."""

@@ -8,11 +8,10 @@ distortion of the sixth degree that the usual four coefficients do not include.
 import dataclasses
 
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Float
 
 from ...calibration import Calibration
-from ...cameras import Camera, OpenCV5
+from ...cameras import Camera, OpenCV5, Pinhole
 from ...geometry import host_exponentials, host_matrices, host_transforms
 from ...robots import SerialArm, six_axes
 from ...targets import AbstractTarget, CircleGrid, StackedTarget
@@ -71,21 +70,31 @@ def random_truth(seed: int = 0, error_scale: float = 1.0) -> CellTruth:
         seed: of the errors of arm and mounts.
         error_scale: errors of the arm, as multiples of those in the module's docstring.
     """
-    rng, arm = np.random.default_rng((seed, 9)), six_axes()
+    rng, arm, drawn = np.random.default_rng((seed, 9)), six_axes(), drawn_calibration()
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
     camera = Camera(FOCAL_LENGTH, 0.9995 * FOCAL_LENGTH, 645.0, 392.0, lens, image_size=IMAGE_SIZE)
-    # The camera looks along the fingers, 90 mm beside them.
-    camera_from_tool, base_from_world = np.eye(4), np.eye(4)
-    camera_from_tool[:3, 3] = [0.0, -0.09, -0.02]
-    base_from_world[:3, 3] = [0.8, 0.06, 0.02]
     mounts = host_exponentials(MOUNT_SPREAD * rng.standard_normal((2, 6)))
     calibration = Calibration.eye_in_hand(
-        camera, _transform(mounts[0] @ camera_from_tool), _transform(base_from_world @ mounts[1])
+        camera,
+        host_transforms(mounts[0] @ host_matrices(drawn.camera_from_tool)),
+        host_transforms(host_matrices(drawn.base_from_world) @ mounts[1]),
     )
     error = random_kinematic_errors(arm, rng, error_scale)
     return CellTruth(dataclasses.replace(calibration, robot_error=error), arm)
 
 
-def _transform(matrix: Float[np.ndarray, "4 4"]) -> SE3:
-    """Return a 4x4 matrix as a transform."""
-    return host_transforms(matrix)
+def drawn_calibration() -> Calibration:
+    """Return the cell as it was drawn, from which the first views of the board are planned.
+
+    The camera looks along the fingers, 90 mm beside them, through a lens without distortion.
+    """
+    width, height = IMAGE_SIZE
+    camera = Camera(
+        FOCAL_LENGTH, FOCAL_LENGTH, 0.5 * width, 0.5 * height, Pinhole(), image_size=IMAGE_SIZE
+    )
+    camera_from_tool, base_from_world = np.eye(4), np.eye(4)
+    camera_from_tool[:3, 3] = [0.0, -0.09, -0.02]
+    base_from_world[:3, 3] = [0.8, 0.06, 0.02]
+    return Calibration.eye_in_hand(
+        camera, host_transforms(camera_from_tool), host_transforms(base_from_world)
+    )
