@@ -1,14 +1,27 @@
 """Find known objects in calibrated pictures: hypotheses, verification and the next view."""
 
+from .distinct_poses import distinct_poses as distinct_poses
+from .distinct_poses import pose_distances as pose_distances
 from .edge_lines import EdgeLines as EdgeLines
 from .edge_lines import converged_poses as converged_poses
 from .edge_lookup import EdgeLookup as EdgeLookup
+from .hypotheses import Hypothesis as Hypothesis
+from .hypotheses import find_hypotheses as find_hypotheses
+from .localization import EdgeMatch as EdgeMatch
+from .localization import Localization as Localization
+from .localization import Localizations as Localizations
+from .localization import Rival as Rival
+from .localize import localize as localize
 from .match_equations import Matches as Matches
 from .match_equations import match_equations as match_equations
 from .matching import MatchedPose as MatchedPose
 from .matching import PoseState as PoseState
 from .matching import kalman_update as kalman_update
 from .matching import match_features as match_features
+from .next_view import NextView as NextView
+from .next_view import Reachable as Reachable
+from .next_view import next_view as next_view
+from .polishing import polished_poses as polished_poses
 from .prediction import PredictedView as PredictedView
 from .prediction import hidden_samples as hidden_samples
 from .prediction import hidden_vertices as hidden_vertices
@@ -19,5 +32,14 @@ from .refinement import FIT_SAMPLES as FIT_SAMPLES
 from .refinement import RefinedPose as RefinedPose
 from .refinement import pose_from_matches as pose_from_matches
 from .refinement import refine_pose as refine_pose
+from .scoring import PoseScores as PoseScores
+from .scoring import SceneMaps as SceneMaps
+from .scoring import score_poses as score_poses
+from .verdict import Chance as Chance
+from .verdict import Evidence as Evidence
+from .verdict import Verdict as Verdict
+from .verdict import chance_of as chance_of
+from .verdict import evidence_of as evidence_of
+from .verdict import judge as judge
 from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES
 from .wireframe import Wireframe as Wireframe

@@ -31,6 +31,10 @@ MIN_POINTS = 4096
 """The number of points of the maps is rounded up to it times a power of two."""
 
 
+CHANCE_SUPPORT = 0.3
+"""Support of a wireframe's length at a wrong pose among many edges, about: what is to be beaten."""
+
+
 class SceneMaps(eqx.Module):
     """The edge maps of all views on the device; see `features.EdgeMaps`.
 
@@ -91,17 +95,30 @@ class SceneMaps(eqx.Module):
 
 
 class PoseScores(NamedTuple):
-    """How well poses agree with the pictures, in each view.
+    """The lengths of wireframes at poses that agree with the pictures, all views together.
+
+    What lies outside a picture counts as visible there and not explained, unless all of the object
+    does.
 
     Attributes:
-        visible_px: length of the wireframe that should be seen, px.
-        explained_px: length of that which lies on edges, px.
+        visible_px: length of the wireframe that its own faces do not hide, px.
+        explained_px: length of that which lies on edges of its direction, px.
         support_px: the same with each part weighted by `1 - (distance / gate)^2`.
     """
 
-    visible_px: Float[np.ndarray, "poses views"]
-    explained_px: Float[np.ndarray, "poses views"]
-    support_px: Float[np.ndarray, "poses views"]
+    visible_px: Float[np.ndarray, "poses"]
+    explained_px: Float[np.ndarray, "poses"]
+    support_px: Float[np.ndarray, "poses"]
+
+    @property
+    def surplus_px(self) -> Float[np.ndarray, "poses"]:
+        """The supported length beyond what other edges support by chance, px."""
+        return self.support_px - CHANCE_SUPPORT * self.visible_px
+
+    @property
+    def explained(self) -> Float[np.ndarray, "poses"]:
+        """The explained share of the visible length; zero where nothing is visible."""
+        return self.explained_px / np.maximum(self.visible_px, 1e-9)
 
 
 def score_poses(
@@ -125,11 +142,10 @@ def score_poses(
         part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
         chunk = world_from_object[start : start + POSES_PER_CALL]
         part[: len(chunk)] = chunk
-        scores = _score_poses(maps, single, to_device(part), to_device(np.float32(gate)))
+        scores = _score_poses(maps, single, to_device(part), to_device(np.array(gate, np.float32)))
         parts.append([np.asarray(x)[: len(chunk)].astype(float) for x in scores])
-    views = len(maps.camera_from_world)
     if not parts:
-        return PoseScores(*(np.zeros((0, views)) for _ in range(3)))
+        return PoseScores(*(np.zeros(0) for _ in range(3)))
     return PoseScores(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -146,17 +162,15 @@ def _score_poses(
     wireframe: Wireframe,
     world_from_object: Float[Array, "poses 4 4"],
     gate: Float[Array, ""],
-) -> tuple[Float[Array, "poses views"], ...]:
+) -> Float[Array, "3 poses"]:
     """Return the three lengths of `PoseScores`."""
 
-    def score(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "views"], ...]:
+    def score(pose: Float[Array, "4 4"]) -> Float[Array, "3"]:
         views = range(len(maps.camera_from_world))
-        lengths = [_score(maps, v, wireframe, pose, gate) for v in views]
-        return tuple(map(jnp.stack, zip(*lengths, strict=True)))
+        return jnp.stack([_score(maps, view, wireframe, pose, gate) for view in views]).sum(axis=0)
 
     chunks = world_from_object.reshape(-1, POSES_PER_CHUNK, 4, 4)
-    lengths = jax.lax.map(jax.vmap(score), chunks)
-    return tuple(x.reshape(-1, x.shape[-1]) for x in lengths)
+    return jax.lax.map(jax.vmap(score), chunks).reshape(-1, 3).T
 
 
 def _score(
@@ -165,15 +179,16 @@ def _score(
     wireframe: Wireframe,
     world_from_object: Float[Array, "4 4"],
     gate: Float[Array, ""],
-) -> tuple[Float[Array, ""], ...]:
+) -> Float[Array, "3"]:
     """Return the three lengths of one pose in one view."""
     samples = seen_samples(maps, view, wireframe, world_from_object)
     distance = maps.distances[view, samples.map, samples.row, samples.column]
-    far = (distance == FAR) | (distance == UNSEEN)
-    px = jnp.where(samples.visible & (distance != UNSEEN), samples.px, 0.0)
-    squared = (distance.astype(px.dtype) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
-    weight = jnp.where(far, 0.0, jnp.maximum(1.0 - squared, 0.0))
-    return px.sum(), jnp.where(weight > 0.0, px, 0.0).sum(), (px * weight).sum()
+    inside = samples.inside & (distance != UNSEEN)
+    squared = (distance.astype(jnp.float32) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
+    weight = jnp.where(inside & (distance < FAR), jnp.maximum(1.0 - squared, 0.0), 0.0)
+    px = jnp.where(samples.visible & (samples.visible & inside).any(), samples.px, 0.0)
+    lengths = [px.sum(), jnp.where(weight > 0.0, px, 0.0).sum(), (px * weight).sum()]
+    return jnp.stack(lengths)
 
 
 class SeenSamples(NamedTuple):
@@ -183,7 +198,8 @@ class SeenSamples(NamedTuple):
         in_camera: in the camera's frame, m.
         ideal: in ideal coordinates, px.
         px: lengths of the parts that they stand for, px.
-        visible: whether they are in front of the camera, within the map and not hidden.
+        visible: whether they are in front of the camera and not hidden.
+        inside: whether they are within the maps.
         map: number of the distance map of their direction.
         row, column: of their cells.
     """
@@ -192,6 +208,7 @@ class SeenSamples(NamedTuple):
     ideal: Float[Array, "S 2"]
     px: Float[Array, "S"]
     visible: Bool[Array, "S"]
+    inside: Bool[Array, "S"]
     map: Int[Array, "S"]
     row: Int[Array, "S"]
     column: Int[Array, "S"]
@@ -215,15 +232,16 @@ def seen_samples(
     turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
     cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
     rows, columns = maps.distances.shape[-2:]
-    within = (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-    visible = in_front & within & ~hidden_samples(wireframe, -R.T @ t)
-    cell = jnp.where(visible[:, None], cell, 0.0).astype(jnp.int32)
+    inside = (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    visible = in_front & ~hidden_samples(wireframe, -R.T @ t)
+    place = jnp.where((inside & in_front)[:, None], cell, 0.0).astype(jnp.int32)
     return SeenSamples(
         points,
         ideal,
         scale * wireframe.sample_lengths,
-        visible & (wireframe.sample_lengths > 0.0),
+        visible,
+        inside & in_front,
         jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS,
-        cell[:, 1],
-        cell[:, 0],
+        place[:, 1],
+        place[:, 0],
     )
