@@ -172,9 +172,10 @@ def _nearest_points(
     is_free = np.ones(shape, np.uint8)
     column, row = cells.T
     own[row, column], is_free[row, column] = index, 0
-    gap, labels = cv2.distanceTransformWithLabels(
+    gap, found = cv2.distanceTransformWithLabels(
         is_free, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
+    labels = np.asarray(found, dtype=int)
     # Each occupied cell has a label of its own, which the cells nearest to it share.
     point_of = np.zeros(int(labels.max()) + 1, np.int32)
     occupied = is_free == 0

@@ -7,8 +7,10 @@ from .edge_lines import converged_poses as converged_poses
 from .edge_lookup import EdgeLookup as EdgeLookup
 from .hypotheses import Hypothesis as Hypothesis
 from .hypotheses import find_hypotheses as find_hypotheses
+from .localization import EdgeMatch as EdgeMatch
 from .localization import Localization as Localization
 from .localization import Localizations as Localizations
+from .localization import Rival as Rival
 from .localize import localize as localize
 from .match_equations import Matches as Matches
 from .match_equations import match_equations as match_equations
@@ -33,6 +35,11 @@ from .refinement import refine_pose as refine_pose
 from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps
 from .scoring import score_poses as score_poses
+from .verdict import Chance as Chance
+from .verdict import Evidence as Evidence
 from .verdict import Verdict as Verdict
+from .verdict import chance_of as chance_of
+from .verdict import evidence_of as evidence_of
+from .verdict import judge as judge
 from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES
 from .wireframe import Wireframe as Wireframe

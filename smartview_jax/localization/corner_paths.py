@@ -7,7 +7,7 @@ Every path of the picture is tried with every path of the model.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..features import Features, IdealPlane
 from ..modeling import ObjectModel
@@ -146,5 +146,41 @@ def poses_from_paths(
     rays = np.repeat(paths.rays, len(chosen), axis=0)
     points = np.tile(model.vertices[chosen], (count, 1, 1))
     found, good = three_point_poses(rays, points)
+    good &= _path_faces_camera(model, np.tile(chosen, (count, 1)), found)
     world_from_camera = np.linalg.inv(camera_from_world)
     return world_from_camera @ found[good]
+
+
+def _path_faces_camera(
+    model: ObjectModel,
+    paths: Int[np.ndarray, "n 3"],
+    camera_from_object: Float[np.ndarray, "n 4 4 4"],
+) -> Bool[np.ndarray, "n 4"]:
+    """Return whether each edge of a path has a face on the camera's side; False for NaN."""
+    # c = -R^T t in the object's frame; a face of normal n through o looks at it if n . c > n . o.
+    R, t = camera_from_object[..., :3, :3], camera_from_object[..., :3, 3]
+    centres = -(np.swapaxes(R, -1, -2) @ t[..., None])[..., 0]
+    finite = np.isfinite(centres).all(axis=-1)
+    facing = np.stack([finite, finite], axis=-1)
+    if not model.faces:
+        return facing.all(axis=-1)
+    planes = [model.plane(k) for k in range(len(model.faces))]
+    normals = np.array([plane.normal for plane in planes])
+    offsets = np.array([plane.normal @ plane.origin for plane in planes])
+    with np.errstate(invalid="ignore"):
+        seen = centres @ normals.T > offsets
+    owners = _faces_of_edges(model)
+    for side in (0, 1):
+        faces = owners[paths[:, side], paths[:, side + 1]]
+        facing[..., side] &= (seen & faces[:, None]).any(axis=-1) | ~faces.any(axis=-1)[:, None]
+    return facing.all(axis=-1)
+
+
+def _faces_of_edges(model: ObjectModel) -> Bool[np.ndarray, "V V F"]:
+    """Return whether the edge between two vertices is a side of a face."""
+    count = len(model.vertices)
+    owners = np.zeros((count, count, len(model.faces)), dtype=bool)
+    for k, face in enumerate(model.faces):
+        for a, b in face.directed_edges:
+            owners[a, b, k] = owners[b, a, k] = True
+    return owners

@@ -18,6 +18,7 @@ from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
+from .distinct_poses import pose_distances
 from .edge_lines import converged_poses
 from .edge_lookup import EdgeLookup, padded_poses
 from .hypotheses import Hypothesis, find_hypotheses
@@ -32,8 +33,8 @@ MAX_HYPOTHESES = 24
 MAX_JUDGED = 12
 """Largest number of poses that are judged, all models together."""
 
-SAME_POSE = 0.06
-"""Largest distance between the vertices of poses that count as one, over the model's extent."""
+SAME_POSE = 0.04
+"""Largest RMS distance between the vertices of poses that count as one, over the model's extent."""
 
 SAME_PLACE = 0.7
 """Distance between the middles of two objects, over the smaller extent, that cannot both be there.
@@ -65,6 +66,11 @@ class _Prepared(NamedTuple):
     def extent(self) -> float:
         """The largest size of the model along an axis, m."""
         return float(np.ptp(self.model.vertices, axis=0).max())
+
+    @property
+    def same(self) -> float:
+        """The distance between the vertices of poses that count as one, m."""
+        return SAME_POSE * self.extent
 
 
 class _Scene:
@@ -223,7 +229,7 @@ def _converged(
         order = np.argsort(-np.asarray(shares)[: len(starts)])
         kept: list[np.ndarray] = []
         for pose in np.asarray(found)[order]:
-            if not any(_vertex_distance(one, pose, other) < SAME_POSE for other in kept):
+            if not kept or pose_distances(one.model, pose, np.stack(kept)).min() > one.same:
                 kept.append(pose)
                 candidates.append(_Candidate(index, pose, _evidence_at(scene, one, pose)))
     return sorted(candidates, key=lambda one: -one.evidence.log_likelihood)
@@ -239,20 +245,6 @@ def _evidence_at(
     """Return what the free edge points of the pictures say of a pose."""
     used = one.coarse if wireframe is None else wireframe
     return evidence_of(pose, used, scene.views, scene.lookup, scene.strengths, chance)
-
-
-def _vertex_distance(
-    one: _Prepared, first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"]
-) -> float:
-    """Return the largest distance between vertices at two poses, over the model's extent.
-
-    Of the poses that symmetry makes the same, the nearest counts.
-    """
-    symmetry, points = one.model.symmetry, one.model.vertices
-    turned = second[None] if symmetry is None else second @ symmetry.object_from_object
-    a = points @ first[:3, :3].T + first[:3, 3]
-    b = points @ turned[:, :3, :3].swapaxes(1, 2) + turned[:, None, :3, 3]
-    return float(np.linalg.norm(a - b, axis=-1).max(axis=1).min()) / one.extent
 
 
 def _middle(one: _Prepared, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
@@ -335,8 +327,9 @@ def _rivals(
         apart = np.linalg.norm(_middle(one, pose) - _middle(its, other.pose))
         if apart > SAME_PLACE * min(one.extent, its.extent):
             continue
-        if other.model == best.model and _vertex_distance(one, pose, other.pose) < SAME_POSE:
-            continue
+        if other.model == best.model:
+            if pose_distances(one.model, pose, other.pose[None])[0] < one.same:
+                continue
         evidence = _evidence_at(scene, its, other.pose, chance.mean, its.fine)
         rivals.append(Rival(other.model, other.pose, evidence.log_likelihood))
     return sorted(rivals, key=lambda rival: -rival.log_likelihood)

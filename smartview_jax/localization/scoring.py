@@ -95,7 +95,7 @@ class SceneMaps(eqx.Module):
 
 
 class PoseScores(NamedTuple):
-    """How well poses agree with the pictures, all views together.
+    """The lengths of wireframes at poses that agree with the pictures, all views together.
 
     What lies outside a picture counts as visible there and not explained, unless all of the object
     does.
@@ -142,7 +142,7 @@ def score_poses(
         part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
         chunk = world_from_object[start : start + POSES_PER_CALL]
         part[: len(chunk)] = chunk
-        scores = _score_poses(maps, single, to_device(part), to_device(np.float32(gate)))
+        scores = _score_poses(maps, single, to_device(part), to_device(np.array(gate, np.float32)))
         parts.append([np.asarray(x)[: len(chunk)].astype(float) for x in scores])
     if not parts:
         return PoseScores(*(np.zeros(0) for _ in range(3)))
