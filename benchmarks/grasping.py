@@ -243,7 +243,7 @@ def picking(rigs: list[dict[str, Rig]], drops: int, objects: int) -> bool:
         outcomes = []
         for r, rig in enumerate(rigs):
             cell = rig[kind].cell
-            region = Region(cell.centre, (0.24, 0.18, 0.12))
+            region = Region(cell.centre, (0.24, 0.18, 0.08))
             for d in track(range(drops), f"{kind}: picks", disable=drops < 5):
                 chosen = [names[(d + k) % len(names)] for k in range(objects)]
                 cell.set_gripper(cell.gripper.max_opening)

@@ -69,19 +69,19 @@ def model_by_clicks(
             for view, one in enumerate(names):
                 distance = np.linalg.norm(corners[one] - seen_pixels[view, vertex], axis=1)
                 if visible[view, vertex] and distance.min(initial=np.inf) < SNAP_DISTANCE:
-                    clicks.append((one, corners[one][int(np.argmin(distance))]))
+                    clicks.append((one, corners[one][int(np.argmin(distance))].tolist()))
             point = None
             # Two clicks make a point in space, further ones improve it.
             for one, pixel in clicks if len(clicks) > 1 else ():
                 point = session.click(one, pixel, point)
             if point is not None:
                 points[vertex] = point
-        for loop in faces:
-            if all(v in points for v in loop):
-                session.add_face([points[v] for v in loop])
+        complete = [loop for loop in faces if all(v in points for v in loop)]
+        if not complete:
+            raise ValueError(f"{name}: {len(points)} vertices were clicked, no face is complete")
+        for loop in complete:
+            session.add_face([points[v] for v in loop])
         session.change({"do": "rename", "name": name})
         saved = session.save()
     model = load_object_model(saved)
-    if not model.faces:
-        raise ValueError(f"{name}: {len(points)} vertices were clicked, but no face is complete")
     return dataclasses.replace(model, symmetry=find_symmetry(model))

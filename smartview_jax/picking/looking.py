@@ -3,16 +3,20 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
-from ..geometry import look_at, viewing_direction
+from ..features import PictureEvidence, picture_evidence
+from ..geometry import host_transforms, look_at, viewing_direction
+from ..grasping import LocalizedObject
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
-from ..robots import Command, SerialArm
+from ..robots import BOX_CORNERS, Command, SerialArm
 from ..simulation.cell import Cell, CellError
 from ..viewpoints import viewpoint_commands
 from .calibrating import stacked_commands
@@ -22,6 +26,10 @@ TILT, AZIMUTHS = float(np.deg2rad(22.0)), (0.6, 2.3)
 
 DISTANCE = 0.45
 """Distance of the camera from the middle of the region, m."""
+
+
+FADE = 60.0
+"""Width of the border over which a picture fades around the region, px."""
 
 
 class Region(NamedTuple):
@@ -35,12 +43,36 @@ class Region(NamedTuple):
     centre: Float[np.ndarray, "3"]
     size: tuple[float, float, float]
 
-    def contains(self, found: Localization) -> bool:
+    def contains(self, found: LocalizedObject) -> bool:
         """Return whether the middle of a found object is in the region."""
         pose = np.asarray(found.world_from_object)
         middle = pose[:3, :3] @ found.model.vertices.mean(axis=0) + pose[:3, 3] - self.centre
         half = 0.5 * np.array(self.size[:2])
         return bool((np.abs(middle[:2]) < half).all() and 0.0 < middle[2] < self.size[2])
+
+    @property
+    def corners(self) -> Float[np.ndarray, "8 3"]:
+        """The corners of the box, m."""
+        return self.centre + (BOX_CORNERS + np.array([0.0, 0.0, 0.5])) * np.array(self.size)
+
+    @staticmethod
+    def faded(
+        picture: UInt8[np.ndarray, "rows columns"], pixels: Float[np.ndarray, "corners 2"]
+    ) -> UInt8[np.ndarray, "rows columns"]:
+        """Return a picture that fades to its mean outside of the hull of some pixels.
+
+        What lies around a region would be taken for objects, and compete with them. A sharp border
+        would be an edge itself. A picture that does not show all corners is left as it is.
+        """
+        if not np.isfinite(pixels).all():
+            return picture
+        # Far corners may be far outside, where OpenCV's integers would overflow.
+        hull = cv2.convexHull(pixels.clip(-1e4, 1e4).astype(np.float32)).astype(np.int32)
+        outside = cv2.fillConvexPoly(np.ones_like(picture), hull, 0)
+        distance = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        weight = np.clip(1.0 - distance / FADE, 0.0, 1.0)
+        mean = float(picture.mean())
+        return np.rint(mean + weight * (picture - mean)).astype(np.uint8)
 
 
 class Look(NamedTuple):
@@ -103,8 +135,18 @@ def look_for(
         commands.append(cell.move(_command(cell, calibration, middle, direction, arm)))
         pictures.append(cell.picture())
     options = {"covariance": estimate, "noise": noise}
+
+    def evidence(taken: list[np.ndarray], where: Command) -> list[PictureEvidence]:
+        """Return what the pictures show of the region."""
+        corners = np.asarray(calibration.project(where, region.corners)[0])
+        return [
+            picture_evidence(region.faded(picture, pixels), calibration.camera)
+            for picture, pixels in zip(taken, corners, strict=True)
+        ]
+
     say("localising")
-    found = localize(pictures, stacked_commands(commands), calibration, models, **options)
+    first = stacked_commands(commands)
+    found = localize(evidence(pictures, first), first, calibration, models, **options)
     verification = None
     while len(pictures) < max_views:
         accepted = _inside(found.accepted, region)
@@ -125,7 +167,8 @@ def look_for(
         verification = view
         pictures.append(cell.picture())
         latest = stacked_commands(commands[-1:])
-        found = localize(pictures[-1:], latest, calibration, models, previous=found, **options)
+        newest = evidence(pictures[-1:], latest)
+        found = localize(newest, latest, calibration, models, previous=found, **options)
     inside = tuple(_inside(found.accepted, region))
     return Look(
         found, inside, tuple(pictures), stacked_commands(commands), verification, tuple(notes)
@@ -145,9 +188,6 @@ def _near(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
 
 def _view_command(view: NextView) -> Command:
     """Return the command of a chosen view."""
-    from ..array_namespace import to_device
-    from ..geometry import host_transforms
-
     joints = None if view.joints is None else to_device(np.asarray(view.joints))
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 
