@@ -61,6 +61,7 @@ def suggested_grasps(model: ObjectModel, gripper: Gripper) -> tuple[Grasp, ...]:
     Raises:
         ValueError: the model has no closed surface, from which widths could be taken.
     """
+    # Of an open surface it is not known what the fingers would meet.
     model.require_closed()
     planes = [model.plane(k) for k in range(len(model.faces))]
     found = []
@@ -103,6 +104,7 @@ def _grasps_between(
         float(np.ptp(heights)) - SPARE_DEPTH,
         gripper.finger_length - SPARE_DEPTH,
     )
+    # The direction of the fingers' width, in the plane of the face.
     across = np.cross(normal, direction)
     extent = float(np.ptp(model.vertices @ across))
     opening = min(gripper.max_opening, width + 2.0 * SUGGESTED_ROOM)
@@ -134,6 +136,7 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
     Raises:
         ValueError: the model has neither grasps nor a closed surface.
     """
+    # What a person placed is preferred to what is only possible.
     grasps = model.grasps or suggested_grasps(model, gripper)
     found = []
     for grasp in grasps:
@@ -173,6 +176,7 @@ def _along_finger(
     model: ObjectModel, gripper: Gripper, grasp: Grasp, width: float
 ) -> tuple[float, float]:
     """Return how far the object is as wide along the gripper's y axis, up to a finger's width."""
+    # Twice as far as half a finger: an object may shift along it and still be held.
     steps = gripper.finger_width * np.linspace(0.0, 1.0, FINGER_STEPS + 1)[1:]
     offsets = np.concatenate([-steps, steps])
     poses = np.tile(grasp.object_from_tool, (len(offsets), 1, 1))

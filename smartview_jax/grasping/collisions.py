@@ -56,6 +56,7 @@ class CollisionChecker:
         """
         self._fcl = import_extra("fcl", "cell", "checking collisions")
         self._names = [one.name for one in obstacles]
+        # Boxes along the axes sort out most pairs before fcl is asked.
         self._boxes = [(one.vertices.min(axis=0), one.vertices.max(axis=0)) for one in obstacles]
         self._objects = [self._obstacle(one) for one in obstacles]
 
@@ -86,6 +87,7 @@ class CollisionChecker:
         fcl = self._fcl
         if fcl.collide(moving, obstacle, fcl.CollisionRequest(), fcl.CollisionResult()):
             return 0.0
+        # fcl reports penetration as a negative distance, or as zero, by the kind of shape.
         result = fcl.DistanceResult()
         return max(float(fcl.distance(moving, obstacle, fcl.DistanceRequest(), result)), 0.0)
 
@@ -98,6 +100,7 @@ class CollisionChecker:
         scale = np.linalg.norm(normals, axis=1, keepdims=True) * np.ptp(one.vertices, axis=0).max()
         if (beyond <= CONVEX_TOLERANCE * scale).all():
             return self._convex(one.vertices, one.triangles)
+        # A surface has no inside for fcl; nothing that moves is small enough to fit in there.
         surface = self._fcl.BVHModel()
         surface.beginModel(len(one.vertices), len(one.triangles))
         surface.addSubModel(one.vertices, one.triangles)

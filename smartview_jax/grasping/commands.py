@@ -41,6 +41,7 @@ def gripper_commands(
         world_from_gripper: wanted poses, m.
         near: joint readings near which to solve; by default those of the scene.
     """
+    # The robot moves its tool, not the gripper's frame.
     world_from_tool = world_from_gripper @ np.linalg.inv(gripper.tool_from_gripper)
     camera_from_world = host_matrices(scene.calibration.camera_from_tool) @ np.linalg.inv(
         world_from_tool
@@ -50,6 +51,7 @@ def gripper_commands(
     wanted = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, axis=0)])
     if scene.arm is not None:
         near = np.asarray(scene.near) if near is None else near
+        # Every pose has joints of its own to be solved near.
         near = np.broadcast_to(near, (len(camera_from_world), near.shape[-1]))
         near = np.concatenate([near, np.repeat(near[-1:], extra, axis=0)])
     return viewpoint_commands(scene.calibration, host_transforms(wanted), arm=scene.arm, near=near)

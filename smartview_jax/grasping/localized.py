@@ -57,6 +57,7 @@ def checked_object(
     pose = np.asarray(found.world_from_object, dtype=float)
     if pose.shape != (4, 4):
         raise ValueError(f"object {name}: world_from_object has shape {pose.shape}, not (4, 4)")
+    # A transposed rotation or millimetres would send the gripper somewhere else.
     problems = check_rigid(pose[None], (f"object {name}",))
     if problems:
         raise ValueError("; ".join(f"{label}: {text}" for label, text in problems.items()))
@@ -70,4 +71,5 @@ def checked_object(
             f"object {name}: covariance: expected a symmetric matrix without negative "
             f"eigenvalues, found {eigenvalues[0]:.3g}"
         )
+    # Exactly symmetric, as what follows takes it to be.
     return pose, 0.5 * (covariance + covariance.T)

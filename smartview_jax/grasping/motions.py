@@ -46,6 +46,7 @@ def plan_motions(
         near = np.repeat(np.nan_to_num(np.asarray(first.joints)[:count]), phases - 1, axis=0)
     later = gripper_commands(scene, gripper, world_from_gripper[:, 1:].reshape(-1, 4, 4), near)
     base_from_tool, joints = _joined(first, later, count)
+    # The commands of the later phases follow one another, grasp by grasp.
     after = phases - 1
     reasons = [
         _check_reasons(first, slice(k, k + 1), PHASES[:1])
@@ -70,6 +71,7 @@ def _joined(
     after = len(PHASES) - 1
 
     def join(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+        # What was padded is cut off.
         others = others[: after * count].reshape(count, after, *others.shape[1:])
         return np.concatenate([one[:count, None], others], axis=1)
 
@@ -94,6 +96,7 @@ def _joint_reasons(
     """Return why joint readings that reach all poses are refused nevertheless."""
     assert scene.arm is not None
     reasons = []
+    # Sliding joints are metres, and have no turns.
     turns = np.where(scene.arm.prismatic, 0.0, np.abs(np.diff(joints, axis=0)))
     if turns.max() > MAX_JOINT_STEP:
         step, joint = np.unravel_index(int(np.argmax(turns)), turns.shape)

@@ -71,6 +71,7 @@ class PlannedGrasp:
         Raises:
             ValueError: the grasp is refused, or the ending or the format is not known.
         """
+        # A file of a refused grasp would be executed by whoever finds it.
         if not self.is_safe:
             raise ValueError(f"the grasp is not written: {'; '.join(self.reasons)}")
         write_viewpoints(path, self.poses, PHASES, self.joints, pose_format)
@@ -126,8 +127,10 @@ class GraspPlan:
             )
         if not self.refused:
             return f"no safe grasp: the model of {subject} has no place for this gripper"
+        # The same reason stops many grasps: it is said once, with its number.
         counts = Counter(reason for one in self.refused for reason in one.reasons)
         listed = "; ".join(f"{count} of them: {text}" for text, count in counts.most_common(6))
+        # A long list helps nobody.
         others = len(counts) - 6
         more = f"; and {others} other reasons" if others > 0 else ""
         return f"no safe grasp of {subject}: {len(self.refused)} looked at; {listed}{more}"

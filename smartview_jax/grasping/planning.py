@@ -121,6 +121,7 @@ def _without_collisions(
     itself = CollisionChecker([one._replace(name="the object itself") for one in faces])
     drafts = []
     for one in candidates:
+        # Eq. 20 in the world: world_from_object @ object_from_gripper.
         grasp_pose = world_from_object @ one.object_from_gripper
         back, up = -motion.approach * grasp_pose[:3, 2], scene.up_direction
         poses = np.tile(grasp_pose, (len(PHASES), 1, 1))
@@ -128,10 +129,12 @@ def _without_collisions(
         poses[2, :3, 3] += motion.lift * up
         poses[3, :3, 3] += motion.retreat * up
         reasons, clearance = [], np.inf
+        # Both fingers need the gripper's tolerance beside the object.
         if one.opening - one.width <= 2.0 * gripper.tolerance:
             reasons.append(f"it is {1e3 * one.width:.3g} mm wide there, too wide for the gripper")
         else:
             approach = swept_gripper(gripper, one.opening, grasp_pose, back)
+            # On the way up the fingers are closed on the object.
             leaving = swept_gripper(gripper, one.width, grasp_pose, motion.retreat * up)
             for contact in filter(None, (around.nearest(approach), around.nearest(leaving))):
                 clearance = min(clearance, contact.clearance)
@@ -167,6 +170,7 @@ def _with_motions(
     motion: Motion,
 ) -> list[PlannedGrasp]:
     """Return grasps with their commands and probabilities, refused where the arm cannot go."""
+    # All grasps of the lot at once: programs are compiled for one size.
     motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one in drafts]))
     errors = _errors_of_reached(motions, gripper, scene)
     finished = []
@@ -179,6 +183,7 @@ def _with_motions(
             conditions = grasp_conditions(one, gripper, draft.clearance)
             probability, risks = success_probability(conditions, covariance)
             if probability < motion.min_probability:
+                # The condition that fails most often says what to improve.
                 worst = max(risks, key=lambda name: risks[name])
                 reasons = (
                     f"less than {motion.min_probability:.0%} chance of success; the greatest risk: "

@@ -35,6 +35,7 @@ class Obstacle(NamedTuple):
         world_from_box: Float[np.ndarray, "4 4"],
     ) -> "Obstacle":
         """Return a box about the origin of its own frame; size along x, y and z, m."""
+        # About its own middle, then moved.
         vertices = BOX_CORNERS * np.asarray(size, dtype=float)
         return cls(name, vertices @ world_from_box[:3, :3].T + world_from_box[:3, 3], BOX_TRIANGLES)
 
@@ -42,6 +43,7 @@ class Obstacle(NamedTuple):
     def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
         """Return a square table whose top is at a height z about the world's z axis, m."""
         pose = np.eye(4)
+        # Its top is at z, all of it below.
         pose[2, 3] = z - 0.5 * thickness
         return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
 
@@ -86,11 +88,13 @@ class GraspScene:
             ValueError: the camera is not on the hand, an arm has no joints to set out from, or the
                 direction upwards is zero; the message names it.
         """
+        # With the camera beside the arm the target, and so the world, is on the tool.
         if self.calibration.mount != "eye_in_hand":
             raise ValueError(
                 f"an {self.calibration.mount} calibration has its world on the tool: a grasp is "
                 "computed for a camera on the hand, whose world stands in the base's frame"
             )
+        # Without a start the nearest solution is not defined.
         if self.arm is not None and self.near is None:
             raise ValueError(
                 "an arm reaches a pose in several ways: give near=joints to begin from"

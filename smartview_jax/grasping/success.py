@@ -54,6 +54,7 @@ def grasp_conditions(
         gripper: the gripper.
         clearance: distance from the open gripper to the nearest obstacle, m.
     """
+    # Each condition is a row of the matrix; |x| <= b is two of them.
     rows: list[tuple[np.ndarray, float, str]] = []
 
     def require(coefficients: dict[str, float], bound: float, name: str, both: bool = True) -> None:
@@ -81,6 +82,7 @@ def grasp_conditions(
     require({"eta_y": -1.0}, half_finger - overlap + side_high, "past the fingers", both=False)
     require({"theta_y": 1.0}, gripper.max_turn, "turned")
     require({"theta_z": 1.0}, gripper.max_turn, "turned")
+    # Without obstacles nothing can be touched.
     if np.isfinite(clearance):
         for axis in ("tau_x", "tau_y", "tau_z"):
             require({axis: 1.0}, clearance, "collision")
@@ -110,6 +112,7 @@ def success_probability(
     # Only directions with a spread need a dimension of the sequence.
     used = eigenvalues > 1e-14 * max(float(eigenvalues[-1]), 1e-300)
     errors = _normal_draws(len(covariance))[:, : int(used.sum())] @ root[:, used].T
+    # Every draw fails or not, by each condition.
     failed = errors @ conditions.matrix.T > conditions.bounds
     by_name = {
         name: float(failed[:, [n == name for n in conditions.names]].any(axis=1).mean())

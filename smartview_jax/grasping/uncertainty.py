@@ -50,7 +50,9 @@ def gripper_errors(
     count = len(command.base_from_tool.wxyz_xyz)
     if scene.estimate is None:
         nothing = GripperErrors(np.zeros((6, 0)), np.zeros((6, 0)), np.zeros((0, 0)))
+        # An exact calibration: the object's own covariance is all there is.
         return (nothing,) * count
+    # The twist of the camera at this command is what the calibration's uncertainty describes.
     views = SeenViews.of(scene.calibration, command)
     noise = getattr(scene.estimate, "noise", None)
     known = CalibrationUncertainty.of(views, scene.calibration, scene.estimate, noise)

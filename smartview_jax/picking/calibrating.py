@@ -13,7 +13,7 @@ from ..dataset import Dataset
 from ..detection import detect
 from ..geometry import host_matrices, look_at, viewing_direction
 from ..robots import Command, SerialArm, joints_for_pose
-from ..simulation.cell import Cell
+from ..simulation import Cell
 from ..targets import AbstractTarget, StackedTarget
 
 VIEWS = 20
@@ -77,6 +77,7 @@ def calibrate_cell(
             continue
         reported, picture = cell.move(command), cell.picture()
         pixels = np.asarray(detect(picture, flat).pixels)
+        # Half of the points say more of the view than a stray few.
         if np.isfinite(pixels).all(axis=-1).sum() >= len(pixels) // 2:
             pictures.append(picture)
             found.append(pixels)
@@ -86,6 +87,7 @@ def calibrate_cell(
             f"the board was found in {len(found)} of {views} views; expected {MIN_VIEWS} or more: "
             "does it lie where the drawing says?"
         )
+    # Only views in which the board was found.
     stacked = stacked_commands(commands)
     with_joints = arm is not None and stacked.joints is not None
     height, width = pictures[0].shape
@@ -108,6 +110,7 @@ def _planned_views(
     rng = np.random.default_rng((seed, 21))
     points = board.points
     size, middle = np.ptp(points, axis=0), points.mean(axis=0)
+    # Off the middle, so that the corners of the picture see points too.
     aims = middle + AIM_SPREAD * size * rng.uniform(-1.0, 1.0, (count, 3))
     azimuth, roll = rng.uniform(0.0, 2.0 * np.pi, (2, count))
     # The tilts alternate, so that few views are enough to have steep ones among them.

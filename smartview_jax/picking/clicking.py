@@ -14,8 +14,10 @@ from jaxtyping import Float, UInt8
 from ..calibration import Calibration
 from ..editor import ModelSession
 from ..evaluation import CalibrationEstimate
+from ..geometry import host_matrices
 from ..io import load_object_model
 from ..modeling import ObjectModel, find_symmetry
+from ..robots import Command
 
 SNAP_DISTANCE = 3.0
 """Largest distance of a detected corner from where a person would click, px."""
@@ -27,7 +29,7 @@ CLICK_SIGMA = 0.3
 def model_by_clicks(
     calibration: Calibration,
     estimate: CalibrationEstimate | None,
-    base_from_tool: Float[np.ndarray, "views 4 4"],
+    command: Command,
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     seen_pixels: Float[np.ndarray, "views vertices 2"],
     visible: Float[np.ndarray, "views vertices"] | np.ndarray,
@@ -39,8 +41,9 @@ def model_by_clicks(
 
     Args:
         calibration: of the pictures.
-        estimate: fit with its covariance, for that of the vertices.
-        base_from_tool: what the robot reported in each view.
+        estimate: fit with its covariance, for that of the vertices. It is left out where the errors
+            of an arm were fitted: the editor takes poses, to which these are applied beforehand.
+        command: what the robot reported in each view.
         pictures: of the object.
         seen_pixels: where a person sees each vertex, px.
         visible: whether a person sees it.
@@ -53,15 +56,20 @@ def model_by_clicks(
             is complete.
     """
     names = [f"view {1 + k}" for k in range(len(pictures))]
+    base_from_tool = command.base_from_tool
+    if calibration.robot_error is not None and command.joints is not None:
+        base_from_tool = calibration.robot_error.actual_pose(command)
+        calibration, estimate = calibration.uncorrected, None
     with ModelSession(
         calibration,
-        base_from_tool,
+        host_matrices(base_from_tool),
         list(pictures),
         names,
         path,
         covariance=estimate,
         click_sigma=CLICK_SIGMA,
     ) as session:
+        # Detected corners, to which the editor's page snaps as well.
         corners = {one: session.features(one).corners for one in names}
         points: dict[int, int] = {}
         for vertex in range(seen_pixels.shape[1]):
@@ -76,6 +84,7 @@ def model_by_clicks(
                 point = session.click(one, pixel, point)
             if point is not None:
                 points[vertex] = point
+        # A face needs all of its corners.
         complete = [loop for loop in faces if all(v in points for v in loop)]
         if not complete:
             raise ValueError(f"{name}: {len(points)} vertices were clicked, no face is complete")

@@ -13,16 +13,28 @@ from ..geometry import host_matrices, host_transforms, look_at, viewing_directio
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
 from ..modeling import ObjectModel
-from ..report import Section, StoryFigure, write_story
+from ..report import write_story
 from ..robots import Command
-from ..simulation import box, roofed_block, stepped_block
-from ..simulation.cell import CellObject, SimulatedCell, drawn_calibration
+from ..simulation import (
+    CellObject,
+    SimulatedCell,
+    box,
+    drawn_calibration,
+    roofed_block,
+    stepped_block,
+)
 from ..viewpoints import viewpoint_commands
-from .calibrating import CellCalibration, calibrate_cell
+from .calibrating import CellCalibration, calibrate_cell, stacked_commands
 from .clicking import model_by_clicks
-from .drawing import edge_map, with_wireframes
 from .looking import Region
 from .pick import Pick, pick
+from .story import (
+    grasp_section,
+    localised_section,
+    model_section,
+    numbers_section,
+    verdict_sentence,
+)
 
 MODEL_VIEWS, MODEL_TILT, MODEL_DISTANCE = 6, float(np.deg2rad(38.0)), 0.33
 """Views of the object that is modelled, all around it: number, tilt (rad), distance (m)."""
@@ -32,7 +44,7 @@ BYSTANDER_SIZE, BYSTANDER_FOCAL = (640, 480), 900.0
 
 
 class DemoResult(NamedTuple):
-    """What the demo did, and what the judge says of it.
+    """The outcome of the demo, and the judge's word on it.
 
     Attributes:
         page: the HTML page.
@@ -112,13 +124,15 @@ def run_demo(
     page = out / "demo.html"
     say("writing the page")
     sections = [
-        _localised(attempt, calibrated),
-        _grasped(attempt, strip),
-        _table(attempt, calibrated, model, error, held, times),
+        localised_section(attempt, calibrated),
+        grasp_section(attempt, strip),
+        numbers_section(attempt, calibrated, model, error, held, times),
     ]
     if model_pictures:
-        sections.insert(0, _model_section(model, model_pictures, model_poses, calibrated))
-    write_story(page, "From a board to an object in the hand", _verdict(attempt, held), sections)
+        sections.insert(0, model_section(model, model_pictures, model_poses, calibrated))
+    write_story(
+        page, "From a board to an object in the hand", verdict_sentence(attempt, held), sections
+    )
     return DemoResult(page, held, attempt, calibrated, model, error)
 
 
@@ -126,8 +140,6 @@ def _modelled(
     cell: SimulatedCell, calibrated: CellCalibration, block: CellObject, path: Path
 ) -> tuple[ObjectModel, list[np.ndarray], Command]:
     """Return the model of an object that stands alone, with the pictures it was clicked in."""
-    from .calibrating import stacked_commands
-
     world_from_object = np.eye(4)
     world_from_object[:3, 3] = cell.centre
     cell.place([block], [world_from_object])
@@ -157,7 +169,7 @@ def _modelled(
     model = model_by_clicks(
         calibration,
         calibrated.fit.joint,
-        host_matrices(stacked.base_from_tool),
+        stacked,
         pictures,
         np.stack(seen),
         np.stack(visible),
@@ -203,108 +215,3 @@ def _position_error(
     found = target.world_from_object[:3, :3] @ middle + target.world_from_object[:3, 3]
     own = middle - origin
     return float(np.linalg.norm(found - (truth[:3, :3] @ own + truth[:3, 3])))
-
-
-def _model_section(
-    model: ObjectModel,
-    pictures: list[np.ndarray],
-    poses: Command,
-    calibrated: CellCalibration,
-) -> Section:
-    """Return the part of the page on the model."""
-    calibration = calibrated.fit.calibration
-    views = host_matrices(calibration.camera_from_world(poses))
-    figures = [
-        StoryFigure(
-            f"view {1 + k}",
-            "the model over the picture that it was clicked in",
-            with_wireframes(picture, calibration.camera, views[k], [(model, np.eye(4))]),
-        )
-        for k, picture in enumerate(pictures[:3])
-    ]
-    sigma = model.vertex_sigma
-    known = "" if sigma is None else f", known to {1e3 * float(np.median(sigma)):.2f} mm (median)"
-    text = (
-        f"A script clicked the corners of the {model.name} in {len(pictures)} pictures: "
-        f"{len(model.vertices)} vertices{known}, {len(model.edges)} edges and "
-        f"{len(model.faces)} faces."
-    )
-    return Section("The model", text, figures)
-
-
-def _localised(attempt: Pick, calibrated: CellCalibration) -> Section:
-    """Return the part of the page with Fig. 8 (a) to (e) of this run."""
-    look, calibration = attempt.look, calibrated.fit.calibration
-    views = host_matrices(calibration.camera_from_world(look.commands))
-    figures = [
-        StoryFigure(f"({'ab'[k]})", f"edge map {1 + k} with the features found", edge_map(evidence))
-        for k, evidence in enumerate(look.found.pictures[:2])
-    ]
-    last = len(look.pictures) - 1
-    reason = look.verification.reason if look.verification is not None else "the last view"
-    figures.append(StoryFigure("(c)", f"the verification view: {reason}", look.pictures[last]))
-    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.inside]
-    camera = calibration.camera
-    drawn = with_wireframes(None, camera, views[last], objects)
-    over = with_wireframes(look.pictures[last], camera, views[last], objects)
-    figures.append(StoryFigure("(d)", "the wireframe at the pose that was found", drawn))
-    figures.append(StoryFigure("(e)", "the superposition of both", over))
-    text = "Two views, stereo-matched against the model; a third one verifies what they found."
-    return Section("Localised and verified (Fig. 8)", text, figures)
-
-
-def _grasped(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section:
-    """Return the part of the page with Fig. 8 (f): the grasp as a strip of pictures."""
-    figures = [StoryFigure("(f)", phase.replace("_", "-"), picture) for phase, picture in strip]
-    return Section("The grasp (Fig. 8 f)", attempt.outcome, figures)
-
-
-def _table(
-    attempt: Pick,
-    calibrated: CellCalibration,
-    model: ObjectModel,
-    error: float,
-    held: bool,
-    times: list[tuple[str, float]],
-) -> Section:
-    """Return the part of the page on what happened, in numbers."""
-    fit, target = calibrated.fit, attempt.target
-    rows = [
-        ("board pictures", str(len(calibrated.pictures))),
-        ("pixel sigma of the calibration", f"{fit.pixel_sigma:.3f} px"),
-        ("views of the bin", str(len(attempt.look.pictures))),
-        ("model", f"{len(model.vertices)} vertices, {len(model.faces)} faces"),
-    ]
-    if target is not None:
-        evidence = target.verdict.evidence
-        std = 1e3 * np.sqrt(np.diagonal(target.covariance)[:3])
-        rows += [
-            ("verdict", target.verdict.decision),
-            ("explained visible edges", f"{evidence.explained:.0%}"),
-            ("stated standard deviation", f"{std[0]:.2f}, {std[1]:.2f}, {std[2]:.2f} mm"),
-            ("error of the position, by the judge", f"{1e3 * error:.2f} mm"),
-        ]
-    if attempt.grasp is not None:
-        rows += [
-            ("opening, width of the object", f"{1e3 * attempt.grasp.opening:.1f} mm, "
-             f"{1e3 * attempt.grasp.width:.1f} mm"),
-            ("predicted probability of success", f"{attempt.grasp.success_probability:.1%}"),
-            ("clearance on the way", f"{1e3 * attempt.grasp.clearance:.1f} mm"),
-            ("fingers after closing", f"{1e3 * attempt.width:.1f} mm"),
-        ]  # fmt: skip
-    rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
-    rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
-    rows += [("note", text) for text in (*attempt.look.notes, *attempt.look.found.messages)]
-    return Section("What happened", "", (), (), rows)
-
-
-def _verdict(attempt: Pick, held: bool) -> str:
-    """Return the result in a sentence."""
-    if attempt.grasp is None:
-        return f"Nothing was grasped: {attempt.outcome}."
-    what = attempt.target.model.name if attempt.target is not None else "object"
-    state = "is in the hand" if held else "is not in the hand"
-    return (
-        f"The {what} {state} after the lift; predicted probability "
-        f"{attempt.grasp.success_probability:.0%}."
-    )

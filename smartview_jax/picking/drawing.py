@@ -32,6 +32,7 @@ def edge_map(evidence: PictureEvidence) -> UInt8[np.ndarray, "rows columns 3"]:
     """Return the edge points of a picture with the segments and corners that were found."""
     width, height = evidence.features.image_size
     canvas = np.full((height, width, 3), 18, np.uint8)
+    # Whole pixels are enough for points; lines are drawn with fractions.
     columns, rows = np.rint(evidence.edge_points.pixels).astype(int).T
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     canvas[rows[inside], columns[inside]] = EDGE_COLOUR

@@ -6,7 +6,7 @@ from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..grasping import PHASES, PlannedGrasp
 from ..robots import Command
-from ..simulation.cell import Cell
+from ..simulation import Cell
 
 EMPTY_FRACTION = 0.5
 """Distance of the closed fingers, over the object's width, below which they hold nothing."""
@@ -32,6 +32,7 @@ def execute(
     if not grasp.is_safe:
         raise ValueError(f"the grasp is not executed: {'; '.join(grasp.reasons)}")
     done = after or (lambda _: None)
+    # Opened far from the object, where nothing is in the way.
     cell.set_gripper(grasp.opening)
     width = grasp.opening
     for k, phase in enumerate(PHASES):
@@ -41,6 +42,7 @@ def execute(
         if phase == "grasp":
             width = cell.set_gripper(0.0)
             done("closed")
+    # The fingers tell whether something stopped them; a real robot has no judge.
     if width < EMPTY_FRACTION * grasp.width:
         return width, f"the fingers closed to {1e3 * width:.1f} mm: they hold nothing"
     return width, (

@@ -17,7 +17,7 @@ from ..grasping import LocalizedObject
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
 from ..robots import BOX_CORNERS, Command, SerialArm
-from ..simulation.cell import Cell, CellError
+from ..simulation import Cell, CellError
 from ..viewpoints import viewpoint_commands
 from .calibrating import stacked_commands
 
@@ -128,6 +128,7 @@ def look_for(
     """
     say = progress or (lambda _: None)
     pictures, commands, notes = [], [], []
+    # Aimed above the floor, where objects are.
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
     for azimuth in AZIMUTHS:
         say(f"looking: view {len(pictures) + 1}")
@@ -148,6 +149,7 @@ def look_for(
     first = stacked_commands(commands)
     found = localize(evidence(pictures, first), first, calibration, models, **options)
     verification = None
+    # A further view only while it may change the verdict.
     while len(pictures) < max_views:
         accepted = _inside(found.accepted, region)
         open_ones = _inside(found.open, region)
@@ -167,6 +169,7 @@ def look_for(
         verification = view
         pictures.append(cell.picture())
         latest = stacked_commands(commands[-1:])
+        # Earlier pictures are kept in what was found before.
         newest = evidence(pictures[-1:], latest)
         found = localize(newest, latest, calibration, models, previous=found, **options)
     inside = tuple(_inside(found.accepted, region))

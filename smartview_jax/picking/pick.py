@@ -9,13 +9,13 @@ from ..grasping import GraspPlan, GraspScene, Motion, NoSafeGraspError, PlannedG
 from ..localization import Localization
 from ..modeling import ObjectModel
 from ..robots import Gripper, SerialArm
-from ..simulation.cell import Cell, CellError
+from ..simulation import Cell, CellError
 from .execution import execute
 from .looking import Look, Region, look_for
 
 
 class Pick(NamedTuple):
-    """One attempt to pick an object.
+    """An attempt to pick an object.
 
     Attributes:
         look: pictures, views and what was found.
@@ -72,6 +72,7 @@ def pick(
         cell, calibration, models, region,
         arm=arm, estimate=estimate, verify=verify, progress=progress,
     )  # fmt: skip
+    # Nothing is grasped that the verdict did not accept.
     if not look.inside:
         reasons = "; ".join(look.found.messages) or "nothing was found"
         return Pick(look, None, None, None, float("nan"), f"not found: {reasons}")
@@ -90,6 +91,7 @@ def pick(
     if best is None:
         outcome = "no safe grasp" if plan is None else plan.summary
         return Pick(look, None, plan, None, float("nan"), outcome)
+    # The most probable of all objects' best grasps.
     target, plan = best
     say(plan.summary)
     try:

@@ -9,6 +9,7 @@ import pytest
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
 from smartview_jax.picking import model_by_clicks
+from smartview_jax.robots import Command
 from smartview_jax.simulation import paper_calibration
 
 
@@ -32,9 +33,9 @@ def clicked(sample, path, shift=0.0):
             if np.cross(b - a, c - a) @ (centre - a) > 0.0:
                 visible[view, loop] = True
     pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in views.paths]
-    poses = host_matrices(views.base_from_tool)
+    command = Command(views.base_from_tool)
     return model_by_clicks(
-        calibration, None, poses, pictures, seen + shift, visible, faces, path, "block"
+        calibration, None, command, pictures, seen + shift, visible, faces, path, "block"
     )
 
 

@@ -78,6 +78,7 @@ class DriverCell:
         if not hasattr(target, "wxyz_xyz") and np.ndim(target) == 1:  # pyright: ignore
             if self._send_joints is None:
                 raise CellError("this robot takes poses, not joint readings")
+            # What is sent as joints is not compared: the controller's own pose is what counts.
             self._send_joints([float(x) for x in np.asarray(target)])
             return self.where()
         pose = as_se3(target)  # pyright: ignore[reportArgumentType]
@@ -103,6 +104,7 @@ class DriverCell:
         picture = self._grab()
         if not isinstance(picture, np.ndarray) or picture.ndim not in (2, 3) or not picture.size:
             raise CellError(f"the camera returned no picture, but {type(picture).__name__}")
+        # OpenCV's cameras give blue, green and red.
         if picture.ndim == 3:
             picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         if picture.dtype != np.uint8:
@@ -116,6 +118,7 @@ class DriverCell:
 
     def where(self) -> Command:
         """Return what the controller reports."""
+        # One row of numbers, as the pose format has it.
         row = np.asarray(self._read_pose(), dtype=float).reshape(1, -1)
         if row.shape[1] != len(self._codec.columns):
             raise CellError(

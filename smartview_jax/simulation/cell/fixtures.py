@@ -54,6 +54,7 @@ class Bin(NamedTuple):
         """The four walls; the table is the floor."""
         width, depth, height = self.size
         x, y = self.centre
+        # Boxes are given by their middle: half the height above the table.
         z, t = 0.5 * height, self.wall
         # The walls along x are longer, so that the corners are closed.
         across, along = np.array([t, depth, height]), np.array([width + 2.0 * t, t, height])

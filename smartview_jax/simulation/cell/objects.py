@@ -71,6 +71,7 @@ def convex_parts(solid: Polyhedron, name: str = "") -> tuple[Float[np.ndarray, "
     Raises:
         ValueError: it is neither convex nor a prism.
     """
+    # Most objects need no cutting.
     if is_convex(solid):
         return (solid.vertices,)
     for face in solid.faces:
@@ -94,6 +95,7 @@ def is_convex(solid: Polyhedron) -> bool:
 
 def _prism_axis(solid: Polyhedron, base: tuple[int, ...]) -> Float[np.ndarray, "3"] | None:
     """Return the translation from a base of a prism to its other base, or None."""
+    # A prism has as many vertices on its other base.
     if 2 * len(base) != len(solid.vertices):
         return None
     others = solid.vertices[[k for k in range(len(solid.vertices)) if k not in base]]
@@ -109,6 +111,7 @@ def _convex_pieces(
 ) -> list[tuple[int, ...]]:
     """Return a face as convex pieces, by joining triangles (Hertel and Mehlhorn, 1983)."""
     normal = face_normal(vertices, face)
+    # Triangles first; each pair that makes a convex piece is joined.
     pieces = [tuple(int(v) for v in t) for t in Polyhedron(vertices, (face,)).triangles]
     merged = True
     while merged:
@@ -166,6 +169,7 @@ def as_box(corners: Float[np.ndarray, "corners 3"]) -> BoxShape | None:
     """Return the box that has these corners, or None if they are of another shape."""
     if len(corners) != 8:
         return None
+    # Its volume tells a box from other shapes with three right angles at a corner.
     hull = ConvexHull(corners)
     # The edges from one corner are the shortest three that stand at right angles.
     offsets = corners[1:] - corners[0]
@@ -182,6 +186,7 @@ def as_box(corners: Float[np.ndarray, "corners 3"]) -> BoxShape | None:
     if abs(hull.volume - size.prod()) > 1e-6 * hull.volume:
         return None
     axes = np.array(chosen) / size[:, None]
+    # Right-handed, whichever corner was the first.
     axes[2] = np.cross(axes[0], axes[1])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes.T, corners.mean(axis=0)

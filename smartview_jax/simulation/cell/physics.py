@@ -64,6 +64,7 @@ class Physics:
         self._model: Any = self._mujoco.MjModel.from_xml_string(
             physics_xml(objects, fixtures, gripper, guide_centre, guide_size)
         )
+        # The model holds what is fixed, the data what moves.
         self._data: Any = self._mujoco.MjData(self._model)
         self._moving = False
 
@@ -103,6 +104,7 @@ class Physics:
     def place(self, number: int, world_from_object: Float[np.ndarray, "4 4"]) -> None:
         """Put an object at a pose, without motion."""
         joint = self._free_joint(f"o{number}")
+        # MuJoCo's arrays are views: they are written in place.
         joint.qpos[:], joint.qvel[:] = _numbers(world_from_object), 0.0
         self._mujoco.mj_forward(self._model, self._data)
 
@@ -122,6 +124,7 @@ class Physics:
         """
         mass = np.array([self._model.body(f"o{k}").mass[0] for k in range(len(self.objects))])
         guides = [self._model.geom(f"guide{k}").id for k in range(4)]
+        # Terminal speed: the damping force balances the weight.
         gravity = -float(self._model.opt.gravity[2])
         try:
             self._model.geom_contype[guides] = self._model.geom_conaffinity[guides] = 1
@@ -142,6 +145,7 @@ class Physics:
         Raises:
             CellError: they do not come to rest, or the physics became unstable.
         """
+        # Contacts make speeds flicker: all have to stay slow for a while.
         slow_since = self.time
         start = self.time
 
@@ -169,6 +173,7 @@ class Physics:
         Raises:
             CellError: the physics became unstable.
         """
+        # From where the target is, not the body, which lags behind it.
         start = _matrix(np.concatenate([self._data.mocap_pos[0], self._data.mocap_quat[0]]))
         shift = world_from_gripper[:3, 3] - start[:3, 3]
         turn = Rotation.from_matrix(world_from_gripper[:3, :3] @ start[:3, :3].T).as_rotvec()
@@ -184,6 +189,7 @@ class Physics:
             u = min((self.time - begin) / duration, 1.0)
             s = u * u * (3.0 - 2.0 * u)
             pose = np.eye(4)
+            # About one fixed axis, while the origin goes straight.
             pose[:3, :3] = Rotation.from_rotvec(s * turn).as_matrix() @ start[:3, :3]
             pose[:3, 3] = start[:3, 3] + s * shift
             numbers = _numbers(pose)
@@ -200,6 +206,7 @@ class Physics:
         Raises:
             CellError: the physics became unstable.
         """
+        # Each finger goes half of the way.
         self._data.ctrl[:] = 0.5 * width
         slow_since = self.time
 
@@ -217,6 +224,7 @@ class Physics:
         found: dict[str, set[int]] = {"left": set(), "right": set()}
         for contact in self._data.contact[: self._data.ncon]:
             names = [self._model.body(self._model.geom_bodyid[geom]).name for geom in contact.geom]
+            # A contact names its bodies in either order.
             for finger, other in (names, names[::-1]):
                 if finger in found and other.startswith("o"):
                     found[finger].add(int(other[1:]))
@@ -247,6 +255,7 @@ class Physics:
     @contextmanager
     def _whole_motion(self) -> Iterator[None]:
         """Refuse to go on after a motion that was interrupted in its middle."""
+        # The flag is still set if the motion before did not come to its end.
         if self._moving:
             raise CellError("the last motion was interrupted or failed; drop the objects again")
         self._moving = True

@@ -106,6 +106,7 @@ def physics_xml(
     bodies = [_object_xml(k, one, meshes) for k, one in enumerate(objects)]
     x, y = guide_centre
     # Infinitely heavy walls at a distance, thick so that nothing passes through in one step.
+    # Their inner sides are where the bin's are.
     offsets = [
         (sign * (0.5 * (guide_size[axis] + GUIDE_THICKNESS)), axis)
         for axis in (0, 1)
@@ -116,12 +117,14 @@ def physics_xml(
     for k, (offset, axis) in enumerate(offsets):
         centre = [x, y, 0.5 * GUIDE_HEIGHT]
         centre[axis] += offset
+        # Wide enough to meet at the corners.
         size = [half, half, 0.5 * GUIDE_HEIGHT]
         size[axis] = 0.5 * GUIDE_THICKNESS
         guides.append(
             f'    <geom name="guide{k}" type="box" pos="{_text(centre)}" size="{_text(size)}" '
             'contype="0" conaffinity="0" friction="0.05 0.005 0.0001"/>'
         )
+    # Drawn closed: the joints move the fingers from there.
     boxes = {box.name: box for box in gripper.boxes(0.0)}
     parts = {
         name: f'<geom type="box" pos="{_text(box.centre)}" size="{_text(0.5 * box.size)}" '

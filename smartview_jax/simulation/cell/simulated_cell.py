@@ -98,6 +98,7 @@ class SimulatedCell:
             ImportError: mujoco, trimesh or embreex is not installed (smartview-jax[cell]).
         """
         self._truth, self.gripper = truth or random_truth(seed), gripper or Gripper()
+        # The arm's own randomness, which the pictures' noise does not change.
         self._rng = np.random.default_rng((seed, 11))
         self._seed, self._pictures, self._bin = seed, 0, bin
         self._blur, self._noise = blur, noise
@@ -148,6 +149,7 @@ class SimulatedCell:
         """
         self._take(objects)
         for attempt in range(MAX_DROPS):
+            # Each attempt is another throw, and the same for the same seed.
             rng = np.random.default_rng((seed, 12, attempt))
             self._physics = self._new_physics(objects)
             z = 0.02
@@ -163,6 +165,7 @@ class SimulatedCell:
                 pose[:3, 3] = position - pose[:3, :3] @ middle
                 z += one.radius + 0.005
                 self._physics.place(k, pose)
+            # All at once, one above the other.
             self._physics.fall()
             if all(self._lies_inside(k) for k in range(len(objects))):
                 return
@@ -225,11 +228,13 @@ class SimulatedCell:
     def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
         """Move the tool as `Cell.move` does; the nominal arm solves for the joints."""
         joints = self._joints_of(target)
+        # Joint readings are checked here, poses when they are solved.
         exceeded = np.asarray(self.arm.violated_limits(joints))
         if exceeded.any():
             raise CellError(f"joint {1 + int(np.flatnonzero(exceeded)[0])} is beyond its limit")
         before = self._lowest_of_gripper()
         base_from_tool = self._truth.base_from_tool(joints, self._rng)
+        # What is reported follows the nominal arm, what happens the true one.
         self._joints, self._base_from_tool = joints, base_from_tool
         clear = min(before, self._lowest_of_gripper()) > self._top + CLEAR_HEIGHT
         # High above everything there is nothing to touch: the motion takes no time.
@@ -276,6 +281,7 @@ class SimulatedCell:
                 raise CellError(f"joint readings that are not finite: {array.tolist()}")
             return array
         pose = as_se3(target)  # pyright: ignore[reportArgumentType]
+        # The controller knows the nominal arm only: so the true one misses the pose.
         solution = joints_for_pose(self.arm, pose, self._joints)
         if pose.wxyz_xyz.shape != (7,) or not bool(solution.is_solved):
             raise CellError(f"the arm does not get there: {solution.status_text()}")
@@ -307,6 +313,7 @@ class SimulatedCell:
             one.name: self._physics.world_from_object(k) for k, one in enumerate(self._objects)
         }
         touched = self._physics.touched_by_fingers()
+        # Without a bin an object counts as soon as it is off the table.
         floor = max((float(box.size[2]) for box in self.fixtures), default=0.0)
         lifted = [one.vertices[:, 2].min() > floor + HELD_HEIGHT for one in self._solids()]
         held = tuple(
@@ -333,6 +340,7 @@ class SimulatedCell:
             camera: the bystander's own.
         """
         identity = host_transforms(np.eye(4))
+        # A camera on a tool that stands where the bystander does.
         bystander = Calibration.eye_in_hand(camera, identity, identity)
         vertices, triangles = self.gripper.mesh(
             min(max(self._physics.opening, 0.0), self.gripper.max_opening)

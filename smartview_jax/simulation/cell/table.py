@@ -29,6 +29,7 @@ def board_on_table(board: AbstractTarget, table: Texture) -> Texture:
     """
     if not board.y_up:
         raise ValueError("the board of a cell has z upwards: give it as a StackedTarget")
+    # The print is that of the flat board.
     flat = board.board if isinstance(board, StackedTarget) else board
     is_dark: Callable = printed_pattern(flat)
     # The y axis of a stack points up, that of most boards down.

@@ -54,6 +54,7 @@ class CellTruth:
         error = self.calibration.robot_error
         command = self.arm.command(joints)
         actual = command.base_from_tool if error is None else error.actual_pose(command)
+        # The arm does not come back to exactly the same place.
         sigmas = np.repeat([self.translation_noise, self.rotation_noise], 3)
         return host_matrices(actual) @ host_exponentials(sigmas * rng.standard_normal(6))
 
@@ -71,6 +72,7 @@ def random_truth(seed: int = 0, error_scale: float = 1.0) -> CellTruth:
         error_scale: errors of the arm, as multiples of those in the module's docstring.
     """
     rng, arm, drawn = np.random.default_rng((seed, 9)), six_axes(), drawn_calibration()
+    # The last coefficient is what four cannot describe.
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
     camera = Camera(FOCAL_LENGTH, 0.9995 * FOCAL_LENGTH, 645.0, 392.0, lens, image_size=IMAGE_SIZE)
     mounts = host_exponentials(MOUNT_SPREAD * rng.standard_normal((2, 6)))
