@@ -12,8 +12,10 @@ from . import evaluation as evaluation
 from . import features as features
 from . import fit_result as fit_result
 from . import geometry as geometry
+from . import grasping as grasping
 from . import io as io
 from . import joint as joint
+from . import localization as localization
 from . import modeling as modeling
 from . import report as report
 from . import robot_errors as robot_errors
@@ -41,6 +43,9 @@ from .geometry import five_viewpoints as five_viewpoints
 from .geometry import look_at as look_at
 from .geometry import se3_from_xyzoat as se3_from_xyzoat
 from .geometry import xyzoat as xyzoat
+from .grasping import GraspScene as GraspScene
+from .grasping import Gripper as Gripper
+from .grasping import grasps_for as grasps_for
 from .io import load_dataset as load_dataset
 from .io import save_dataset as save_dataset
 from .joint import JointFit as JointFit
@@ -50,6 +55,9 @@ from .joint import fit_many as fit_many
 from .joint import load_estimate as load_estimate
 from .joint import precompile as precompile
 from .joint import view_influence as view_influence
+from .localization import Localization as Localization
+from .localization import localize as localize
+from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
 from .staged import StagedFit as StagedFit
 from .staged import fit_staged as fit_staged

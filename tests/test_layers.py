@@ -27,12 +27,12 @@ FLOORS = """
     files deprecation fit_result schemas geometry cameras targets robots robot_errors calibration
     dataset detection staged engine variance joint arm_identification calibration_pipeline
     evaluation viewpoints features modeling io simulation localization grasping report editor
-    interrupts cli
+    picking interrupts cli
 """.split()
 
 NO_OPENCV = """
     compilation geometry cameras targets robots robot_errors calibration dataset staged engine
-    variance joint arm_identification viewpoints modeling
+    variance joint arm_identification viewpoints modeling localization
 """.split()
 
 NO_FACE = {"schemas"}

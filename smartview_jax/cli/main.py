@@ -7,6 +7,7 @@ import typer
 from .calibrate import calibrate
 from .check import check
 from .compare import compare
+from .demo import demo
 from .export import export
 from .model import model
 from .new import new
@@ -41,5 +42,5 @@ def main(
     """
 
 
-for _subcommand in (calibrate, check, compare, export, model, new, schema, viewpoint):
+for _subcommand in (calibrate, check, compare, demo, export, model, new, schema, viewpoint):
     app.command()(_subcommand)

@@ -8,3 +8,11 @@ from .edge_points import EdgePoints as EdgePoints
 from .features import Features as Features
 from .features import find as find
 from .ideal_plane import IdealPlane as IdealPlane
+from .picture_evidence import DISTANCE_STEP as DISTANCE_STEP
+from .picture_evidence import FAR as FAR
+from .picture_evidence import ORIENTATIONS as ORIENTATIONS
+from .picture_evidence import UNSEEN as UNSEEN
+from .picture_evidence import EdgeMaps as EdgeMaps
+from .picture_evidence import PictureEvidence as PictureEvidence
+from .picture_evidence import edge_maps as edge_maps
+from .picture_evidence import picture_evidence as picture_evidence

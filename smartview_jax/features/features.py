@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from ..cameras import Camera
 from .corners import MAX_END_GAP, LineCorners, gradient_corners, line_corners
-from .edge_points import find_edge_points
+from .edge_points import EdgePoints, find_edge_points
 from .ideal_plane import IdealPlane
 from .picture_checks import grey_levels
 from .segments import Lines, find_lines
@@ -70,8 +70,22 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
         ValueError: the array is not a picture of the camera's size, or the picture is blank,
             over-exposed or under-exposed; the message says what was found.
     """
-    grey, plane = grey_levels(picture, camera), IdealPlane(camera)
-    lines = find_lines(grey, find_edge_points(grey), plane)
+    grey = grey_levels(picture, camera)
+    return features_from_edge_points(grey, find_edge_points(grey), camera)
+
+
+def features_from_edge_points(
+    grey: Float[np.ndarray, "rows columns"], edge_points: EdgePoints, camera: Camera
+) -> Features:
+    """Return the segments and corners of a picture whose edge points were found already.
+
+    Args:
+        grey: grey levels of the picture.
+        edge_points: of this picture.
+        camera: intrinsics and lens of the camera that took it.
+    """
+    plane = IdealPlane(camera)
+    lines = find_lines(grey, edge_points, plane)
     junctions = line_corners(lines)
     corners, covariances = _corner_pixels(junctions, plane)
     # Two lines may meet beyond the picture's border.

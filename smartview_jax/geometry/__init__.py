@@ -11,6 +11,7 @@ from .conics import conic_centre as conic_centre
 from .conics import region_centroid as region_centroid
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
+from .host import host_adjoints as host_adjoints
 from .host import host_exponentials as host_exponentials
 from .host import host_logarithms as host_logarithms
 from .host import host_matrices as host_matrices

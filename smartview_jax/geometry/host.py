@@ -97,3 +97,17 @@ def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarr
     matrices[..., :3, 3] = v + b * turned + c * np.cross(w, turned)
     matrices[..., 3, 3] = 1.0
     return matrices
+
+
+def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:
+    """Return the adjoints of rigid 4x4 matrices as `SE3.adjoint` does, translation first.
+
+    They move a twist from one side of the transform to the other:
+    `T exp(xi) = exp(adjoint xi) T`.
+    """
+    R, t = matrices[..., :3, :3], matrices[..., :3, 3]
+    # The adjoint is [[R, [t] R], [0, R]]; column k of [t] R is the cross product of t and column k.
+    adjoints = np.zeros((*matrices.shape[:-2], 6, 6))
+    adjoints[..., :3, :3] = adjoints[..., 3:, 3:] = R
+    adjoints[..., :3, 3:] = np.cross(t[..., None, :], R.swapaxes(-1, -2)).swapaxes(-1, -2)
+    return adjoints

@@ -1,5 +1,6 @@
 """Model objects from several calibrated views: geometry, triangulation, surfaces and grasps."""
 
+from .calibration_uncertainty import CalibrationUncertainty as CalibrationUncertainty
 from .candidates import Candidates as Candidates
 from .candidates import direction_turn as direction_turn
 from .candidates import rank_candidates as rank_candidates
@@ -36,6 +37,7 @@ from .grasp_frames import Grasp as Grasp
 from .grasp_frames import grasp_on_face as grasp_on_face
 from .grasp_frames import turned as turned
 from .grasp_frames import width_between_fingers as width_between_fingers
+from .grasp_frames import widths_between_fingers as widths_between_fingers
 from .line_jacobians import Lines as Lines
 from .line_triangulation import TriangulatedLines as TriangulatedLines
 from .line_triangulation import triangulate_lines as triangulate_lines

@@ -144,21 +144,32 @@ def width_between_fingers(
     It is the sum of the distances from the tool's origin to the surface on both sides, at their
     outermost; None where the model has no face on one of the sides.
     """
-    origin, direction = object_from_tool[:3, 3], object_from_tool[:3, 0]
+    width = float(widths_between_fingers(model, object_from_tool[None])[0])
+    return None if np.isnan(width) else width
+
+
+def widths_between_fingers(
+    model: "ObjectModel", object_from_tool: Float[np.ndarray, "poses 4 4"]
+) -> Float[np.ndarray, "poses"]:
+    """Return `width_between_fingers` of many tool poses, NaN where there is none."""
+    origins, directions = object_from_tool[:, :3, 3], object_from_tool[:, :3, 0]
     # The outermost hits on both sides: fingers close from outside, over hollows.
-    reached = []
+    scale = _ON_SURFACE * float(np.ptp(model.vertices, axis=0).max())
+    ahead, behind = np.full(len(origins), -np.inf), np.full(len(origins), np.inf)
     for face in model.faces:
         plane = face_plane(model.vertices, face)
-        slope = float(plane.normal @ direction)
-        if abs(slope) < 1e-9:
+        slopes = directions @ plane.normal
+        across = np.flatnonzero(np.abs(slopes) >= 1e-9)
+        if not len(across):
             continue
         # origin + s direction is on the plane where normal . (origin + s direction - p) = 0.
-        s = float(plane.normal @ (plane.origin - origin)) / slope
-        hit = plane.coordinates((origin + s * direction)[None])
+        s = (plane.origin - origins[across]) @ plane.normal / slopes[across]
+        hits = plane.coordinates(origins[across] + s[:, None] * directions[across])
         loops = [plane.coordinates(model.vertices[list(loop)]) for loop in face.loops]
-        if points_in_loops(hit, loops)[0]:
-            reached.append(s)
-    scale = _ON_SURFACE * float(np.ptp(model.vertices, axis=0).max())
-    ahead = max((s for s in reached if s > scale), default=None)
-    behind = min((s for s in reached if s < -scale), default=None)
-    return None if ahead is None or behind is None else ahead - behind
+        inside = points_in_loops(hits, loops)
+        hit, s = across[inside], s[inside]
+        ahead[hit[s > scale]] = np.maximum(ahead[hit[s > scale]], s[s > scale])
+        behind[hit[s < -scale]] = np.minimum(behind[hit[s < -scale]], s[s < -scale])
+    # Infinite on a side without a face.
+    both = np.isfinite(ahead) & np.isfinite(behind)
+    return np.where(both, np.where(both, ahead, 0.0) - np.where(both, behind, 0.0), np.nan)

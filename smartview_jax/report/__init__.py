@@ -1,7 +1,10 @@
-"""Present a calibration as tables, plots and an HTML page."""
+"""Present a calibration, or a whole run, as tables, plots and an HTML page."""
 
 from ..deprecation import deprecated_names as _deprecated_names
 from .page import write_page as write_page
+from .story import Section as Section
+from .story import StoryFigure as StoryFigure
+from .story import write_story as write_story
 from .tables import COMPARISON_HEADINGS as COMPARISON_HEADINGS
 from .tables import ErrorSummary as ErrorSummary
 from .tables import budget_rows as budget_rows

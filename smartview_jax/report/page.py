@@ -18,7 +18,7 @@ from ..files import write_atomically
 from . import plots, tables
 
 # Text is escaped: names of views and folders come from the user's files.
-_get_template = jinja2.Environment(
+get_template = jinja2.Environment(
     loader=jinja2.PackageLoader("smartview_jax.report"),
     autoescape=True,
     trim_blocks=True,
@@ -59,7 +59,7 @@ def write_page(
         tables.remarks(row.name, row.reprojection_errors, row.held_out_report) for row in rows
     ]
     report_progress("drawing the report")
-    page = _get_template("page.html").render(
+    page = get_template("page.html").render(
         title=title,
         verdict=tables.result_summary(rows, fit),
         names=[row.name for row in rows],

@@ -1,4 +1,4 @@
-"""Provide robot arms: forward and inverse kinematics, joint limits, and robot commands."""
+"""Provide robot arms and grippers: kinematics both ways, joint limits, and robot commands."""
 
 from ..deprecation import deprecated_names as _deprecated_names
 from .command import MAX_TOOL_COORDINATE as MAX_TOOL_COORDINATE
@@ -7,6 +7,10 @@ from .command import CommandLike as CommandLike
 from .command import JointsLike as JointsLike
 from .command import as_command as as_command
 from .general_inverse_kinematics import joints_for_pose as joints_for_pose
+from .gripper import BOX_CORNERS as BOX_CORNERS
+from .gripper import BOX_TRIANGLES as BOX_TRIANGLES
+from .gripper import Gripper as Gripper
+from .gripper import GripperBox as GripperBox
 from .iterative_inverse_kinematics import solve_joints_iteratively as solve_joints_iteratively
 from .joint_axes import arm_from_axes as arm_from_axes
 from .joint_solution import FAILURE_FLAGS as FAILURE_FLAGS

@@ -108,6 +108,14 @@ class SerialArm(eqx.Module):
             )
         return _forward_kinematics(self, joints)
 
+    def frame_origins(self, joints: JointsLike) -> Float[Array, "*views origins 3"]:
+        """Return where the frames along the chain are, in the base frame, m, the tool's last.
+
+        There are two for each joint, one before either screw of it: the straight lines from one to
+        the next run along the joint's axis and along the link.
+        """
+        return _origins(self, _as_jax_array(joints))
+
     def command(self, joints: JointsLike) -> Command:
         """Return joint readings with the tool pose that the controller computes from them."""
         return Command(self.base_from_tool(joints), _as_jax_array(joints))
@@ -203,6 +211,16 @@ def dh_jacobian(
 def _forward_kinematics(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
     """Return the pose of the tool: `SerialArm.base_from_tool`, compiled."""
     return _chain_frames(arm, joints)[0]
+
+
+@compiled
+def _origins(
+    arm: SerialArm, joints: Float[Array, "*views joints"]
+) -> Float[Array, "*views origins 3"]:
+    """Return the origins of all frames along the chain: `SerialArm.frame_origins`, compiled."""
+    tool, frames = _chain_frames(arm, joints)
+    along = frames.translation().reshape(*joints.shape[:-1], -1, 3)
+    return jnp.concatenate([along, tool.translation()[..., None, :]], axis=-2)
 
 
 def _chain_frames(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:

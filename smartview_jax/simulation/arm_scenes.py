@@ -98,7 +98,7 @@ def six_axis_scene(
     """
     rng = np.random.default_rng((seed, 3))
     arm, board = six_axes(), _board_points()
-    error = _random_kinematic_errors(arm, rng, error_scale)
+    error = random_kinematic_errors(arm, rng, error_scale)
     truth = dataclasses.replace(_true_calibration(), robot_error=error)
     warped_board = board + _random_warp(board, rng.uniform(*warp_range), rng)
     wanted = random_viewpoints(
@@ -155,7 +155,7 @@ def _true_calibration() -> Calibration:
     return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)
 
 
-def _random_kinematic_errors(arm: SerialArm, rng: np.random.Generator, scale: float) -> RobotError:
+def random_kinematic_errors(arm: SerialArm, rng: np.random.Generator, scale: float) -> RobotError:
     """Return random arm errors, on the middle links only."""
     field = DHErrors(arm)
     # One row per link parameter (joint offset, d, a, alpha), one column per joint.

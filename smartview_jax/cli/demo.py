@@ -1,0 +1,43 @@
+"""Define `smartview demo`, which runs a whole simulated cell and writes one page about it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..files import refuse_unwritable
+from .options import DebugOption
+from .terminal import errors_reported, progress_line
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the page and the model.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(help="Of the cell and of how the objects fall.")] = 0,
+    views: Annotated[int, typer.Option(help="Number of pictures of the board.")] = 16,
+    debug: DebugOption = False,
+) -> None:
+    """Calibrate, model, localise, verify and grasp in a simulated cell, with one page at the end.
+
+    The arm errs, the lens distorts and objects fall as gravity makes them; only the judge knows the
+    truth. It takes a few minutes.
+    """
+    with errors_reported(debug):
+        refuse_unwritable(out, "--out")
+        if views < 8:
+            raise ValueError(f"--views: expected 8 or more, found {views}")
+        try:
+            from ..picking import run_demo
+
+            with progress_line() as progress:
+                result = run_demo(out, seed, views, progress)
+        except ImportError as error:
+            # An extra that is not installed is for the user to install, not a fault to trace.
+            raise ValueError(str(error)) from error
+        typer.echo(result.pick.outcome)
+        typer.echo(
+            f"in the hand after the lift: {'yes' if result.held else 'no'}; "
+            f"position error {1e3 * result.position_error:.2f} mm"
+        )
+        typer.echo(f"{result.page}: the whole story")
+        if not result.held:
+            raise typer.Exit(1)

@@ -1,0 +1,163 @@
+"""Find what a gripper and the links of an arm would touch, with python-fcl.
+
+Everything that moves is taken as convex, and so is what it sweeps along a straight line: the convex
+hull of its two ends. Between the two nothing is missed, as it would be by sampling poses. fcl is
+asked directly: trimesh's collision manager repairs and checks every mesh it is given, which for
+sweeps that are used once takes twenty times as long.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull
+
+from ..extras import import_extra
+from ..robots import Gripper
+from .scene import Obstacle
+
+LINK_SIDES = 10
+"""Number of sides of the prism that stands for the cylinder about a link of the arm."""
+
+CONVEX_TOLERANCE = 1e-9
+"""Largest distance of a vertex outside of a triangle's plane in a convex mesh, over its extent."""
+
+
+class Contact(NamedTuple):
+    """The nearest that a moving part comes to an obstacle.
+
+    Attributes:
+        part: name of the moving part.
+        obstacle: name of the obstacle.
+        clearance: the distance between them, m; zero where they touch.
+    """
+
+    part: str
+    obstacle: str
+    clearance: float
+
+    def __str__(self) -> str:
+        """Return a sentence without its full stop."""
+        if self.clearance > 0.0:
+            return f"the {self.part} comes too close to {self.obstacle}"
+        return f"the {self.part} touches {self.obstacle}"
+
+
+class CollisionChecker:
+    """Obstacles that are prepared for distance queries."""
+
+    def __init__(self, obstacles: Sequence[Obstacle]):
+        """Prepare the obstacles.
+
+        Raises:
+            ImportError: python-fcl is not installed.
+        """
+        self._fcl = import_extra("fcl", "cell", "checking collisions")
+        self._names = [one.name for one in obstacles]
+        # Boxes along the axes sort out most pairs before fcl is asked.
+        self._boxes = [(one.vertices.min(axis=0), one.vertices.max(axis=0)) for one in obstacles]
+        self._objects = [self._obstacle(one) for one in obstacles]
+
+    def nearest(self, parts: dict[str, Float[np.ndarray, "corners 3"]]) -> Contact | None:
+        """Return where convex parts, given by points in the world, come nearest to an obstacle.
+
+        None if there are no obstacles.
+        """
+        best: Contact | None = None
+        for part, corners in parts.items():
+            moving = None
+            lower, upper = corners.min(axis=0), corners.max(axis=0)
+            for name, obstacle, (low, high) in zip(
+                self._names, self._objects, self._boxes, strict=True
+            ):
+                # The boxes about both are no farther apart than these themselves.
+                gap = np.linalg.norm(np.maximum(0.0, np.maximum(low - upper, lower - high)))
+                if best is not None and gap >= best.clearance:
+                    continue
+                moving = moving or self._convex(corners, ConvexHull(corners).simplices)
+                distance = self._distance(moving, obstacle)
+                if best is None or distance < best.clearance:
+                    best = Contact(part, name, distance)
+        return best
+
+    def _distance(self, moving: Any, obstacle: Any) -> float:
+        """Return the distance of two shapes, m; zero where they touch."""
+        fcl = self._fcl
+        if fcl.collide(moving, obstacle, fcl.CollisionRequest(), fcl.CollisionResult()):
+            return 0.0
+        # fcl reports penetration as a negative distance, or as zero, by the kind of shape.
+        result = fcl.DistanceResult()
+        return max(float(fcl.distance(moving, obstacle, fcl.DistanceRequest(), result)), 0.0)
+
+    def _obstacle(self, one: Obstacle) -> Any:
+        """Return an obstacle as a convex solid where it is one, else as a surface."""
+        corners = one.vertices[one.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # Convex: no vertex is beyond the plane of any triangle.
+        beyond = np.einsum("tvi,ti->tv", one.vertices[None] - corners[:, :1], normals)
+        scale = np.linalg.norm(normals, axis=1, keepdims=True) * np.ptp(one.vertices, axis=0).max()
+        if (beyond <= CONVEX_TOLERANCE * scale).all():
+            return self._convex(one.vertices, one.triangles)
+        # A surface has no inside for fcl; nothing that moves is small enough to fit in there.
+        surface = self._fcl.BVHModel()
+        surface.beginModel(len(one.vertices), len(one.triangles))
+        surface.addSubModel(one.vertices, one.triangles)
+        surface.endModel()
+        return self._fcl.CollisionObject(surface, self._fcl.Transform())
+
+    def _convex(
+        self, vertices: Float[np.ndarray, "vertices 3"], triangles: Int[np.ndarray, "triangles 3"]
+    ) -> Any:
+        """Return a convex solid."""
+        # fcl takes faces as one list, each after its number of vertices.
+        faces = np.column_stack([np.full(len(triangles), 3), triangles]).ravel()
+        solid = self._fcl.Convex(np.ascontiguousarray(vertices), len(triangles), faces)
+        return self._fcl.CollisionObject(solid, self._fcl.Transform())
+
+
+def swept_gripper(
+    gripper: Gripper,
+    opening: float,
+    world_from_gripper: Float[np.ndarray, "4 4"],
+    translation: Float[np.ndarray, "3"],
+) -> dict[str, Float[np.ndarray, "16 3"]]:
+    """Return the corners of all that a gripper sweeps on a straight line from a pose.
+
+    Args:
+        gripper: the gripper.
+        opening: distance between the fingers, m.
+        world_from_gripper: pose at one end of the line.
+        translation: from there to the other end, in the world's frame, m.
+    """
+    R, t = world_from_gripper[:3, :3], world_from_gripper[:3, 3]
+    swept = {}
+    for box in gripper.boxes(opening):
+        corners = box.vertices @ R.T + t
+        swept[box.name] = np.concatenate([corners, corners + translation])
+    return swept
+
+
+def arm_links(
+    origins: Float[np.ndarray, "frames 3"], radius: float
+) -> dict[str, Float[np.ndarray, "corners 3"]]:
+    """Return the corners of cylinders about the links of an arm, from frame to frame.
+
+    Args:
+        origins: of the frames along the arm, in the world, m.
+        radius: of the cylinders, m.
+    """
+    links = {}
+    for k, (start, end) in enumerate(pairwise(origins)):
+        axis = end - start
+        # Frames of intersecting axes share their origin: there is no link between them.
+        if np.linalg.norm(axis) < 1e-6:
+            continue
+        across = np.linalg.svd(axis[None])[2][1:]
+        angles = 2.0 * np.pi * np.arange(LINK_SIDES) / LINK_SIDES
+        # Around the circle, so that the prism encloses the cylinder.
+        outer = radius / np.cos(np.pi / LINK_SIDES)
+        ring = outer * np.column_stack([np.cos(angles), np.sin(angles)]) @ across
+        links[f"arm's link {1 + k}"] = np.concatenate([start + ring, end + ring])
+    return links

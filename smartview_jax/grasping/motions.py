@@ -1,0 +1,116 @@
+"""Compute the arm's motions through the poses of grasps, and check that it can make them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..geometry import host_matrices
+from ..robots import Gripper
+from ..viewpoints import ViewpointCommands
+from .collisions import CollisionChecker, arm_links
+from .commands import MOTION_CHECKS, gripper_commands
+from .planned import PHASES
+from .scene import GraspScene
+
+MAX_JOINT_STEP = float(np.deg2rad(60.0))
+"""Largest motion of a joint between two poses of a grasp, rad.
+
+They are centimetres apart: a wrist that turns over between them leaves the straight line.
+"""
+
+
+class Motions(NamedTuple):
+    """The commands of several grasps, and what speaks against them.
+
+    Attributes:
+        base_from_tool: a command for each phase of each grasp, m; NaN where there is none.
+        joints: the same as joint readings, rad or m; None without an arm.
+        reasons: why the arm cannot execute each grasp; empty if it can.
+    """
+
+    base_from_tool: Float[np.ndarray, "grasps phases 4 4"]
+    joints: Float[np.ndarray, "grasps phases joints"] | None
+    reasons: tuple[tuple[str, ...], ...]
+
+
+def plan_motions(
+    scene: GraspScene, gripper: Gripper, world_from_gripper: Float[np.ndarray, "grasps phases 4 4"]
+) -> Motions:
+    """Return the commands for the poses of grasps, with reach, limits and singularity checked."""
+    count, phases = world_from_gripper.shape[:2]
+    first = gripper_commands(scene, gripper, world_from_gripper[:, 0])
+    # The later poses are solved near the first one's joints, in the same configuration of the arm.
+    near = None
+    if first.joints is not None:
+        near = np.repeat(np.nan_to_num(np.asarray(first.joints)[:count]), phases - 1, axis=0)
+    later = gripper_commands(scene, gripper, world_from_gripper[:, 1:].reshape(-1, 4, 4), near)
+    base_from_tool, joints = _joined(first, later, count)
+    # The commands of the later phases follow one another, grasp by grasp.
+    after = phases - 1
+    reasons = [
+        _check_reasons(first, slice(k, k + 1), PHASES[:1])
+        + _check_reasons(later, slice(after * k, after * (k + 1)), PHASES[1:])
+        for k in range(count)
+    ]
+    if joints is not None:
+        # Links are compared with obstacles in the world.
+        links = CollisionChecker(scene.obstacles if scene.link_radius is not None else ())
+        for k in range(count):
+            if not reasons[k]:
+                reasons[k] += _joint_reasons(scene, joints[k], links)
+    return Motions(base_from_tool, joints, tuple(tuple(found) for found in reasons))
+
+
+def _joined(
+    first: ViewpointCommands, later: ViewpointCommands, count: int
+) -> tuple[
+    Float[np.ndarray, "grasps phases 4 4"], Float[np.ndarray, "grasps phases joints"] | None
+]:
+    """Return the commands of the first phase and of the later ones, grasp by grasp."""
+    after = len(PHASES) - 1
+
+    def join(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+        # What was padded is cut off.
+        others = others[: after * count].reshape(count, after, *others.shape[1:])
+        return np.concatenate([one[:count, None], others], axis=1)
+
+    poses = join(host_matrices(first.base_from_tool), host_matrices(later.base_from_tool))
+    if first.joints is None or later.joints is None:
+        return poses, None
+    return poses, join(np.asarray(first.joints), np.asarray(later.joints))
+
+
+def _check_reasons(commands: ViewpointCommands, which: slice, phases: tuple[str, ...]) -> list[str]:
+    """Return the reasons of the failed checks, one for each kind with the phases that have it."""
+    found: dict[str, list[str]] = {}
+    for phase, text in zip(phases, commands.checks.reasons(MOTION_CHECKS)[which], strict=True):
+        if text:
+            found.setdefault(text, []).append(phase)
+    return [f"{text} ({', '.join(names)})" for text, names in found.items()]
+
+
+def _joint_reasons(
+    scene: GraspScene, joints: Float[np.ndarray, "phases joints"], links: CollisionChecker
+) -> list[str]:
+    """Return why joint readings that reach all poses are refused nevertheless."""
+    assert scene.arm is not None
+    reasons = []
+    # Sliding joints are metres, and have no turns.
+    turns = np.where(scene.arm.prismatic, 0.0, np.abs(np.diff(joints, axis=0)))
+    if turns.max() > MAX_JOINT_STEP:
+        step, joint = np.unravel_index(int(np.argmax(turns)), turns.shape)
+        reasons.append(
+            f"joint {1 + joint} turns by {np.rad2deg(turns.max()):.0f} degrees between "
+            f"{PHASES[step]} and {PHASES[step + 1]}"
+        )
+    if scene.link_radius is not None:
+        world_from_base = np.linalg.inv(host_matrices(scene.calibration.base_from_world))
+        for phase, origins in zip(PHASES, np.asarray(scene.arm.frame_origins(joints)), strict=True):
+            # In the world, where the obstacles are.
+            in_world = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
+            # The first link is the column that the arm stands on, which does not move.
+            contact = links.nearest(arm_links(in_world[1:], scene.link_radius))
+            if contact is not None and contact.clearance < scene.margin:
+                reasons.append(f"{contact} ({phase})")
+    return reasons

@@ -1,0 +1,136 @@
+"""Hold a grasp that was planned: its motions as robot commands, its checks, its chances."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
+
+from ..geometry import host_transforms, xyzoat
+from ..io import write_viewpoints
+from ..modeling import Grasp
+
+PHASES = ("pre_grasp", "grasp", "lift", "retreat")
+"""The poses of a grasp in the order in which the robot takes them; it closes at the second."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlannedGrasp:
+    """A grasp of a found object, from the pose before it to the one after it.
+
+    Attributes:
+        grasp: the model's grasp.
+        world_from_gripper: pose of the gripper's frame in each of the `PHASES`, m.
+        base_from_tool: commands for them, the robot's error compensated (Eq. 20), 4x4, m.
+        joints: the same as joint readings, rad (m for a prismatic joint); None without an arm.
+        opening: distance between the fingers until they close, m.
+        width: how wide the object is between the fingers, m.
+        success_probability: that the object ends up between the fingers and nothing else is
+            touched, by the covariances; NaN where it was not computed.
+        risks: probability that each condition fails, by its name.
+        clearance: distance from the gripper to the nearest obstacle on its way, m.
+        reasons: why the grasp is refused; empty if it is safe.
+    """
+
+    grasp: Grasp
+    world_from_gripper: Float[np.ndarray, "4 4 4"]
+    base_from_tool: Float[np.ndarray, "4 4 4"]
+    joints: Float[np.ndarray, "4 joints"] | None
+    opening: float
+    width: float
+    success_probability: float
+    risks: dict[str, float]
+    clearance: float
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether nothing speaks against the grasp."""
+        return not self.reasons
+
+    @property
+    def poses(self) -> SE3:
+        """The commands `base_from_tool` as transforms, `(4)`."""
+        return host_transforms(self.base_from_tool)
+
+    @property
+    def xyzoat(self) -> Float[np.ndarray, "4 6"]:
+        """The commands in VAL's form: x, y, z in m and O, A, T in rad (Eq. 18)."""
+        return np.asarray(xyzoat(self.poses))
+
+    def write(self, path: str | Path, pose_format: str = "val_oat") -> None:
+        """Write the commands for a robot: VAL, CSV or JSON, as `io.write_viewpoints` does.
+
+        Args:
+            path: a file ending in .val, .csv or .json.
+            pose_format: of CSV and JSON, the manufacturer's, as in `io.write_viewpoints`.
+
+        Raises:
+            ValueError: the grasp is refused, or the ending or the format is not known.
+        """
+        # A file of a refused grasp would be executed by whoever finds it.
+        if not self.is_safe:
+            raise ValueError(f"the grasp is not written: {'; '.join(self.reasons)}")
+        write_viewpoints(path, self.poses, PHASES, self.joints, pose_format)
+
+
+class NoSafeGraspError(ValueError):
+    """The error that no grasp of an object is safe; its text has the evidence."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GraspPlan:
+    """All grasps of a found object that were looked at, the best first.
+
+    Attributes:
+        safe: grasps that may be executed, by probability of success.
+        refused: the others, each with its reasons.
+        object_name: for messages.
+    """
+
+    safe: tuple[PlannedGrasp, ...]
+    refused: tuple[PlannedGrasp, ...]
+    object_name: str = ""
+
+    def __iter__(self) -> Iterator[PlannedGrasp]:
+        """Go through the safe grasps, the best first."""
+        return iter(self.safe)
+
+    def __len__(self) -> int:
+        """Return the number of safe grasps."""
+        return len(self.safe)
+
+    @property
+    def best(self) -> PlannedGrasp:
+        """The safe grasp that is most likely to succeed.
+
+        Raises:
+            NoSafeGraspError: there is none.
+        """
+        if not self.safe:
+            raise NoSafeGraspError(self.summary)
+        return self.safe[0]
+
+    @property
+    def summary(self) -> str:
+        """The best grasp in words, or why there is none, with the number of grasps per reason."""
+        subject = self.object_name or "the object"
+        if self.safe:
+            best = self.safe[0]
+            return (
+                f"{subject}: {len(self.safe)} of {len(self.safe) + len(self.refused)} grasps are "
+                f"safe; the best ({best.grasp.name}) succeeds with "
+                f"{best.success_probability:.1%}"
+            )
+        if not self.refused:
+            return f"no safe grasp: the model of {subject} has no place for this gripper"
+        # The same reason stops many grasps: it is said once, with its number.
+        counts = Counter(reason for one in self.refused for reason in one.reasons)
+        listed = "; ".join(f"{count} of them: {text}" for text, count in counts.most_common(6))
+        # A long list helps nobody.
+        others = len(counts) - 6
+        more = f"; and {others} other reasons" if others > 0 else ""
+        return f"no safe grasp of {subject}: {len(self.refused)} looked at; {listed}{more}"

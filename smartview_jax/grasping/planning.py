@@ -1,0 +1,219 @@
+"""Plan grasps of a found object: motions, checks, probabilities, and their order."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ..array_namespace import to_device
+from ..geometry import host_transforms
+from ..robots import Command, Gripper
+from .candidates import Candidate, candidate_grasps
+from .collisions import CollisionChecker, swept_gripper
+from .localized import LocalizedObject, checked_object
+from .motions import Motions, plan_motions
+from .planned import PHASES, GraspPlan, NoSafeGraspError, PlannedGrasp
+from .scene import GraspScene, Obstacle
+from .success import grasp_conditions, success_probability
+from .uncertainty import GripperErrors, error_covariance, gripper_errors
+
+GRASPS_AT_ONCE = 12
+"""Number of grasps whose motions are computed at once, the most promising first."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """The motions before and after the fingers close, and the chance that is asked for.
+
+    Attributes:
+        approach: distance from which the gripper comes straight to the grasp, m.
+        lift: height by which the object is lifted first, straight up, m.
+        retreat: height above the grasp at which the motion ends, m.
+        min_probability: smallest probability of success of a safe grasp.
+    """
+
+    approach: float = 0.06
+    lift: float = 0.03
+    retreat: float = 0.15
+    min_probability: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check the distances.
+
+        Raises:
+            ValueError: a distance that is not positive, or a retreat below the lift.
+        """
+        if not (0.0 < self.approach < 2.0 and 0.0 < self.lift <= self.retreat < 2.0):
+            raise ValueError(f"expected approach > 0 and 0 < lift <= retreat in m; found {self}")
+        if not 0.0 <= self.min_probability <= 1.0:
+            raise ValueError(f"min_probability: expected 0 to 1, found {self.min_probability}")
+
+
+def grasps_for(
+    localization: LocalizedObject,
+    gripper: Gripper,
+    scene: GraspScene,
+    motion: Motion | None = None,
+) -> GraspPlan:
+    """Return the grasps of a found object, ranked by their probability of success.
+
+    Every grasp of the model, or without any those of `suggested_grasps`, is repeated by the model's
+    symmetry and by half a turn of the gripper, moved to the object's pose by Eq. 20, and checked:
+    reach, joint limits, singularity; collisions of gripper and arm with the scene's obstacles; and
+    the probability of success by `success_probability`. A grasp that fails a check is among
+    `GraspPlan.refused` with its reasons.
+
+    Args:
+        localization: the object, with its pose and covariance.
+        gripper: the gripper.
+        scene: the robot and the obstacles, without the object itself.
+        motion: how far to approach, lift and retreat.
+
+    Raises:
+        ImportError: trimesh or python-fcl is not installed (smartview-jax[cell]).
+        ValueError: a pose or covariance that cannot be right, or a model without grasps and faces.
+        NoSafeGraspError: the verdict of the localisation is not "accepted".
+    """
+    motion = motion or Motion()
+    # A pose that is only the best guess is never acted upon.
+    if not getattr(localization, "accepted", True):
+        raise NoSafeGraspError(f"no safe grasp: {getattr(localization, 'message', 'not accepted')}")
+    pose, _ = checked_object(localization)
+    middle = localization.model.vertices.mean(axis=0)
+    candidates = candidate_grasps(localization.model, gripper)
+    # A grasp near the object's middle does not let it turn; of those, wide openings forgive more.
+    candidates.sort(key=lambda one: (_offset(one, middle), -one.opening))
+    drafts = _without_collisions(candidates, localization, pose, gripper, scene, motion)
+    promising = [draft for draft in drafts if draft.is_safe]
+    refused = [draft for draft in drafts if not draft.is_safe]
+    safe: list[PlannedGrasp] = []
+    # The motions are computed in lots: the first with a safe grasp is the last.
+    for start in range(0, len(promising), GRASPS_AT_ONCE):
+        if safe:
+            break
+        lot = promising[start : start + GRASPS_AT_ONCE]
+        chosen = [candidates[drafts.index(draft)] for draft in lot]
+        for grasp in _with_motions(lot, chosen, localization, gripper, scene, motion):
+            (safe if grasp.is_safe else refused).append(grasp)
+    # In whole per cents: what is as likely is ordered by the room around it.
+    safe.sort(key=lambda one: (-round(one.success_probability, 2), -one.clearance))
+    return GraspPlan(tuple(safe), tuple(refused), localization.model.name)
+
+
+def _offset(candidate: Candidate, middle: Float[np.ndarray, "3"]) -> float:
+    """Return how far the fingertips are from the object's middle, m, in whole millimetres."""
+    return round(float(np.linalg.norm(candidate.object_from_gripper[:3, 3] - middle)), 3)
+
+
+def _without_collisions(
+    candidates: Sequence[Candidate],
+    localization: LocalizedObject,
+    world_from_object: Float[np.ndarray, "4 4"],
+    gripper: Gripper,
+    scene: GraspScene,
+    motion: Motion,
+) -> list[PlannedGrasp]:
+    """Return the candidates as grasps without commands, refused where the gripper would collide."""
+    around = CollisionChecker(scene.obstacles)
+    # The object itself is in the way of the open fingers, until they close.
+    faces = [Obstacle.of_object(localization)] if localization.model.faces else []
+    itself = CollisionChecker([one._replace(name="the object itself") for one in faces])
+    drafts = []
+    for one in candidates:
+        # Eq. 20 in the world: world_from_object @ object_from_gripper.
+        grasp_pose = world_from_object @ one.object_from_gripper
+        back, up = -motion.approach * grasp_pose[:3, 2], scene.up_direction
+        poses = np.tile(grasp_pose, (len(PHASES), 1, 1))
+        poses[0, :3, 3] += back
+        poses[2, :3, 3] += motion.lift * up
+        poses[3, :3, 3] += motion.retreat * up
+        reasons, clearance = [], np.inf
+        # Both fingers need the gripper's tolerance beside the object.
+        if one.opening - one.width <= 2.0 * gripper.tolerance:
+            reasons.append(f"it is {1e3 * one.width:.3g} mm wide there, too wide for the gripper")
+        else:
+            approach = swept_gripper(gripper, one.opening, grasp_pose, back)
+            # On the way up the fingers are closed on the object.
+            leaving = swept_gripper(gripper, one.width, grasp_pose, motion.retreat * up)
+            for contact in filter(None, (around.nearest(approach), around.nearest(leaving))):
+                clearance = min(clearance, contact.clearance)
+                if contact.clearance < scene.margin:
+                    reasons.append(str(contact))
+            touched = itself.nearest(approach)
+            if touched is not None and touched.clearance <= 0.0:
+                reasons.append(str(touched))
+        # What hits something on both ways is said once.
+        drafts.append(
+            PlannedGrasp(
+                one.grasp,
+                poses,
+                np.full((len(PHASES), 4, 4), np.nan),
+                None,
+                one.opening,
+                one.width,
+                float("nan"),
+                {},
+                clearance,
+                tuple(dict.fromkeys(reasons)),
+            )
+        )
+    return drafts
+
+
+def _with_motions(
+    drafts: Sequence[PlannedGrasp],
+    candidates: Sequence[Candidate],
+    localization: LocalizedObject,
+    gripper: Gripper,
+    scene: GraspScene,
+    motion: Motion,
+) -> list[PlannedGrasp]:
+    """Return grasps with their commands and probabilities, refused where the arm cannot go."""
+    # All grasps of the lot at once: programs are compiled for one size.
+    motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one in drafts]))
+    errors = _errors_of_reached(motions, gripper, scene)
+    finished = []
+    for k, (draft, one) in enumerate(zip(drafts, candidates, strict=True)):
+        reasons, probability, risks = motions.reasons[k], float("nan"), {}
+        if not reasons:
+            covariance = error_covariance(
+                localization, np.linalg.inv(one.object_from_gripper), errors[k]
+            )
+            conditions = grasp_conditions(one, gripper, draft.clearance)
+            probability, risks = success_probability(conditions, covariance)
+            if probability < motion.min_probability:
+                # The condition that fails most often says what to improve.
+                worst = max(risks, key=lambda name: risks[name])
+                reasons = (
+                    f"less than {motion.min_probability:.0%} chance of success; the greatest risk: "
+                    f"{worst}",
+                )
+        finished.append(
+            dataclasses.replace(
+                draft,
+                base_from_tool=motions.base_from_tool[k],
+                joints=None if motions.joints is None else motions.joints[k],
+                success_probability=probability,
+                risks=risks,
+                reasons=reasons,
+            )
+        )
+    return finished
+
+
+def _errors_of_reached(
+    motions: Motions, gripper: Gripper, scene: GraspScene
+) -> dict[int, GripperErrors]:
+    """Return the uncertainty of the gripper's pose for each grasp that the arm can execute."""
+    reached = [k for k, found in enumerate(motions.reasons) if not found]
+    if not reached:
+        return {}
+    # Filled up with the last one, so that one program serves any number.
+    padded = [*reached, *[reached[-1]] * (GRASPS_AT_ONCE - len(reached))]
+    at = PHASES.index("grasp")
+    command = Command(
+        host_transforms(motions.base_from_tool[padded, at]),
+        None if motions.joints is None else to_device(motions.joints[padded, at]),
+    )
+    return dict(zip(reached, gripper_errors(scene, gripper, command), strict=False))

@@ -1,0 +1,118 @@
+"""Describe the surroundings of a grasp: the calibrated robot, and what it may not touch."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..calibration import Calibration
+from ..evaluation import CalibrationEstimate
+from ..io import to_trimesh
+from ..robots import BOX_CORNERS, BOX_TRIANGLES, JointsLike, SerialArm
+from .localized import LocalizedObject, checked_object
+
+
+class Obstacle(NamedTuple):
+    """A mesh in the world that neither gripper nor arm may touch.
+
+    Attributes:
+        name: for messages, such as "bin wall +x".
+        vertices: in the world's frame, m.
+        triangles: indices of the vertices.
+    """
+
+    name: str
+    vertices: Float[np.ndarray, "vertices 3"]
+    triangles: Int[np.ndarray, "triangles 3"]
+
+    @classmethod
+    def box(
+        cls,
+        name: str,
+        size: Sequence[float] | Float[np.ndarray, "3"],
+        world_from_box: Float[np.ndarray, "4 4"],
+    ) -> "Obstacle":
+        """Return a box about the origin of its own frame; size along x, y and z, m."""
+        # About its own middle, then moved.
+        vertices = BOX_CORNERS * np.asarray(size, dtype=float)
+        return cls(name, vertices @ world_from_box[:3, :3].T + world_from_box[:3, 3], BOX_TRIANGLES)
+
+    @classmethod
+    def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
+        """Return a square table whose top is at a height z about the world's z axis, m."""
+        pose = np.eye(4)
+        # Its top is at z, all of it below.
+        pose[2, 3] = z - 0.5 * thickness
+        return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
+
+    @classmethod
+    def of_object(cls, found: LocalizedObject) -> "Obstacle":
+        """Return an object at its pose; its model needs faces."""
+        pose, _ = checked_object(found)
+        mesh = to_trimesh(found.model)
+        vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]
+        return cls(found.model.name or "another object", vertices, np.asarray(mesh.faces))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GraspScene:
+    """The robot that grasps and what stands around the object.
+
+    Attributes:
+        calibration: its world is the frame of all poses and obstacles; the camera is on the hand.
+        obstacles: bin, table, other objects.
+        arm: the nominal arm; None if it is commanded by poses and its reach is not known.
+        near: joint readings from which the arm sets out; needed with an arm.
+        estimate: fit with the calibration's covariance; None takes the calibration as exact.
+        margin: distance that gripper and arm keep from obstacles, m.
+        link_radius: radius of the cylinders about the arm's links, which obstacles may not touch,
+            m; None leaves the links unchecked.
+        up: direction against gravity, in the world's frame.
+    """
+
+    calibration: Calibration
+    obstacles: tuple[Obstacle, ...] = ()
+    arm: SerialArm | None = None
+    near: JointsLike | None = None
+    estimate: CalibrationEstimate | None = None
+    margin: float = 1e-3
+    link_radius: float | None = None
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        """Check what belongs together.
+
+        Raises:
+            ValueError: the camera is not on the hand, an arm has no joints to set out from, or the
+                direction upwards is zero; the message names it.
+        """
+        # With the camera beside the arm the target, and so the world, is on the tool.
+        if self.calibration.mount != "eye_in_hand":
+            raise ValueError(
+                f"an {self.calibration.mount} calibration has its world on the tool: a grasp is "
+                "computed for a camera on the hand, whose world stands in the base's frame"
+            )
+        # Without a start the nearest solution is not defined.
+        if self.arm is not None and self.near is None:
+            raise ValueError(
+                "an arm reaches a pose in several ways: give near=joints to begin from"
+            )
+        if self.link_radius is not None and self.arm is None:
+            raise ValueError("link_radius: the links are known only with an arm")
+        if not float(np.linalg.norm(self.up)) > 0.0:
+            raise ValueError(f"up: expected a direction, found {self.up}")
+
+    def with_obstacles(self, obstacles: Sequence[Obstacle]) -> "GraspScene":
+        """Return the scene with more obstacles."""
+        return dataclasses.replace(self, obstacles=(*self.obstacles, *obstacles))
+
+    def with_objects(self, found: Sequence[LocalizedObject]) -> "GraspScene":
+        """Return the scene with other found objects as obstacles, each at its pose."""
+        return self.with_obstacles([Obstacle.of_object(one) for one in found])
+
+    @property
+    def up_direction(self) -> Float[np.ndarray, "3"]:
+        """The unit vector against gravity, in the world's frame."""
+        return np.array(self.up) / np.linalg.norm(self.up)

@@ -1,0 +1,247 @@
+"""Score thousands of poses by how much of the visible wireframe lies on edges of the pictures.
+
+Every sample of the wireframe is projected into all views and looked up in the distance map of its
+own direction. Chunks of poses run through one compiled program, in single precision, which is far
+finer than the maps; memory does not grow with the number of poses.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt8
+
+from ..array_namespace import to_device
+from ..compilation import compiled_optimised
+from ..features import DISTANCE_STEP, FAR, ORIENTATIONS, UNSEEN, PictureEvidence
+from ..modeling import SeenViews
+from .prediction import hidden_samples
+from .wireframe import Wireframe
+
+POSES_PER_CALL = 1024
+"""Number of poses that one call of the compiled program takes."""
+
+POSES_PER_CHUNK = 32
+"""Number of poses that are computed at once: their samples fit in the processor's cache."""
+
+MIN_POINTS = 4096
+"""The number of points of the maps is rounded up to it times a power of two."""
+
+
+CHANCE_SUPPORT = 0.3
+"""Support of a wireframe's length at a wrong pose among many edges, about: what is to be beaten."""
+
+
+class SceneMaps(eqx.Module):
+    """The edge maps of all views on the device; see `features.EdgeMaps`.
+
+    Attributes:
+        distances: in units of `DISTANCE_STEP` cells.
+        nearest: index of the nearest point.
+        points: in ideal coordinates, those of all views padded to one number, px.
+        normals: unit normals of the points.
+        camera_from_world: extrinsics of the views.
+        origin: centre of the first cell, px.
+        cell_size, focal_length: px.
+    """
+
+    distances: UInt8[Array, "views orientations rows columns"]
+    nearest: Int[Array, "views orientations rows columns"]
+    points: Float[Array, "views points 2"]
+    normals: Float[Array, "views points 2"]
+    camera_from_world: Float[Array, "views 4 4"]
+    origin: Float[Array, "2"]
+    cell_size: Float[Array, ""]
+    focal_length: Float[Array, ""]
+
+    @classmethod
+    def of(cls, evidence: Sequence[PictureEvidence], views: SeenViews) -> "SceneMaps":
+        """Return the maps of some views.
+
+        Raises:
+            ValueError: no views, or another number of poses than of pictures.
+        """
+        if not len(evidence) or len(evidence) != len(views.camera_from_world):
+            raise ValueError(
+                f"evidence: expected that of {len(views.camera_from_world)} views, at least one, "
+                f"found {len(evidence)}"
+            )
+        maps = [one.maps for one in evidence]
+        size = MIN_POINTS
+        while size < max(len(one.points) for one in maps):
+            size *= 2
+
+        def padded(parts: list[np.ndarray]) -> np.ndarray:
+            return np.stack([np.pad(part, ((0, size - len(part)), (0, 0))) for part in parts])
+
+        return cls(
+            to_device(np.stack([one.distances for one in maps])),
+            to_device(np.stack([one.nearest for one in maps])),
+            *(
+                to_device(np.asarray(array, np.float32))
+                for array in (
+                    padded([one.points for one in maps]),
+                    padded([one.normals for one in maps]),
+                    views.camera_from_world,
+                    maps[0].origin,
+                    maps[0].cell_size,
+                    maps[0].focal_length,
+                )
+            ),
+        )
+
+
+class PoseScores(NamedTuple):
+    """The lengths of wireframes at poses that agree with the pictures, all views together.
+
+    What lies outside a picture counts as visible there and not explained, unless all of the object
+    does.
+
+    Attributes:
+        visible_px: length of the wireframe that its own faces do not hide, px.
+        explained_px: length of that which lies on edges of its direction, px.
+        support_px: the same with each part weighted by `1 - (distance / gate)^2`.
+    """
+
+    visible_px: Float[np.ndarray, "poses"]
+    explained_px: Float[np.ndarray, "poses"]
+    support_px: Float[np.ndarray, "poses"]
+
+    @property
+    def surplus_px(self) -> Float[np.ndarray, "poses"]:
+        """The supported length beyond what other edges support by chance, px."""
+        return self.support_px - CHANCE_SUPPORT * self.visible_px
+
+    @property
+    def explained(self) -> Float[np.ndarray, "poses"]:
+        """The explained share of the visible length; zero where nothing is visible."""
+        return self.explained_px / np.maximum(self.visible_px, 1e-9)
+
+
+def score_poses(
+    maps: SceneMaps,
+    wireframe: Wireframe,
+    world_from_object: Float[np.ndarray, "poses 4 4"],
+    gate: float,
+) -> PoseScores:
+    """Return how well each pose of a model agrees with the pictures.
+
+    Args:
+        maps: of the pictures.
+        wireframe: of the model.
+        world_from_object: the poses.
+        gate: distance from an edge at which a part of the wireframe is no longer explained, px.
+    """
+    count = len(world_from_object)
+    single = in_single_precision(wireframe)
+    parts = []
+    for start in range(0, count, POSES_PER_CALL):
+        part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
+        chunk = world_from_object[start : start + POSES_PER_CALL]
+        part[: len(chunk)] = chunk
+        scores = _score_poses(maps, single, to_device(part), to_device(np.array(gate, np.float32)))
+        parts.append([np.asarray(x)[: len(chunk)].astype(float) for x in scores])
+    if not parts:
+        return PoseScores(*(np.zeros(0) for _ in range(3)))
+    return PoseScores(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def in_single_precision(tree: Any) -> Any:
+    """Return a pytree with its arrays of double precision as those of single precision."""
+    return jax.tree.map(
+        lambda x: to_device(np.asarray(x, np.float32)) if x.dtype == np.float64 else x, tree
+    )
+
+
+@compiled_optimised
+def _score_poses(
+    maps: SceneMaps,
+    wireframe: Wireframe,
+    world_from_object: Float[Array, "poses 4 4"],
+    gate: Float[Array, ""],
+) -> Float[Array, "3 poses"]:
+    """Return the three lengths of `PoseScores`."""
+
+    def score(pose: Float[Array, "4 4"]) -> Float[Array, "3"]:
+        views = range(len(maps.camera_from_world))
+        return jnp.stack([_score(maps, view, wireframe, pose, gate) for view in views]).sum(axis=0)
+
+    chunks = world_from_object.reshape(-1, POSES_PER_CHUNK, 4, 4)
+    return jax.lax.map(jax.vmap(score), chunks).reshape(-1, 3).T
+
+
+def _score(
+    maps: SceneMaps,
+    view: int,
+    wireframe: Wireframe,
+    world_from_object: Float[Array, "4 4"],
+    gate: Float[Array, ""],
+) -> Float[Array, "3"]:
+    """Return the three lengths of one pose in one view."""
+    samples = seen_samples(maps, view, wireframe, world_from_object)
+    distance = maps.distances[view, samples.map, samples.row, samples.column]
+    inside = samples.inside & (distance != UNSEEN)
+    squared = (distance.astype(jnp.float32) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
+    weight = jnp.where(inside & (distance < FAR), jnp.maximum(1.0 - squared, 0.0), 0.0)
+    px = jnp.where(samples.visible & (samples.visible & inside).any(), samples.px, 0.0)
+    lengths = [px.sum(), jnp.where(weight > 0.0, px, 0.0).sum(), (px * weight).sum()]
+    return jnp.stack(lengths)
+
+
+class SeenSamples(NamedTuple):
+    """The samples of a wireframe in one view.
+
+    Attributes:
+        in_camera: in the camera's frame, m.
+        ideal: in ideal coordinates, px.
+        px: lengths of the parts that they stand for, px.
+        visible: whether they are in front of the camera and not hidden.
+        inside: whether they are within the maps.
+        map: number of the distance map of their direction.
+        row, column: of their cells.
+    """
+
+    in_camera: Float[Array, "S 3"]
+    ideal: Float[Array, "S 2"]
+    px: Float[Array, "S"]
+    visible: Bool[Array, "S"]
+    inside: Bool[Array, "S"]
+    map: Int[Array, "S"]
+    row: Int[Array, "S"]
+    column: Int[Array, "S"]
+
+
+def seen_samples(
+    maps: SceneMaps, view: int, wireframe: Wireframe, world_from_object: Float[Array, "4 4"]
+) -> SeenSamples:
+    """Return the samples of a wireframe in one view, with their places in the maps."""
+    pose = maps.camera_from_world[view] @ world_from_object
+    R, t = pose[:3, :3], pose[:3, 3]
+    points, tangents = wireframe.samples @ R.T + t[None], wireframe.sample_tangents @ R.T
+    x, y, z = points.T
+    in_front = z > 1e-3 * jnp.abs(t[2])
+    z = jnp.where(in_front, z, 1.0)
+    f = maps.focal_length
+    ideal = f * jnp.stack([x / z, y / z], axis=1)
+    # d(x / z) = (dx - x / z dz) / z
+    slope = f * (tangents[:, :2] - ideal / f * tangents[:, 2:]) / z[:, None]
+    scale = jnp.sqrt((slope**2).sum(axis=1))
+    turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
+    cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
+    rows, columns = maps.distances.shape[-2:]
+    inside = (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    visible = in_front & ~hidden_samples(wireframe, -R.T @ t)
+    place = jnp.where((inside & in_front)[:, None], cell, 0.0).astype(jnp.int32)
+    return SeenSamples(
+        points,
+        ideal,
+        scale * wireframe.sample_lengths,
+        visible,
+        inside & in_front,
+        jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS,
+        place[:, 1],
+        place[:, 0],
+    )

@@ -1,0 +1,188 @@
+"""Turn an object model into arrays of fixed sizes, with points along its edges, for programs.
+
+Sizes are rounded up, so that all models of usual size run through the same compiled programs; what
+was added has a length of zero, or is masked.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..array_namespace import to_device
+from ..modeling import Face, ObjectModel
+
+EDGE_SAMPLES = 128
+"""Number of points along all edges together, at least, unless stated."""
+
+MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES = 16, 32, 32, 16
+"""Smallest sizes of the arrays; beyond them a size is the next power of two."""
+
+HIDING_MARGIN = 2e-3
+"""Distance in front of a point, over the object's extent, within which no face hides it.
+
+Measured vertices do not lie exactly in the planes of their faces, nor does one solid exactly on the
+face of another.
+"""
+
+
+class Wireframe(eqx.Module):
+    """The vertices, edges and faces of a model, and points along its edges, in its own frame.
+
+    Each face is a fan of triangles about one of its vertices. A fan covers a face that is convex
+    once; where the face is not convex, or has holes, triangles of opposite sign cancel.
+
+    Attributes:
+        vertices: m.
+        vertex_mask: False for what was added to round the number up; likewise in the other masks.
+        vertex_faces: whether a vertex is on a face's border.
+        edges: pairs of vertices; an edge that was added leads from vertex 0 to vertex 0.
+        edge_mask: see `vertex_mask`.
+        edge_faces: whether an edge is on a face's border.
+        samples: points along the edges, each in the middle of an equal part of its edge, m.
+        sample_edges: edge of each sample; 0 for those that were added.
+        sample_tangents: unit directions of the edges, from the first vertex to the second.
+        sample_lengths: lengths of the parts, m; 0 for samples that were added.
+        triangles: corners of the faces' triangles, m.
+        triangle_faces: sign of each triangle in the row of its face; 0 elsewhere.
+        face_points: a point of each face, m.
+        face_normals: outward unit normals; 0 for faces that were added.
+        margin: distance in front of a point within which no face hides it, m.
+    """
+
+    vertices: Float[Array, "V 3"]
+    vertex_mask: Bool[Array, "V"]
+    vertex_faces: Bool[Array, "V F"]
+    edges: Int[Array, "E 2"]
+    edge_mask: Bool[Array, "E"]
+    edge_faces: Bool[Array, "E F"]
+    samples: Float[Array, "S 3"]
+    sample_edges: Int[Array, "S"]
+    sample_tangents: Float[Array, "S 3"]
+    sample_lengths: Float[Array, "S"]
+    triangles: Float[Array, "T 3 3"]
+    triangle_faces: Float[Array, "T F"]
+    face_points: Float[Array, "F 3"]
+    face_normals: Float[Array, "F 3"]
+    margin: Float[Array, ""]
+
+    @classmethod
+    def of(cls, model: ObjectModel, samples: int = EDGE_SAMPLES) -> "Wireframe":
+        """Return the arrays of a model.
+
+        Args:
+            model: with at least one edge.
+            samples: number of points along all edges together; each edge has one at least, so that
+                there may be more.
+
+        Raises:
+            ValueError: the model has no edges, or edges without length, or `samples` is not
+                positive.
+        """
+        if not len(model.edges):
+            raise ValueError(f"model {model.name!r} has no edges, so it cannot be looked for")
+        if samples < 1:
+            raise ValueError(f"samples: expected a positive number, found {samples}")
+        faces = model.faces
+        owners, lengths, parts = _sampled_edges(model, samples)
+        starts, ends = model.vertices[model.edges[owners]].transpose(1, 0, 2)
+        tangents = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
+        triangles, triangle_faces = _fans(model)
+        V = _rounded(len(model.vertices), MIN_VERTICES)
+        E = _rounded(len(model.edges), MIN_EDGES)
+        S = _rounded(len(owners), samples)
+        T, F = _rounded(len(triangles), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
+        planes = [model.plane(k) for k in range(len(faces))]
+        extent = float(np.ptp(model.vertices, axis=0).max())
+        arrays = (
+            _padded(model.vertices, V, 3),
+            np.arange(V) < len(model.vertices),
+            _padded(_vertices_on_faces(model), V, F),
+            _padded(model.edges, E, 2),
+            np.arange(E) < len(model.edges),
+            _padded(_edges_on_faces(model), E, F),
+            _padded(starts + parts[:, None] * (ends - starts), S, 3),
+            _padded(owners, S),
+            _padded(tangents, S, 3),
+            _padded(lengths, S),
+            _padded(triangles, T, 3, 3),
+            _padded(triangle_faces, T, F),
+            _padded(np.array([one.origin for one in planes]).reshape(-1, 3), F, 3),
+            _padded(np.array([one.normal for one in planes]).reshape(-1, 3), F, 3),
+            np.array(HIDING_MARGIN * extent),
+        )
+        return cls(*map(to_device, arrays))
+
+
+def _rounded(count: int, smallest: int) -> int:
+    """Return the smallest number times a power of two that is not below a count."""
+    size = smallest
+    while size < count:
+        size *= 2
+    return size
+
+
+def _padded(array: np.ndarray, *shape: int) -> np.ndarray:
+    """Return an array with zeros appended up to a shape."""
+    return np.pad(array, [(0, n - k) for n, k in zip(shape, array.shape, strict=True)])
+
+
+def _sampled_edges(
+    model: ObjectModel, samples: int
+) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+    """Return the edge of each sample, the length it stands for, and its place from 0 to 1."""
+    starts, ends = model.vertices[model.edges].transpose(1, 0, 2)
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    if not (lengths > 0.0).all():
+        raise ValueError(f"edge {int(np.argmin(lengths))} of model {model.name!r} has no length")
+    # Rounded down, so that together they are not more than asked for, with one for each edge.
+    counts = np.maximum(1, np.floor(samples * lengths / lengths.sum()).astype(int))
+    owners = np.repeat(np.arange(len(lengths)), counts)
+    # The place of each within its edge: its position minus that of the edge's first sample.
+    order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return owners, (lengths / counts)[owners], (order + 0.5) / counts[owners]
+
+
+def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:
+    """Return whether each vertex is on the border of each face."""
+    on = np.zeros((len(model.vertices), len(model.faces)), dtype=bool)
+    for k, face in enumerate(model.faces):
+        on[face.indices, k] = True
+    return on
+
+
+def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
+    """Return whether each edge is on the border of each face."""
+    sides = [{frozenset(pair) for pair in face.directed_edges} for face in model.faces]
+    edges = [frozenset(edge) for edge in model.edges.tolist()]
+    on = [[edge in border for border in sides] for edge in edges]
+    return np.array(on, dtype=bool).reshape(len(edges), len(sides))
+
+
+def _fans(model: ObjectModel) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T F"]]:
+    """Return the triangles of all faces, and their signs in the rows of their faces."""
+    corners, signs = [], []
+    for k, face in enumerate(model.faces):
+        for triangle, sign in zip(*_fan(model, face, model.plane(k).normal), strict=True):
+            row = np.zeros(len(model.faces))
+            row[k] = sign
+            corners.append(triangle)
+            signs.append(row)
+    # With its length stated: an array of no faces could have any.
+    shape = len(corners), len(model.faces)
+    return np.array(corners).reshape(-1, 3, 3), np.array(signs).reshape(shape)
+
+
+def _fan(
+    model: ObjectModel, face: Face, normal: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T"]]:
+    """Return the triangles between the first vertex of a face and its sides, and their signs."""
+    apex = face.loop[0]
+    # The sides at the apex itself make no triangle.
+    sides = np.array([pair for pair in face.directed_edges if apex not in pair])
+    triangles = np.concatenate(
+        [np.tile(model.vertices[apex], (len(sides), 1, 1)), model.vertices[sides]], axis=1
+    )
+    areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ normal
+    # A side in line with the apex makes a triangle without area, which nothing can pass through.
+    useful = np.abs(areas) > 1e-12 * np.abs(areas).max()
+    return triangles[useful], np.sign(areas[useful])

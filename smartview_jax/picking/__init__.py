@@ -1,0 +1,13 @@
+"""Run a whole cell: calibrate it, find objects, verify them from chosen views, grasp them."""
+
+from .calibrating import CellCalibration as CellCalibration
+from .calibrating import calibrate_cell as calibrate_cell
+from .clicking import model_by_clicks as model_by_clicks
+from .demo import DemoResult as DemoResult
+from .demo import run_demo as run_demo
+from .execution import execute as execute
+from .looking import Look as Look
+from .looking import Region as Region
+from .looking import look_for as look_for
+from .pick import Pick as Pick
+from .pick import pick as pick

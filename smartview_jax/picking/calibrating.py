@@ -1,0 +1,148 @@
+"""Calibrate a cell: pictures of a board from planned views, then the staged and the joint fit."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..array_namespace import to_device
+from ..calibration import Calibration
+from ..calibration_pipeline import CalibrationFit, calibrate
+from ..dataset import Dataset
+from ..detection import detect
+from ..geometry import host_matrices, look_at, viewing_direction
+from ..robots import Command, SerialArm, joints_for_pose
+from ..simulation import Cell
+from ..targets import AbstractTarget, StackedTarget
+
+VIEWS = 20
+"""Number of views of the board by default."""
+
+MIN_VIEWS = 6
+"""Smallest number of views in which the board has to be found."""
+
+DISTANCES, MAX_TILT, AIM_SPREAD = (0.36, 0.6), float(np.deg2rad(35.0)), 0.25
+"""Distances of the camera from the board, m, its largest tilt, and how far it aims beside the
+board's middle, over the board's size."""
+
+
+class CellCalibration(NamedTuple):
+    """The calibration of a cell, and what it rests on.
+
+    Attributes:
+        fit: the staged and the joint fit.
+        data: the board's points as they were found.
+        pictures: of the board, those in which it was found.
+    """
+
+    fit: CalibrationFit
+    data: Dataset
+    pictures: tuple[UInt8[np.ndarray, "rows columns"], ...]
+
+
+def calibrate_cell(
+    cell: Cell,
+    board: AbstractTarget,
+    drawing: Calibration,
+    arm: SerialArm | None = None,
+    views: int = VIEWS,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> CellCalibration:
+    """Take pictures of a board that lies in a cell, and fit the calibration to them.
+
+    Views in which the board is not found are left out.
+
+    Args:
+        cell: with the board in place.
+        board: what lies there; its frame becomes the world.
+        drawing: where camera and board are, roughly, by which the views are planned.
+        arm: the nominal arm, whose errors are estimated too; None if its joints are not known.
+        views: number of views.
+        seed: of the views, which are tilted and rolled at random.
+        progress: called with a line of text for each step.
+
+    Raises:
+        ValueError: the board was found in fewer than `MIN_VIEWS` views.
+        CellError: the robot does not get to a view.
+    """
+    say = progress or (lambda _: None)
+    flat = board.board if isinstance(board, StackedTarget) else board
+    pictures, found, commands = [], [], []
+    for k, pose in enumerate(_planned_views(board, drawing, views, seed)):
+        say(f"calibrating: view {k + 1} of {views}")
+        command = _command(cell, drawing, pose, arm)
+        if command is None:
+            continue
+        reported, picture = cell.move(command), cell.picture()
+        pixels = np.asarray(detect(picture, flat).pixels)
+        # Half of the points say more of the view than a stray few.
+        if np.isfinite(pixels).all(axis=-1).sum() >= len(pixels) // 2:
+            pictures.append(picture)
+            found.append(pixels)
+            commands.append(reported)
+    if len(found) < MIN_VIEWS:
+        raise ValueError(
+            f"the board was found in {len(found)} of {views} views; expected {MIN_VIEWS} or more: "
+            "does it lie where the drawing says?"
+        )
+    # Only views in which the board was found.
+    stacked = stacked_commands(commands)
+    with_joints = arm is not None and stacked.joints is not None
+    height, width = pictures[0].shape
+    data = Dataset.from_arrays(
+        board.points,
+        np.stack(found),
+        stacked.base_from_tool,
+        image_size=(width, height),
+        target=board,
+        joints=stacked.joints if with_joints else None,
+        arm=arm if with_joints else None,
+    )
+    return CellCalibration(calibrate(data, progress=progress), data, tuple(pictures))
+
+
+def _planned_views(
+    board: AbstractTarget, drawing: Calibration, count: int, seed: int
+) -> Float[np.ndarray, "views 4 4"]:
+    """Return `camera_from_world` of views of the board, tilted and rolled at random."""
+    rng = np.random.default_rng((seed, 21))
+    points = board.points
+    size, middle = np.ptp(points, axis=0), points.mean(axis=0)
+    # Off the middle, so that the corners of the picture see points too.
+    aims = middle + AIM_SPREAD * size * rng.uniform(-1.0, 1.0, (count, 3))
+    azimuth, roll = rng.uniform(0.0, 2.0 * np.pi, (2, count))
+    # The tilts alternate, so that few views are enough to have steep ones among them.
+    tilt = MAX_TILT * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
+    above = board.y_up
+    directions = np.asarray(viewing_direction(tilt, azimuth, above))
+    # Steps of a quarter turn leave the picture's longer side along the board's.
+    rolls = 0.5 * np.pi * np.floor(4.0 * roll / (2.0 * np.pi)) * 2.0 + rng.uniform(-0.4, 0.4, count)
+    return host_matrices(look_at(aims, directions, rng.uniform(*DISTANCES, count), rolls))
+
+
+def _command(
+    cell: Cell,
+    drawing: Calibration,
+    camera_from_world: Float[np.ndarray, "4 4"],
+    arm: SerialArm | None,
+) -> Command | None:
+    """Return the command for a view by the drawing; None if the nominal arm does not reach it."""
+    wanted = drawing.command_for(camera_from_world)
+    joints = cell.where().joints
+    if arm is None or joints is None:
+        return Command(wanted)
+    solution = joints_for_pose(arm, wanted, joints)
+    return Command(wanted, solution.joints) if bool(solution.is_solved) else None
+
+
+def stacked_commands(commands: list[Command]) -> Command:
+    """Return single commands as one batch."""
+    poses = np.stack([np.asarray(one.base_from_tool.wxyz_xyz) for one in commands])
+    joints = [one.joints for one in commands]
+    known = all(one is not None for one in joints)
+    return Command(
+        type(commands[0].base_from_tool)(to_device(poses)),
+        to_device(np.stack([np.asarray(one) for one in joints])) if known else None,
+    )

@@ -1,0 +1,96 @@
+"""Make the model of an object by scripted clicks, which play the part of a person at the editor.
+
+The script "clicks" the detected corner that is nearest to where a person would look, in every
+picture that shows the vertex, through the same `ModelSession` as the editor's page.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..calibration import Calibration
+from ..editor import ModelSession
+from ..evaluation import CalibrationEstimate
+from ..geometry import host_matrices
+from ..io import load_object_model
+from ..modeling import ObjectModel, find_symmetry
+from ..robots import Command
+
+SNAP_DISTANCE = 3.0
+"""Largest distance of a detected corner from where a person would click, px."""
+
+CLICK_SIGMA = 0.3
+"""Standard deviation of the clicks, px."""
+
+
+def model_by_clicks(
+    calibration: Calibration,
+    estimate: CalibrationEstimate | None,
+    command: Command,
+    pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
+    seen_pixels: Float[np.ndarray, "views vertices 2"],
+    visible: Float[np.ndarray, "views vertices"] | np.ndarray,
+    faces: Sequence[Sequence[int]],
+    path: Path,
+    name: str,
+) -> ObjectModel:
+    """Return the model that a person would make of an object by clicking its corners.
+
+    Args:
+        calibration: of the pictures.
+        estimate: fit with its covariance, for that of the vertices. It is left out where the errors
+            of an arm were fitted: the editor takes poses, to which these are applied beforehand.
+        command: what the robot reported in each view.
+        pictures: of the object.
+        seen_pixels: where a person sees each vertex, px.
+        visible: whether a person sees it.
+        faces: loops of vertices, of which those are added that all can be clicked.
+        path: of the model's file.
+        name: of the model.
+
+    Raises:
+        ValueError: a vertex that fewer than two pictures show well enough to click, so that no face
+            is complete.
+    """
+    names = [f"view {1 + k}" for k in range(len(pictures))]
+    base_from_tool = command.base_from_tool
+    if calibration.robot_error is not None and command.joints is not None:
+        base_from_tool = calibration.robot_error.actual_pose(command)
+        calibration, estimate = calibration.uncorrected, None
+    with ModelSession(
+        calibration,
+        host_matrices(base_from_tool),
+        list(pictures),
+        names,
+        path,
+        covariance=estimate,
+        click_sigma=CLICK_SIGMA,
+    ) as session:
+        # Detected corners, to which the editor's page snaps as well.
+        corners = {one: session.features(one).corners for one in names}
+        points: dict[int, int] = {}
+        for vertex in range(seen_pixels.shape[1]):
+            clicks = []
+            for view, one in enumerate(names):
+                distance = np.linalg.norm(corners[one] - seen_pixels[view, vertex], axis=1)
+                if visible[view, vertex] and distance.min(initial=np.inf) < SNAP_DISTANCE:
+                    clicks.append((one, corners[one][int(np.argmin(distance))].tolist()))
+            point = None
+            # Two clicks make a point in space, further ones improve it.
+            for one, pixel in clicks if len(clicks) > 1 else ():
+                point = session.click(one, pixel, point)
+            if point is not None:
+                points[vertex] = point
+        # A face needs all of its corners.
+        complete = [loop for loop in faces if all(v in points for v in loop)]
+        if not complete:
+            raise ValueError(f"{name}: {len(points)} vertices were clicked, no face is complete")
+        for loop in complete:
+            session.add_face([points[v] for v in loop])
+        session.change({"do": "rename", "name": name})
+        saved = session.save()
+    model = load_object_model(saved)
+    return dataclasses.replace(model, symmetry=find_symmetry(model))

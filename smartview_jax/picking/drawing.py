@@ -1,0 +1,94 @@
+"""Draw what was seen and found: edge maps with features, and wireframes over pictures."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..array_namespace import to_device
+from ..cameras import Camera
+from ..compilation import compiled
+from ..features import PictureEvidence
+from ..localization import Wireframe, predict_view
+from ..modeling import ObjectModel
+
+EDGE_COLOUR, SEGMENT_COLOUR, CORNER_COLOUR = (110, 110, 110), (120, 200, 60), (40, 120, 255)
+"""Colours of edge points, segments and corners: blue, green, red."""
+
+WIREFRAME_COLOURS = ((255, 160, 30), (60, 190, 255), (200, 90, 220), (90, 220, 90))
+"""Colours of wireframes, one after the other: blue, green, red."""
+
+SHIFT = 4
+"""Binary digits after the point in coordinates of OpenCV's drawing."""
+
+SAMPLES = 600
+"""Points along the edges of a wireframe that are drawn."""
+
+_predicted = compiled(predict_view)
+
+
+def edge_map(evidence: PictureEvidence) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Return the edge points of a picture with the segments and corners that were found."""
+    width, height = evidence.features.image_size
+    canvas = np.full((height, width, 3), 18, np.uint8)
+    # Whole pixels are enough for points; lines are drawn with fractions.
+    columns, rows = np.rint(evidence.edge_points.pixels).astype(int).T
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    canvas[rows[inside], columns[inside]] = EDGE_COLOUR
+    for ends in evidence.features.segments:
+        a, b = (_fixed(end) for end in ends)
+        cv2.line(canvas, a, b, SEGMENT_COLOUR, 1, cv2.LINE_AA, SHIFT)
+    for corner in evidence.features.corners:
+        cv2.circle(canvas, _fixed(corner), 3 << SHIFT, CORNER_COLOUR, 1, cv2.LINE_AA, SHIFT)
+    return canvas
+
+
+def with_wireframes(
+    picture: UInt8[np.ndarray, "rows columns"] | None,
+    camera: Camera,
+    camera_from_world: Float[np.ndarray, "4 4"],
+    objects: Sequence[tuple[ObjectModel, Float[np.ndarray, "4 4"]]],
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Return a picture with the visible edges of objects drawn over it.
+
+    Args:
+        picture: grey; None draws on a dark ground.
+        camera: that took it.
+        camera_from_world: its pose.
+        objects: models and their poses `world_from_object`.
+    """
+    if picture is None:
+        width, height = camera.image_size
+        canvas = np.full((height, width, 3), 18, np.uint8)
+    else:
+        canvas = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+    for k, (model, pose) in enumerate(objects):
+        seen = _predicted(Wireframe.of(model, SAMPLES), camera, to_device(camera_from_world @ pose))
+        pixels, visible = np.asarray(seen.samples), np.asarray(seen.sample_visible)
+        steps = np.asarray(seen.directions) * 0.5 * np.asarray(seen.sample_px)[:, None]
+        # Each sample stands for a short piece of its edge.
+        for pixel, step in zip(pixels[visible], steps[visible], strict=True):
+            a, b = _fixed(pixel - step), _fixed(pixel + step)
+            colour = WIREFRAME_COLOURS[k % len(WIREFRAME_COLOURS)]
+            cv2.line(canvas, a, b, colour, 2, cv2.LINE_AA, SHIFT)
+    return canvas
+
+
+def cropped(
+    picture: np.ndarray, pixels: Float[np.ndarray, "points 2"], margin: float = 60.0
+) -> np.ndarray:
+    """Return the part of a picture about some pixels."""
+    height, width = picture.shape[:2]
+    known = pixels[np.isfinite(pixels).all(axis=1)]
+    if not len(known):
+        return picture
+    low = np.clip(np.floor(known.min(axis=0) - margin), 0, [width - 2, height - 2]).astype(int)
+    high = np.clip(np.ceil(known.max(axis=0) + margin), low + 1, [width, height]).astype(int)
+    return picture[low[1] : high[1], low[0] : high[0]]
+
+
+def _fixed(pixel: np.ndarray) -> tuple[int, int]:
+    """Return a pixel in the fixed-point numbers of OpenCV's drawing."""
+    u, v = np.rint(np.asarray(pixel) * (1 << SHIFT)).astype(int)
+    return int(u), int(v)

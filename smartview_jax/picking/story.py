@@ -1,0 +1,116 @@
+"""Tell a run of the demo in pictures and numbers: the sections of its page, Fig. 8 among them."""
+
+import numpy as np
+
+from ..geometry import host_matrices
+from ..modeling import ObjectModel
+from ..report import Section, StoryFigure
+from ..robots import Command
+from .calibrating import CellCalibration
+from .drawing import edge_map, with_wireframes
+from .pick import Pick
+
+
+def model_section(
+    model: ObjectModel,
+    pictures: list[np.ndarray],
+    poses: Command,
+    calibrated: CellCalibration,
+) -> Section:
+    """Return the part of the page on the model."""
+    calibration = calibrated.fit.calibration
+    views = host_matrices(calibration.camera_from_world(poses))
+    figures = [
+        StoryFigure(
+            f"view {1 + k}",
+            "the model over the picture that it was clicked in",
+            with_wireframes(picture, calibration.camera, views[k], [(model, np.eye(4))]),
+        )
+        for k, picture in enumerate(pictures[:3])
+    ]
+    sigma = model.vertex_sigma
+    known = "" if sigma is None else f", known to {1e3 * float(np.median(sigma)):.2f} mm (median)"
+    text = (
+        f"A script clicked the corners of the {model.name} in {len(pictures)} pictures: "
+        f"{len(model.vertices)} vertices{known}, {len(model.edges)} edges and "
+        f"{len(model.faces)} faces."
+    )
+    return Section("The model", text, figures)
+
+
+def localised_section(attempt: Pick, calibrated: CellCalibration) -> Section:
+    """Return the part of the page with Fig. 8 (a) to (e) of this run."""
+    look, calibration = attempt.look, calibrated.fit.calibration
+    views = host_matrices(calibration.camera_from_world(look.commands))
+    figures = [
+        StoryFigure(f"({'ab'[k]})", f"edge map {1 + k} with the features found", edge_map(evidence))
+        for k, evidence in enumerate(look.found.pictures[:2])
+    ]
+    last = len(look.pictures) - 1
+    reason = look.verification.reason if look.verification is not None else "the last view"
+    figures.append(StoryFigure("(c)", f"the verification view: {reason}", look.pictures[last]))
+    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.inside]
+    camera = calibration.camera
+    drawn = with_wireframes(None, camera, views[last], objects)
+    over = with_wireframes(look.pictures[last], camera, views[last], objects)
+    figures.append(StoryFigure("(d)", "the wireframe at the pose that was found", drawn))
+    figures.append(StoryFigure("(e)", "the superposition of both", over))
+    text = "Two views, stereo-matched against the model; a third one verifies what they found."
+    return Section("Localised and verified (Fig. 8)", text, figures)
+
+
+def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section:
+    """Return the part of the page with Fig. 8 (f): the grasp as a strip of pictures."""
+    figures = [StoryFigure("(f)", phase.replace("_", "-"), picture) for phase, picture in strip]
+    return Section("The grasp (Fig. 8 f)", attempt.outcome, figures)
+
+
+def numbers_section(
+    attempt: Pick,
+    calibrated: CellCalibration,
+    model: ObjectModel,
+    error: float,
+    held: bool,
+    times: list[tuple[str, float]],
+) -> Section:
+    """Return the part of the page on what happened, in numbers."""
+    fit, target = calibrated.fit, attempt.target
+    rows = [
+        ("board pictures", str(len(calibrated.pictures))),
+        ("pixel sigma of the calibration", f"{fit.pixel_sigma:.3f} px"),
+        ("views of the bin", str(len(attempt.look.pictures))),
+        ("model", f"{len(model.vertices)} vertices, {len(model.faces)} faces"),
+    ]
+    if target is not None:
+        evidence = target.verdict.evidence
+        std = 1e3 * np.sqrt(np.diagonal(target.covariance)[:3])
+        rows += [
+            ("verdict", target.verdict.decision),
+            ("explained visible edges", f"{evidence.explained:.0%}"),
+            ("stated standard deviation", f"{std[0]:.2f}, {std[1]:.2f}, {std[2]:.2f} mm"),
+            ("error of the position, by the judge", f"{1e3 * error:.2f} mm"),
+        ]
+    if attempt.grasp is not None:
+        rows += [
+            ("opening, width of the object", f"{1e3 * attempt.grasp.opening:.1f} mm, "
+             f"{1e3 * attempt.grasp.width:.1f} mm"),
+            ("predicted probability of success", f"{attempt.grasp.success_probability:.1%}"),
+            ("clearance on the way", f"{1e3 * attempt.grasp.clearance:.1f} mm"),
+            ("fingers after closing", f"{1e3 * attempt.width:.1f} mm"),
+        ]  # fmt: skip
+    rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
+    rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
+    rows += [("note", text) for text in (*attempt.look.notes, *attempt.look.found.messages)]
+    return Section("What happened", "", (), (), rows)
+
+
+def verdict_sentence(attempt: Pick, held: bool) -> str:
+    """Return the result in a sentence."""
+    if attempt.grasp is None:
+        return f"Nothing was grasped: {attempt.outcome}."
+    what = attempt.target.model.name if attempt.target is not None else "object"
+    state = "is in the hand" if held else "is not in the hand"
+    return (
+        f"The {what} {state} after the lift; predicted probability "
+        f"{attempt.grasp.success_probability:.0%}."
+    )

@@ -1,0 +1,75 @@
+"""Write what happened in a run as one HTML page of pictures and tables."""
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from ..files import write_atomically
+from .page import get_template
+
+
+class StoryFigure(NamedTuple):
+    """A picture with its caption.
+
+    Attributes:
+        name: printed first, such as "(a)".
+        text: what it shows.
+        picture: grey, or in colour as OpenCV has it: blue, green, red.
+    """
+
+    name: str
+    text: str
+    picture: UInt8[np.ndarray, "rows columns *channels"]
+
+
+class Section(NamedTuple):
+    """A part of the page.
+
+    Attributes:
+        title: its heading.
+        text: a paragraph; may be empty.
+        figures: pictures beside each other.
+        header: names of the columns of the table; empty for a table without names.
+        rows: of the table.
+    """
+
+    title: str
+    text: str = ""
+    figures: Sequence[StoryFigure] = ()
+    header: Sequence[str] = ()
+    rows: Sequence[Sequence[str]] = ()
+
+
+def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section]) -> None:
+    """Write a page that contains its pictures, completely or not at all.
+
+    Args:
+        path: of the HTML file.
+        title: of the page.
+        verdict: the result in a sentence.
+        sections: in their order.
+    """
+    shown = [
+        {
+            "title": one.title,
+            "text": one.text,
+            "figures": [(f.name, f.text, _data_url(f.picture)) for f in one.figures],
+            "header": one.header,
+            "rows": one.rows,
+        }
+        for one in sections
+    ]
+    page = get_template("story.html").render(title=title, verdict=verdict, sections=shown)
+    write_atomically(path, page)
+
+
+def _data_url(picture: np.ndarray) -> str:
+    """Return a picture as a data URL, which a page contains instead of a file."""
+    # Pictures with noise are several times smaller as JPEG; nothing is measured in them any more.
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")

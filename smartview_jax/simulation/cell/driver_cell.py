@@ -1,0 +1,131 @@
+"""Show how a real robot becomes a `Cell`: an example adapter for a controller, camera and gripper.
+
+Whatever the controller's own library is called, a cell needs five things of it. Write them as
+functions in the controller's own units and pose format, and `DriverCell` converts:
+
+    cell = DriverCell(
+        send_pose=lambda pose: robot.movel(pose, a=0.5, v=0.1),      # waits until it stands
+        read_pose=robot.getl,
+        grab=lambda: camera.read()[1],
+        send_width=gripper.move_and_wait_mm,
+        read_width=gripper.position_mm,
+        pose_format="ur",
+        width_unit=1e-3,
+    )
+"""
+
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from ...array_namespace import to_device
+from ...geometry import as_se3, host_matrices, host_transforms, pose_codec
+from ...robots import Command, CommandLike, JointsLike
+from .interface import CellError
+
+MAX_POSITION_ERROR = 5e-3
+"""Largest distance from the commanded position to the reported one after a motion, m."""
+
+
+class DriverCell:
+    """A real cell, driven by functions of its controller, camera and gripper."""
+
+    def __init__(
+        self,
+        *,
+        send_pose: Callable[[list[float]], object],
+        read_pose: Callable[[], Sequence[float]],
+        grab: Callable[[], np.ndarray],
+        send_width: Callable[[float], object],
+        read_width: Callable[[], float],
+        pose_format: str = "val_oat",
+        width_unit: float = 1e-3,
+        send_joints: Callable[[list[float]], object] | None = None,
+        read_joints: Callable[[], Sequence[float]] | None = None,
+    ):
+        """Keep the functions.
+
+        Args:
+            send_pose: moves the tool in a straight line to a pose, and returns when it stands.
+            read_pose: returns the pose that the controller reports.
+            grab: returns a picture, grey or in colour as OpenCV has it.
+            send_width: moves the fingers to a distance, and returns when they stand.
+            read_width: returns the distance of the fingers.
+            pose_format: of the poses, one of `geometry.POSE_CODECS`, in the manufacturer's units.
+            width_unit: unit of the widths, m; millimetres by default.
+            send_joints: moves to joint readings, rad; None if only poses are commanded.
+            read_joints: returns joint readings, rad; None if they are not known.
+
+        Raises:
+            ValueError: no such pose format.
+        """
+        self._codec = pose_codec(pose_format)
+        self._send_pose, self._read_pose, self._grab = send_pose, read_pose, grab
+        self._send_width, self._read_width, self._unit = send_width, read_width, width_unit
+        self._send_joints, self._read_joints = send_joints, read_joints
+
+    def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
+        """Move the tool as `Cell.move` does.
+
+        Raises:
+            CellError: the robot reports another position than it was sent to, or it takes no
+                joint readings.
+        """
+        if isinstance(target, Command):
+            target = target.base_from_tool if target.joints is None else target.joints
+        if not hasattr(target, "wxyz_xyz") and np.ndim(target) == 1:  # pyright: ignore
+            if self._send_joints is None:
+                raise CellError("this robot takes poses, not joint readings")
+            # What is sent as joints is not compared: the controller's own pose is what counts.
+            self._send_joints([float(x) for x in np.asarray(target)])
+            return self.where()
+        pose = as_se3(target)  # pyright: ignore[reportArgumentType]
+        row = np.asarray(self._codec.encode(pose, *self._codec.units)).ravel()
+        self._send_pose([float(x) for x in row])
+        reached = self.where()
+        # A controller that stopped on the way, or counts in other units, is found out here.
+        error = np.linalg.norm(
+            host_matrices(reached.base_from_tool)[:3, 3] - host_matrices(pose)[:3, 3]
+        )
+        if not error < MAX_POSITION_ERROR:
+            raise CellError(
+                f"the robot reports a position {1e3 * error:.3g} mm from the commanded one"
+            )
+        return reached
+
+    def picture(self) -> UInt8[np.ndarray, "rows columns"]:
+        """Return a grey picture.
+
+        Raises:
+            CellError: the camera returned no picture.
+        """
+        picture = self._grab()
+        if not isinstance(picture, np.ndarray) or picture.ndim not in (2, 3) or not picture.size:
+            raise CellError(f"the camera returned no picture, but {type(picture).__name__}")
+        # OpenCV's cameras give blue, green and red.
+        if picture.ndim == 3:
+            picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        if picture.dtype != np.uint8:
+            raise CellError(f"the camera returned {picture.dtype}; expected 8 bits")
+        return picture
+
+    def set_gripper(self, width: float) -> float:
+        """Move the fingers as `Cell.set_gripper` does."""
+        self._send_width(float(width) / self._unit)
+        return float(self._read_width()) * self._unit
+
+    def where(self) -> Command:
+        """Return what the controller reports."""
+        # One row of numbers, as the pose format has it.
+        row = np.asarray(self._read_pose(), dtype=float).reshape(1, -1)
+        if row.shape[1] != len(self._codec.columns):
+            raise CellError(
+                f"the robot reports {row.shape[1]} numbers; {self._codec.name} has "
+                f"{len(self._codec.columns)} ({', '.join(self._codec.columns)})"
+            )
+        pose = host_matrices(self._codec.decode(row, *self._codec.units))[0]
+        if self._read_joints is None:
+            return Command(host_transforms(pose))
+        return Command(host_transforms(pose), to_device(np.array(self._read_joints(), dtype=float)))

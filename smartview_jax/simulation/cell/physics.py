@@ -1,0 +1,283 @@
+"""Compute how objects fall, rest and are grasped, with MuJoCo.
+
+The optional package mujoco is needed: `pip install smartview-jax[cell]`.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...extras import import_extra
+from ...robots import Gripper
+from .fixtures import FixedBox
+from .interface import CellError
+from .objects import CellObject
+from .physics_model import TIME_STEP, physics_xml
+
+REST_SPEED = 2e-3
+"""Speed below which an object rests, m/s and rad/s, if it keeps below for `REST_TIME`."""
+
+REST_TIME = 0.15
+"""Time for which all objects have to be slow until they count as at rest, s."""
+
+MAX_FALL_TIME = 12.0
+"""Longest time in which objects have to come to rest, s."""
+
+FALL_SPEED = 0.8
+"""Speed that falling objects tend to, m/s, as if in oil: no object jumps out of the bin."""
+
+LINEAR_SPEED, ANGULAR_SPEED = 0.12, 1.0
+"""Speeds of the gripper near objects, m/s and rad/s."""
+
+STEPS_BETWEEN_LOOKS = 20
+"""Number of steps after which it is looked whether the physics is still stable."""
+
+GRIP_TIME = 1.5
+"""Longest time that the fingers move, s."""
+
+FINGER_REST_SPEED = 5e-4
+"""Speed below which a finger has stopped, m/s."""
+
+
+class Physics:
+    """The bodies of a cell and their motion; the world is the cell's, z upwards."""
+
+    def __init__(
+        self,
+        objects: Sequence[CellObject],
+        fixtures: Sequence[FixedBox],
+        gripper: Gripper,
+        guide_centre: tuple[float, float],
+        guide_size: tuple[float, float],
+    ):
+        """Build the model.
+
+        Raises:
+            ImportError: mujoco is not installed.
+        """
+        self._mujoco = import_extra("mujoco", "cell", "the physics of a cell")
+        self.objects, self.gripper = tuple(objects), gripper
+        self._model: Any = self._mujoco.MjModel.from_xml_string(
+            physics_xml(objects, fixtures, gripper, guide_centre, guide_size)
+        )
+        # The model holds what is fixed, the data what moves.
+        self._data: Any = self._mujoco.MjData(self._model)
+        self._moving = False
+
+    # Where things are.
+
+    def world_from_object(self, number: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of an object, m."""
+        return _matrix(self._free_joint(f"o{number}").qpos)
+
+    @property
+    def world_from_gripper(self) -> Float[np.ndarray, "4 4"]:
+        """The pose of the gripper's frame, m."""
+        return _matrix(self._free_joint("gripper").qpos)
+
+    @property
+    def opening(self) -> float:
+        """The distance between the fingers, m."""
+        return float(sum(self._data.joint(name).qpos[0] for name in ("left", "right")))
+
+    @property
+    def energy(self) -> float:
+        """The potential and kinetic energy of all bodies, J."""
+        self._mujoco.mj_forward(self._model, self._data)
+        return float(np.sum(self._data.energy))
+
+    @property
+    def time(self) -> float:
+        """The simulated time, s."""
+        return float(self._data.time)
+
+    def _free_joint(self, name: str) -> Any:
+        """Return MuJoCo's view of a body's free joint."""
+        return self._data.joint(name)
+
+    # How things move.
+
+    def place(self, number: int, world_from_object: Float[np.ndarray, "4 4"]) -> None:
+        """Put an object at a pose, without motion."""
+        joint = self._free_joint(f"o{number}")
+        # MuJoCo's arrays are views: they are written in place.
+        joint.qpos[:], joint.qvel[:] = _numbers(world_from_object), 0.0
+        self._mujoco.mj_forward(self._model, self._data)
+
+    def place_gripper(self, world_from_gripper: Float[np.ndarray, "4 4"]) -> None:
+        """Put the gripper at a pose, without motion; what is on the way is not touched."""
+        numbers = _numbers(world_from_gripper)
+        joint = self._free_joint("gripper")
+        joint.qpos[:], joint.qvel[:] = numbers, 0.0
+        self._data.mocap_pos[0], self._data.mocap_quat[0] = numbers[:3], numbers[3:]
+        self._mujoco.mj_forward(self._model, self._data)
+
+    def fall(self) -> None:
+        """Let the objects fall, between guiding walls, until all rest.
+
+        Raises:
+            CellError: they do not come to rest, or the physics became unstable.
+        """
+        mass = np.array([self._model.body(f"o{k}").mass[0] for k in range(len(self.objects))])
+        guides = [self._model.geom(f"guide{k}").id for k in range(4)]
+        # Terminal speed: the damping force balances the weight.
+        gravity = -float(self._model.opt.gravity[2])
+        try:
+            self._model.geom_contype[guides] = self._model.geom_conaffinity[guides] = 1
+            for k, m in enumerate(mass):
+                # m g = damping * FALL_SPEED; objects turn freely.
+                self._model.joint(f"o{k}").damping[:3] = m * gravity / FALL_SPEED
+            self.settle()
+        finally:
+            self._model.geom_contype[guides] = self._model.geom_conaffinity[guides] = 0
+            for k in range(len(mass)):
+                self._model.joint(f"o{k}").damping[:] = 0.0
+        # Without the walls, something that leaned on them may move again.
+        self.settle()
+
+    def settle(self) -> None:
+        """Let the objects move until all rest.
+
+        Raises:
+            CellError: they do not come to rest, or the physics became unstable.
+        """
+        # Contacts make speeds flicker: all have to stay slow for a while.
+        slow_since = self.time
+        start = self.time
+
+        def at_rest() -> bool:
+            nonlocal slow_since
+            speeds = [np.abs(self._free_joint(f"o{k}").qvel).max() for k in range(self.count)]
+            if max(speeds, default=0.0) > REST_SPEED:
+                slow_since = self.time
+            return self.time - slow_since > REST_TIME
+
+        self._run(MAX_FALL_TIME, at_rest)
+        if not at_rest():
+            raise CellError(f"objects are still moving {self.time - start:.1f} s after they fell")
+        for k in range(self.count):
+            self._free_joint(f"o{k}").qvel[:] = 0.0
+
+    @property
+    def count(self) -> int:
+        """The number of objects."""
+        return len(self.objects)
+
+    def lead_gripper(self, world_from_gripper: Float[np.ndarray, "4 4"]) -> None:
+        """Lead the gripper in a straight line to a pose, with everything that it pushes or holds.
+
+        Raises:
+            CellError: the physics became unstable.
+        """
+        # From where the target is, not the body, which lags behind it.
+        start = _matrix(np.concatenate([self._data.mocap_pos[0], self._data.mocap_quat[0]]))
+        shift = world_from_gripper[:3, 3] - start[:3, 3]
+        turn = Rotation.from_matrix(world_from_gripper[:3, :3] @ start[:3, :3].T).as_rotvec()
+        duration = 1.5 * max(
+            float(np.linalg.norm(shift)) / LINEAR_SPEED,
+            float(np.linalg.norm(turn)) / ANGULAR_SPEED,
+            0.02,
+        )
+        begin = self.time
+
+        def follow() -> bool:
+            # s = 3 u^2 - 2 u^3 begins and ends without speed.
+            u = min((self.time - begin) / duration, 1.0)
+            s = u * u * (3.0 - 2.0 * u)
+            pose = np.eye(4)
+            # About one fixed axis, while the origin goes straight.
+            pose[:3, :3] = Rotation.from_rotvec(s * turn).as_matrix() @ start[:3, :3]
+            pose[:3, 3] = start[:3, 3] + s * shift
+            numbers = _numbers(pose)
+            self._data.mocap_pos[0], self._data.mocap_quat[0] = numbers[:3], numbers[3:]
+            return False
+
+        self._run(duration, follow)
+        # What it holds swings out.
+        self._run(0.1, lambda: False)
+
+    def move_fingers(self, width: float) -> float:
+        """Move the fingers towards a distance, until they stop, and return their distance, m.
+
+        Raises:
+            CellError: the physics became unstable.
+        """
+        # Each finger goes half of the way.
+        self._data.ctrl[:] = 0.5 * width
+        slow_since = self.time
+
+        def stopped() -> bool:
+            nonlocal slow_since
+            if max(abs(self._data.joint(n).qvel[0]) for n in ("left", "right")) > FINGER_REST_SPEED:
+                slow_since = self.time
+            return self.time - slow_since > 0.1
+
+        self._run(GRIP_TIME, stopped)
+        return self.opening
+
+    def touched_by_fingers(self) -> dict[str, set[int]]:
+        """Return the numbers of the objects that each finger, "left" or "right", touches."""
+        found: dict[str, set[int]] = {"left": set(), "right": set()}
+        for contact in self._data.contact[: self._data.ncon]:
+            names = [self._model.body(self._model.geom_bodyid[geom]).name for geom in contact.geom]
+            # A contact names its bodies in either order.
+            for finger, other in (names, names[::-1]):
+                if finger in found and other.startswith("o"):
+                    found[finger].add(int(other[1:]))
+        return found
+
+    def _run(self, duration: float, each_step: Callable[[], bool]) -> None:
+        """Step until a time is over or a function of each step says that it is enough."""
+        with self._whole_motion():
+            end, step = self.time + duration - 0.5 * TIME_STEP, 0
+            while self.time < end and not each_step():
+                self._mujoco.mj_step(self._model, self._data)
+                step += 1
+                # MuJoCo counts what went wrong: nothing is missed between the looks.
+                if step % STEPS_BETWEEN_LOOKS == 0:
+                    self._refuse_instability()
+            self._refuse_instability()
+
+    def _refuse_instability(self) -> None:
+        """Raise a CellError where MuJoCo found numbers that cannot be right."""
+        warnings = self._mujoco.mjtWarning
+        kinds = (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
+        if any(self._data.warning[int(kind)].number for kind in kinds):
+            raise CellError(
+                f"the physics became unstable after {self.time:.2f} s: something was pushed with "
+                "more than the contacts can bear; drop the objects again"
+            )
+
+    @contextmanager
+    def _whole_motion(self) -> Iterator[None]:
+        """Refuse to go on after a motion that was interrupted in its middle."""
+        # The flag is still set if the motion before did not come to its end.
+        if self._moving:
+            raise CellError("the last motion was interrupted or failed; drop the objects again")
+        self._moving = True
+        mujoco = self._mujoco
+        # Without a handler MuJoCo writes its warnings to a file in the working folder.
+        previous = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda text: None)
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(previous)
+        self._moving = False
+
+
+def _matrix(numbers: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
+    """Return a pose of MuJoCo, position and quaternion with its real part first, as a matrix."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(np.roll(numbers[3:], -1)).as_matrix()
+    pose[:3, 3] = numbers[:3]
+    return pose
+
+
+def _numbers(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "7"]:
+    """Return a pose as MuJoCo has it."""
+    return np.concatenate([pose[:3, 3], np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)])

@@ -1,0 +1,183 @@
+"""Write the MuJoCo model of a cell: table, bin, objects, and a gripper that is led along a path."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...robots import Gripper
+from .fixtures import FixedBox
+from .objects import CellObject, as_box, convex_parts
+
+TIME_STEP = 1e-3
+"""Time step of the physics, s."""
+
+CONTACT_TIME = 4e-3
+"""Time constant of contacts, s, with which a resting object sinks in by less than a micrometre.
+
+MuJoCo's contacts are springs with dampers; the constant is at least twice the time step.
+"""
+
+GRIP_FORCE = 20.0
+"""Largest force of each finger, N."""
+
+FINGER_GAIN = 4000.0
+"""Force of a finger's drive per distance from where it should be, N/m."""
+
+GUIDE_HEIGHT = 3.0
+"""Height of the walls that guide falling objects, m; they are there only while objects fall."""
+
+GUIDE_THICKNESS = 0.05
+"""Thickness of the walls that guide falling objects, m."""
+
+PALM_MASS, FINGER_MASS = 0.6, 0.1
+"""Masses of the gripper's parts, kg; its weight is carried by the arm."""
+
+_TEMPLATE = """
+<mujoco>
+  <option timestep="{step}" cone="elliptic" impratio="10" integrator="implicitfast">
+    <flag multiccd="enable" energy="enable"/>
+  </option>
+  <size memory="64M"/>
+  <default>
+    <geom solref="{contact} 1" solimp="0.99 0.999 0.0005 0.5 2" condim="4" priority="0"/>
+    <equality solref="{contact} 1" solimp="0.995 0.9999 0.0005 0.5 2"/>
+  </default>
+  <asset>
+{meshes}
+  </asset>
+  <worldbody>
+    <geom name="table" type="plane" size="2 2 0.1" contype="1" conaffinity="3"/>
+{fixtures}
+{guides}
+    <body name="target" mocap="true"/>
+    <body name="gripper" gravcomp="1">
+      <freejoint name="gripper"/>
+      {palm}
+      <body name="left" gravcomp="1">
+        <joint name="left" type="slide" axis="-1 0 0" range="0 {reach}" limited="true"
+               damping="20"/>
+        {left}
+      </body>
+      <body name="right" gravcomp="1">
+        <joint name="right" type="slide" axis="1 0 0" range="0 {reach}" limited="true"
+               damping="20"/>
+        {right}
+      </body>
+    </body>
+{objects}
+  </worldbody>
+  <equality>
+    <weld body1="target" body2="gripper" relpose="0 0 0 1 0 0 0"/>
+    <joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>
+  </equality>
+  <actuator>
+    <position name="left" joint="left" kp="{gain}" ctrlrange="0 {reach}"
+              forcerange="-{force} {force}"/>
+    <position name="right" joint="right" kp="{gain}" ctrlrange="0 {reach}"
+              forcerange="-{force} {force}"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def physics_xml(
+    objects: Sequence[CellObject],
+    fixtures: Sequence[FixedBox],
+    gripper: Gripper,
+    guide_centre: tuple[float, float],
+    guide_size: tuple[float, float],
+) -> str:
+    """Return the model in MuJoCo's format; its world is that of the cell, z upwards.
+
+    The gripper's body is welded to a target without mass, which is moved along the path of the true
+    tool; the fingers slide, coupled to each other, and have a drive of limited force. The gripper
+    meets objects and fixtures, not itself.
+
+    Args:
+        objects: named o0, o1, ... in the model.
+        fixtures: boxes that do not move.
+        gripper: its boxes.
+        guide_centre: x and y of the middle between the guiding walls, m.
+        guide_size: distance between the guiding walls along x and y, m.
+    """
+    meshes: list[str] = []
+    # Bits of contype and conaffinity: 1 for objects and fixtures, 2 for the gripper.
+    bodies = [_object_xml(k, one, meshes) for k, one in enumerate(objects)]
+    x, y = guide_centre
+    # Infinitely heavy walls at a distance, thick so that nothing passes through in one step.
+    # Their inner sides are where the bin's are.
+    offsets = [
+        (sign * (0.5 * (guide_size[axis] + GUIDE_THICKNESS)), axis)
+        for axis in (0, 1)
+        for sign in (-1.0, 1.0)
+    ]
+    half = 0.5 * max(guide_size) + GUIDE_THICKNESS
+    guides = []
+    for k, (offset, axis) in enumerate(offsets):
+        centre = [x, y, 0.5 * GUIDE_HEIGHT]
+        centre[axis] += offset
+        # Wide enough to meet at the corners.
+        size = [half, half, 0.5 * GUIDE_HEIGHT]
+        size[axis] = 0.5 * GUIDE_THICKNESS
+        guides.append(
+            f'    <geom name="guide{k}" type="box" pos="{_text(centre)}" size="{_text(size)}" '
+            'contype="0" conaffinity="0" friction="0.05 0.005 0.0001"/>'
+        )
+    # Drawn closed: the joints move the fingers from there.
+    boxes = {box.name: box for box in gripper.boxes(0.0)}
+    parts = {
+        name: f'<geom type="box" pos="{_text(box.centre)}" size="{_text(0.5 * box.size)}" '
+        f'mass="{PALM_MASS if name == "palm" else FINGER_MASS}" contype="2" conaffinity="1" '
+        'friction="1 0.005 0.0001"/>'
+        for name, box in boxes.items()
+    }
+    return _TEMPLATE.format(
+        step=TIME_STEP,
+        contact=CONTACT_TIME,
+        meshes="\n".join(meshes),
+        fixtures="\n".join(
+            f'    <geom name="f{k}" type="box" pos="{_text(box.centre)}" '
+            f'size="{_text(0.5 * np.asarray(box.size))}" contype="1" conaffinity="3"/>'
+            for k, box in enumerate(fixtures)
+        ),
+        guides="\n".join(guides),
+        palm=parts["palm"],
+        left=parts["left finger"],
+        right=parts["right finger"],
+        reach=0.5 * gripper.max_opening,
+        objects="\n".join(bodies),
+        gain=FINGER_GAIN,
+        force=GRIP_FORCE,
+    )
+
+
+def _object_xml(number: int, one: CellObject, meshes: list[str]) -> str:
+    """Return the body of an object, and add the meshes of its parts that are no boxes."""
+    geoms = []
+    # An object's own friction counts, whatever it touches: its contacts take priority.
+    common = (
+        f'density="{one.density}" friction="{one.friction} 0.005 0.0001" priority="1" '
+        'contype="1" conaffinity="3"'
+    )
+    for k, corners in enumerate(convex_parts(one.solid, one.name)):
+        box = as_box(corners)
+        if box is not None:
+            quat = np.roll(Rotation.from_matrix(box.pose[:3, :3]).as_quat(), 1)
+            geoms.append(
+                f'<geom type="box" pos="{_text(box.pose[:3, 3])}" quat="{_text(quat)}" '
+                f'size="{_text(0.5 * box.size)}" {common}/>'
+            )
+        else:
+            meshes.append(f'    <mesh name="m{number}_{k}" vertex="{_text(corners.ravel())}"/>')
+            geoms.append(f'<geom type="mesh" mesh="m{number}_{k}" {common}/>')
+    inside = "\n      ".join(geoms)
+    return (
+        f'    <body name="o{number}">\n      <freejoint name="o{number}"/>\n      {inside}\n'
+        "    </body>"
+    )
+
+
+def _text(numbers: Sequence[float] | np.ndarray) -> str:
+    """Return numbers as MuJoCo reads them, with every digit."""
+    return " ".join(repr(float(x)) for x in numbers)

@@ -1,0 +1,381 @@
+"""Simulate a whole cell: commands go in, pictures come out, the truth goes to the judge only."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
+
+from ...calibration import Calibration
+from ...cameras import Camera
+from ...geometry import as_se3, check_rigid, host_transforms
+from ...robots import Command, CommandLike, Gripper, JointsLike, SerialArm, joints_for_pose
+from ...targets import AbstractTarget
+from ..arm_scenes import HOME_JOINTS
+from ..polyhedra import Polyhedron
+from ..solid_scenes import SolidScene, Surface, render_solids
+from ..textures import Texture, speckled
+from .fixtures import Bin, FixedBox
+from .interface import CellError
+from .objects import CellObject
+from .physics import Physics
+from .table import board_on_table, table_texture
+from .truth import BOARD, CellTruth, random_truth
+
+MAX_DROPS = 6
+"""Number of times that objects are dropped until all lie in the bin."""
+
+CLEAR_HEIGHT = 0.03
+"""Height above everything at which the gripper moves without that its path is simulated, m."""
+
+HELD_HEIGHT = 2e-3
+"""Height of an object's lowest point above the bin or the table from which it counts as lifted."""
+
+TABLE_HALF_WIDTH = 0.6
+"""Half of the width of the table in the pictures, m."""
+
+CENTRE = (float(BOARD.points[:, 0].mean()), float(BOARD.points[:, 1].mean()))
+"""Middle of the board, about which the bin stands, m."""
+
+STANDARD_BIN = Bin(CENTRE)
+"""The bin of a cell, where the board lies otherwise."""
+
+SAMPLES, STRIDE = 8, 3
+"""Rays in a pixel at an edge, and distance of the pixels that are looked at first."""
+
+EXPOSURE = 1.3
+"""Exposure of the pictures."""
+
+
+class Judgement(NamedTuple):
+    """The truth about a cell, for whoever judges what was done in it.
+
+    Attributes:
+        held: names of the objects between both fingers and above the bin.
+        world_from_object: true pose of each object by its name, m.
+        world_from_gripper: true pose of the gripper's frame, m.
+        opening: true distance between the fingers, m.
+    """
+
+    held: tuple[str, ...]
+    world_from_object: dict[str, Float[np.ndarray, "4 4"]]
+    world_from_gripper: Float[np.ndarray, "4 4"]
+    opening: float
+
+
+class SimulatedCell:
+    """A cell whose arm, camera and objects are simulated; it has the methods of `Cell`.
+
+    The arm's true kinematics, hand-eye transform and lens are drawn at random and known to `judge`
+    alone. The dynamics of the arm are left out: the gripper is led to where the true kinematics put
+    it, and meets objects with the forces of its fingers. It throws no shadow and is never seen by
+    its own camera, which looks past it.
+    """
+
+    def __init__(
+        self,
+        seed: int = 0,
+        *,
+        truth: CellTruth | None = None,
+        gripper: Gripper | None = None,
+        bin: Bin | None = STANDARD_BIN,
+        clutter: bool = True,
+        blur: float = 0.7,
+        noise: float = 1.0,
+    ):
+        """Set up the cell, with the board on the table and no objects.
+
+        Args:
+            seed: of everything random.
+            truth: the truth; by default `random_truth` of the seed.
+            gripper: the gripper on the flange.
+            bin: where objects are dropped; None for the bare table.
+            clutter: whether the table is printed with labels and scraps.
+            blur, noise: of the pictures, px and grey levels.
+
+        Raises:
+            ImportError: mujoco, trimesh or embreex is not installed (smartview-jax[cell]).
+        """
+        self._truth, self.gripper = truth or random_truth(seed), gripper or Gripper()
+        # The arm's own randomness, which the pictures' noise does not change.
+        self._rng = np.random.default_rng((seed, 11))
+        self._seed, self._pictures, self._bin = seed, 0, bin
+        self._blur, self._noise = blur, noise
+        self._table = table_texture(seed, clutter)
+        self._table_with_board = board_on_table(self._truth.board, self._table)
+        self._objects: tuple[CellObject, ...] = ()
+        self.board_shown = True
+        self._joints = np.array(HOME_JOINTS, dtype=float)
+        self._base_from_tool = self._truth.base_from_tool(self._joints, self._rng)
+        self._physics = self._new_physics(())
+
+    # What everyone knows of the cell.
+
+    @property
+    def arm(self) -> SerialArm:
+        """The nominal arm."""
+        return self._truth.arm
+
+    @property
+    def board(self) -> AbstractTarget:
+        """The board for the calibration; its frame is the world."""
+        return self._truth.board
+
+    @property
+    def centre(self) -> Float[np.ndarray, "3"]:
+        """The middle of the working area on the table, in the world's frame, m."""
+        if self._bin is not None:
+            return np.array([*self._bin.centre, 0.0])
+        return np.array([*self._truth.board.points.mean(axis=0)[:2], 0.0])
+
+    @property
+    def fixtures(self) -> tuple[FixedBox, ...]:
+        """The walls of the bin, in the world's frame."""
+        return () if self._bin is None or self.board_shown else self._bin.boxes
+
+    # What a person does in the cell.
+
+    def drop(self, objects: Sequence[CellObject], seed: int = 0) -> None:
+        """Take the board away and let objects fall into the bin, or on the table.
+
+        Args:
+            objects: with different names.
+            seed: of how they fall; the same seed gives the same poses.
+
+        Raises:
+            ValueError: two objects have one name.
+            CellError: they do not come to rest inside the bin.
+        """
+        self._take(objects)
+        for attempt in range(MAX_DROPS):
+            # Each attempt is another throw, and the same for the same seed.
+            rng = np.random.default_rng((seed, 12, attempt))
+            self._physics = self._new_physics(objects)
+            z = 0.02
+            for k, one in enumerate(objects):
+                middle = one.solid.vertices.mean(axis=0)
+                room = np.maximum(np.array(self._area) - 2.0 * one.radius, 0.0)
+                pose = np.eye(4)
+                # A normal vector in four dimensions has a uniform direction, as a quaternion.
+                pose[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
+                z += one.radius
+                # One above the other, so that none is inside another at the start.
+                position = [*(self.centre[:2] + (rng.random(2) - 0.5) * room), z]
+                pose[:3, 3] = position - pose[:3, :3] @ middle
+                z += one.radius + 0.005
+                self._physics.place(k, pose)
+            # All at once, one above the other.
+            self._physics.fall()
+            if all(self._lies_inside(k) for k in range(len(objects))):
+                return
+        raise CellError(f"after {MAX_DROPS} drops some objects still lie outside of the bin")
+
+    def place(
+        self,
+        objects: Sequence[CellObject],
+        world_from_object: Sequence[Float[np.ndarray, "4 4"]],
+    ) -> None:
+        """Take the board away, put objects at poses and let them come to rest.
+
+        Raises:
+            ValueError: two objects have one name, or a pose is not rigid.
+            CellError: they do not come to rest.
+        """
+        self._take(objects)
+        poses = np.array(world_from_object, dtype=float).reshape(-1, 4, 4)
+        problems = check_rigid(poses, tuple(one.name for one in objects))
+        if problems:
+            raise ValueError("; ".join(f"object {k}: {text}" for k, text in problems.items()))
+        self._physics = self._new_physics(objects)
+        for k, pose in enumerate(world_from_object):
+            self._physics.place(k, pose)
+        self._physics.settle()
+
+    def show_board(self) -> None:
+        """Put the board back on the table, without objects and bin."""
+        self._objects, self.board_shown = (), True
+        self._physics = self._new_physics(())
+
+    def _take(self, objects: Sequence[CellObject]) -> None:
+        """Keep the objects for pictures, and take the board away."""
+        names = [one.name for one in objects]
+        if len(set(names)) < len(names):
+            raise ValueError(f"objects: two have the same name among {', '.join(names)}")
+        self._objects, self.board_shown = tuple(objects), False
+
+    @property
+    def _area(self) -> tuple[float, float]:
+        """The width and depth within which objects fall, m."""
+        return (0.24, 0.18) if self._bin is None else self._bin.size[:2]
+
+    def _new_physics(self, objects: Sequence[CellObject]) -> Physics:
+        """Return new physics with the gripper where it is."""
+        x, y, _ = self.centre
+        physics = Physics(objects, self.fixtures, self.gripper, (float(x), float(y)), self._area)
+        physics.place_gripper(self._true_gripper())
+        physics.move_fingers(self.gripper.max_opening)
+        return physics
+
+    def _lies_inside(self, number: int) -> bool:
+        """Return whether an object lies between the walls and not through the table."""
+        solid = self._objects[number].solid.moved(self._physics.world_from_object(number))
+        beside = np.abs(solid.vertices[:, :2] - self.centre[:2]) > 0.5 * np.array(self._area) + 0.02
+        return bool(solid.vertices[:, 2].min() > -1e-3 and not beside.any())
+
+    # The methods of `Cell`.
+
+    def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
+        """Move the tool as `Cell.move` does; the nominal arm solves for the joints."""
+        joints = self._joints_of(target)
+        # Joint readings are checked here, poses when they are solved.
+        exceeded = np.asarray(self.arm.violated_limits(joints))
+        if exceeded.any():
+            raise CellError(f"joint {1 + int(np.flatnonzero(exceeded)[0])} is beyond its limit")
+        before = self._lowest_of_gripper()
+        base_from_tool = self._truth.base_from_tool(joints, self._rng)
+        # What is reported follows the nominal arm, what happens the true one.
+        self._joints, self._base_from_tool = joints, base_from_tool
+        clear = min(before, self._lowest_of_gripper()) > self._top + CLEAR_HEIGHT
+        # High above everything there is nothing to touch: the motion takes no time.
+        if clear and not any(self._physics.touched_by_fingers().values()):
+            self._physics.place_gripper(self._true_gripper())
+        else:
+            self._physics.lead_gripper(self._true_gripper())
+        return self.where()
+
+    def picture(self) -> UInt8[np.ndarray, "rows columns"]:
+        """Return what the camera sees; each picture has its own noise."""
+        self._pictures += 1
+        return render_solids(
+            self._truth.calibration.uncorrected,
+            host_transforms(self._base_from_tool),
+            SolidScene(self._surfaces()),
+            blur=self._blur,
+            noise=self._noise,
+            exposure=EXPOSURE,
+            seed=self._seed * 100_003 + self._pictures,
+            samples=SAMPLES,
+            stride=STRIDE,
+        )
+
+    def set_gripper(self, width: float) -> float:
+        """Move the fingers as `Cell.set_gripper` does."""
+        if not 0.0 <= width <= self.gripper.max_opening:
+            raise ValueError(
+                f"width {width!r} m; expected 0 to {self.gripper.max_opening:g} m, metres"
+            )
+        return self._physics.move_fingers(width)
+
+    def where(self) -> Command:
+        """Return what the robot reports: the nominal arm's pose at its joints."""
+        return self.arm.command(self._joints)
+
+    def _joints_of(self, target: CommandLike | JointsLike | Sequence[float]) -> np.ndarray:
+        """Return the joint readings of a target."""
+        if isinstance(target, Command):
+            target = target.base_from_tool if target.joints is None else target.joints
+        array = None if hasattr(target, "wxyz_xyz") else np.asarray(target, dtype=float)
+        if array is not None and array.shape == (self.arm.joint_count,):
+            if not np.isfinite(array).all():
+                raise CellError(f"joint readings that are not finite: {array.tolist()}")
+            return array
+        pose = as_se3(target)  # pyright: ignore[reportArgumentType]
+        # The controller knows the nominal arm only: so the true one misses the pose.
+        solution = joints_for_pose(self.arm, pose, self._joints)
+        if pose.wxyz_xyz.shape != (7,) or not bool(solution.is_solved):
+            raise CellError(f"the arm does not get there: {solution.status_text()}")
+        return np.asarray(solution.joints)
+
+    def _true_gripper(self) -> Float[np.ndarray, "4 4"]:
+        """Return where the gripper really is in the world."""
+        world_from_tool = self._truth.world_from_base @ self._base_from_tool
+        return world_from_tool @ self.gripper.tool_from_gripper
+
+    def _lowest_of_gripper(self) -> float:
+        """Return the height of the gripper's lowest point, m."""
+        pose = self._true_gripper()
+        vertices, _ = self.gripper.mesh(self.gripper.max_opening)
+        return float((vertices @ pose[:3, :3].T + pose[:3, 3])[:, 2].min())
+
+    @property
+    def _top(self) -> float:
+        """The height of the highest point of objects and fixtures, m."""
+        tops = [float(box.centre[2] + 0.5 * box.size[2]) for box in self.fixtures]
+        tops += [float(one.vertices[:, 2].max()) for one in self._solids()]
+        return max(tops, default=0.0)
+
+    # What only the judge and a bystander see.
+
+    def judge(self) -> Judgement:
+        """Return the truth; what drives the cell must not look at it."""
+        poses = {
+            one.name: self._physics.world_from_object(k) for k, one in enumerate(self._objects)
+        }
+        touched = self._physics.touched_by_fingers()
+        # Without a bin an object counts as soon as it is off the table.
+        floor = max((float(box.size[2]) for box in self.fixtures), default=0.0)
+        lifted = [one.vertices[:, 2].min() > floor + HELD_HEIGHT for one in self._solids()]
+        held = tuple(
+            self._objects[k].name for k in sorted(touched["left"] & touched["right"]) if lifted[k]
+        )
+        return Judgement(held, poses, self._physics.world_from_gripper, self._physics.opening)
+
+    def judge_tool(self) -> Float[np.ndarray, "4 4"]:
+        """Return the true `base_from_tool`, m; what drives the cell must not look at it."""
+        return self._base_from_tool.copy()
+
+    @property
+    def truth(self) -> CellTruth:
+        """The true kinematics, hand-eye transform and lens, for the judge."""
+        return self._truth
+
+    def watch(
+        self, camera_from_world: Float[np.ndarray, "4 4"], camera: Camera
+    ) -> UInt8[np.ndarray, "rows columns"]:
+        """Return what a bystander's camera sees, gripper included.
+
+        Args:
+            camera_from_world: where the bystander stands.
+            camera: the bystander's own.
+        """
+        identity = host_transforms(np.eye(4))
+        # A camera on a tool that stands where the bystander does.
+        bystander = Calibration.eye_in_hand(camera, identity, identity)
+        vertices, triangles = self.gripper.mesh(
+            min(max(self._physics.opening, 0.0), self.gripper.max_opening)
+        )
+        pose = self._physics.world_from_gripper
+        hand = Surface(
+            vertices @ pose[:3, :3].T + pose[:3, 3], triangles, speckled(0.15, 0.02, 0.01)
+        )
+        scene = SolidScene((*self._surfaces(), hand))
+        base_from_tool = host_transforms(np.linalg.inv(camera_from_world))
+        return render_solids(
+            bystander, base_from_tool, scene, exposure=EXPOSURE, samples=8, stride=STRIDE
+        )
+
+    def _solids(self) -> list[Polyhedron]:
+        """Return the objects where they are."""
+        return [
+            one.solid.moved(self._physics.world_from_object(k))
+            for k, one in enumerate(self._objects)
+        ]
+
+    def _surfaces(self) -> tuple[Surface, ...]:
+        """Return all that can be seen of the table, the bin and the objects."""
+        table = self._table_with_board if self.board_shown else self._table
+        surfaces = [Surface.of_plane(TABLE_HALF_WIDTH, table)]
+        surfaces += [box.surface() for box in self.fixtures]
+        for k, one in enumerate(self._objects):
+            pose = self._physics.world_from_object(k)
+            surfaces.append(
+                Surface.of_polyhedron(one.solid.moved(pose), _moved_texture(one.texture, pose))
+            )
+        return tuple(surfaces)
+
+
+def _moved_texture(texture: Texture, world_from_object: Float[np.ndarray, "4 4"]) -> Texture:
+    """Return an object's texture as a function of points in the world."""
+    R, t = world_from_object[:3, :3], world_from_object[:3, 3]
+    return lambda points: texture((points - t) @ R)

@@ -1,0 +1,77 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from solids import box, prism
+
+from smartview_jax.grasping import suggested_grasps
+from smartview_jax.grasping.candidates import REVOLUTION_STEPS, candidate_grasps
+from smartview_jax.modeling import find_symmetry, grasp_on_face, width_between_fingers
+from smartview_jax.robots import Gripper
+
+GRIPPER = Gripper(max_opening=0.05)
+
+
+def test_suggestions_take_every_pair_of_faces_that_fits_the_gripper():
+    # 60 mm is too wide for 50 mm: two pairs remain, each approached from four sides.
+    found = suggested_grasps(box(0.06, 0.04, 0.03), GRIPPER)
+    widths = [width_between_fingers(box(0.06, 0.04, 0.03), one.object_from_tool) for one in found]
+    assert {round(1e3 * w) for w in widths} == {30, 40}
+    approaches = {tuple(one.approach.round(6)) for one in found}
+    assert len(approaches) == 6
+    # Fingertips stay above what the object lies on, and beside it within the gripper's reach.
+    assert all(0.0 < one.depth <= GRIPPER.finger_length for one in found)
+
+
+def test_faces_that_may_not_be_touched_are_not():
+    model = box(0.06, 0.04, 0.03)
+    faces = tuple(
+        dataclasses.replace(face, graspable=face.name not in ("front", "back"))
+        for face in model.faces
+    )
+    careful = dataclasses.replace(model, faces=faces)
+    assert len(suggested_grasps(careful, GRIPPER)) < len(suggested_grasps(model, GRIPPER))
+    # Front and back are at a right angle to y.
+    assert all(abs(one.opening_direction[1]) < 1e-9 for one in suggested_grasps(careful, GRIPPER))
+
+
+def test_a_symmetric_model_repeats_its_grasps():
+    model = box(0.06, 0.04, 0.03)
+    grasp = grasp_on_face(model, 1, opening_direction=np.array([0.0, 1.0, 0.0]))
+    single = dataclasses.replace(model, grasps=(grasp,))
+    symmetric = dataclasses.replace(single, symmetry=find_symmetry(model))
+    plain, repeated = candidate_grasps(single, GRIPPER), candidate_grasps(symmetric, GRIPPER)
+    assert len(repeated) == symmetric.symmetry.order * len(plain) == 4 * len(plain)
+    for one in repeated:
+        # Each is the same grasp to the object: as wide there.
+        width = width_between_fingers(model, one.object_from_gripper)
+        assert np.isclose(width, 0.04)
+
+
+def test_a_surface_of_revolution_is_grasped_from_all_around():
+    model = prism(24, radius=0.02)
+    grasp = grasp_on_face(model, 25)
+    model = dataclasses.replace(model, grasps=(grasp,), symmetry=find_symmetry(model))
+    found = candidate_grasps(model, GRIPPER)
+    assert model.symmetry.axis is not None
+    turns = {tuple(one.object_from_gripper[:3, 0].round(6)) for one in found}
+    # Half a turn of the gripper is one of the twelve.
+    assert len(turns) == REVOLUTION_STEPS
+
+
+def test_half_a_turn_mirrors_what_is_along_the_fingers():
+    model = box(0.06, 0.04, 0.03)
+    # 5 mm from one end: the side is longer on the other.
+    grasp = grasp_on_face(
+        model, 1, np.array([0.005, 0.02, 0.03]), np.array([0.0, 1.0, 0.0]), opening=0.05
+    )
+    first, turned = candidate_grasps(dataclasses.replace(model, grasps=(grasp,)), GRIPPER)
+    assert first.along_finger != turned.along_finger
+    assert np.allclose(first.along_finger, np.negative(turned.along_finger[::-1]))
+    assert {round(1e3 * abs(end)) for end in first.along_finger} == {4, 16}
+
+
+def test_an_open_model_without_grasps_says_what_is_missing():
+    model = box(0.06, 0.04, 0.03)
+    with pytest.raises(ValueError, match="not closed"):
+        candidate_grasps(dataclasses.replace(model, faces=model.faces[:-1]), GRIPPER)

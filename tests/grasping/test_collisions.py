@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+
+from smartview_jax.grasping import Obstacle
+from smartview_jax.grasping.collisions import CollisionChecker, arm_links, swept_gripper
+from smartview_jax.robots import Gripper
+from smartview_jax.simulation import stepped_block
+
+pytest.importorskip("fcl")
+trimesh = pytest.importorskip("trimesh")
+
+DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def at(x=0.0, y=0.0, z=0.0, rotation=None):
+    pose = np.eye(4) if rotation is None else rotation.copy()
+    pose[:3, 3] = x, y, z
+    return pose
+
+
+def nearest(obstacles, pose, translation=(0.0, 0.0, 0.0), opening=0.04):
+    parts = swept_gripper(Gripper(), opening, pose, np.array(translation))
+    return CollisionChecker(obstacles).nearest(parts)
+
+
+def test_the_distance_to_a_table_is_that_of_the_tips():
+    contact = nearest([Obstacle.table()], at(z=0.0123, rotation=DOWN))
+    assert contact.part in ("left finger", "right finger")
+    assert contact.obstacle == "table"
+    assert np.isclose(contact.clearance, 0.0123, atol=1e-6)
+
+
+def test_the_distance_to_a_wall_is_that_of_the_finger_beside_it():
+    wall = Obstacle.box("wall", (0.01, 1.0, 0.1), at(x=0.1))
+    # The right finger's outside is at 20 + 8 mm, the wall's at 95.
+    contact = nearest([Obstacle.table(z=-1.0), wall], at(rotation=DOWN))
+    assert contact.obstacle == "wall"
+    palm = 0.5 * Gripper().palm[0]
+    # The wall is higher than the fingers' upper ends are: the palm is nearer than they are.
+    assert contact.part == "palm"
+    assert np.isclose(contact.clearance, 0.095 - palm, atol=1e-6)
+
+
+def test_a_thin_plate_between_the_two_ends_of_a_motion_is_not_missed():
+    plate = Obstacle.box("plate", (0.3, 0.3, 1e-4), at(z=0.2))
+    assert nearest([plate], at(z=0.01, rotation=DOWN)).clearance > 0.0
+    swept = nearest([plate], at(z=0.01, rotation=DOWN), (0.0, 0.0, 0.4))
+    assert swept.clearance == 0.0
+    assert str(swept).endswith("touches plate")
+
+
+def test_what_is_inside_an_obstacle_touches_it():
+    block = Obstacle.box("block", (1.0, 1.0, 1.0), np.eye(4))
+    assert nearest([block], DOWN).clearance == 0.0
+
+
+def test_the_step_of_a_block_is_free_space():
+    """A surface that is not convex is not replaced by its hull."""
+    solid = stepped_block(0.2)
+    block = Obstacle("block", solid.vertices, solid.triangles)
+    hull = trimesh.convex.convex_hull(solid.vertices)
+    # Above the step: inside the hull, outside the block.
+    spot = at(0.06, 0.0, 0.06, DOWN)
+    assert hull.contains(spot[:3, 3][None])[0]
+    contact = nearest([block], spot, opening=0.01)
+    assert 0.0 < contact.clearance < 0.02
+    filled = Obstacle("filled", np.asarray(hull.vertices), np.asarray(hull.faces))
+    assert nearest([filled], spot, opening=0.01).clearance == 0.0
+
+
+def test_distances_are_those_of_trimesh():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        points = rng.standard_normal((10, 3)) * 0.03 + [0.2, 0.0, 0.0]
+        hull = trimesh.convex.convex_hull(points)
+        obstacle = Obstacle("hull", np.asarray(hull.vertices), np.asarray(hull.faces))
+        parts = swept_gripper(Gripper(), 0.04, DOWN, np.zeros(3))
+        manager = trimesh.collision.CollisionManager()
+        manager.add_object("hull", hull)
+        expected = min(
+            manager.min_distance_single(trimesh.convex.convex_hull(corners))
+            for corners in parts.values()
+        )
+        found = CollisionChecker([obstacle]).nearest(parts).clearance
+        assert np.isclose(found, max(expected, 0.0), atol=1e-6)
+
+
+def test_links_are_cylinders_about_the_lines_between_the_frames():
+    origins = np.array([[0.0, 0, 0], [0, 0, 0.4], [0, 0, 0.4], [0.3, 0, 0.4]])
+    links = arm_links(origins, 0.05)
+    # Frames at one place have no link between them.
+    assert list(links) == ["arm's link 1", "arm's link 3"]
+    contact = CollisionChecker([Obstacle.box("box", (0.1, 0.1, 0.1), at(0.15, 0.0, 0.6))]).nearest(
+        links
+    )
+    # From 0.4 m + 0.05 m up to 0.55 m; the prism about the cylinder has up to 5 % more.
+    assert 0.0970 <= contact.clearance <= 0.1001
+
+
+def test_without_obstacles_there_is_no_contact():
+    assert nearest([], DOWN) is None

@@ -1,0 +1,225 @@
+"""Whole grasps: their commands by Eq. 20, what refuses them, and how they are ranked."""
+
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from solids import box
+
+import smartview_jax as sv
+from smartview_jax.geometry import host_matrices, host_transforms
+from smartview_jax.grasping import (
+    PHASES,
+    GraspScene,
+    Motion,
+    NoSafeGraspError,
+    Obstacle,
+    PlacedObject,
+    grasps_for,
+)
+from smartview_jax.io import read_viewpoints
+from smartview_jax.modeling import find_symmetry, grasp_on_face
+from smartview_jax.robot_errors import DHErrors, RobotError
+from smartview_jax.robots import Gripper, six_axes
+from smartview_jax.simulation.arm_scenes import HOME_JOINTS
+from smartview_jax.simulation.cell import random_truth
+
+for needed in ("fcl", "mapbox_earcut", "trimesh"):
+    pytest.importorskip(needed)
+
+BOX = box(0.06, 0.04, 0.03, name="box")
+TOP = grasp_on_face(BOX, 1, opening_direction=np.array([0.0, 1.0, 0.0]), depth=0.02)
+MODEL = dataclasses.replace(BOX, grasps=(TOP,))
+GRIPPER = Gripper()
+SMALL = np.diag([2e-4] * 3 + [2e-3] * 3) ** 2
+
+CALIBRATION = random_truth(0, error_scale=0.0).calibration.uncorrected
+
+
+def placed(covariance=SMALL, model=MODEL, x=0.1, y=-0.1, turn=0.3):
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    pose[:2, 3] = x, y
+    return PlacedObject(model, pose, covariance)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return GraspScene(
+        CALIBRATION, (Obstacle.table(),), arm=six_axes(), near=HOME_JOINTS, link_radius=0.04
+    )
+
+
+@pytest.fixture(scope="module")
+def plan(scene):
+    return grasps_for(placed(), GRIPPER, scene)
+
+
+def test_the_tool_is_where_eq_20_puts_it(plan):
+    best = plan.best
+    # base_from_tool = base_from_world @ world_from_object @ object_from_tool, and the gripper is
+    # 0.11 m in front of the tool.
+    expected = (
+        host_matrices(CALIBRATION.base_from_world)
+        @ placed().world_from_object
+        @ TOP.object_from_tool
+        @ np.linalg.inv(GRIPPER.tool_from_gripper)
+    )
+    half_turn = expected @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    found = best.base_from_tool[PHASES.index("grasp")]
+    assert np.allclose(found, expected) or np.allclose(found, half_turn)
+
+
+def test_before_it_the_approach_and_after_it_straight_up(plan):
+    pre, grasp, lift, retreat = plan.best.world_from_gripper
+    assert np.allclose(pre[:3, 3], grasp[:3, 3] - 0.06 * grasp[:3, 2])
+    assert np.allclose(lift[:3, 3] - grasp[:3, 3], [0.0, 0.0, 0.03])
+    assert np.allclose(retreat[:3, 3] - grasp[:3, 3], [0.0, 0.0, 0.15])
+
+
+def test_the_joints_reach_the_poses(plan):
+    best = plan.best
+    reached = host_matrices(six_axes().base_from_tool(best.joints))
+    assert np.allclose(reached, best.base_from_tool, atol=1e-8)
+
+
+def test_a_fitted_error_of_the_arm_is_compensated(scene):
+    truth = random_truth(3).calibration
+    found = grasps_for(placed(), GRIPPER, dataclasses.replace(scene, calibration=truth)).best
+    # The true arm, sent to the joints, has the gripper at the object.
+    actual = host_matrices(truth.robot_error.actual_pose(six_axes().command(found.joints)))
+    gripper = np.linalg.inv(host_matrices(truth.base_from_world)) @ actual
+    assert np.allclose(gripper @ GRIPPER.tool_from_gripper, found.world_from_gripper, atol=1e-7)
+    assert not np.allclose(
+        host_matrices(six_axes().base_from_tool(found.joints)), actual, atol=1e-4
+    )
+
+
+def test_it_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
+    best = plan.best
+    for name in ("grasp.csv", "grasp.json"):
+        best.write(tmp_path / name)
+        read = read_viewpoints(tmp_path / name)
+        assert read.names == PHASES
+        assert np.allclose(host_matrices(read.base_from_tool), best.base_from_tool)
+        assert np.allclose(read.joints, best.joints)
+    best.write(tmp_path / "grasp.val")
+    assert (tmp_path / "grasp.val").read_text().count("MOVE ") == 4
+    units = json.loads((tmp_path / "grasp.json").read_text())["units"]
+    assert units["length"] == "mm"
+    # And Eq. 18's numbers, in m and rad.
+    again = host_matrices(sv.se3_from_xyzoat(jnp.asarray(best.xyzoat)))
+    assert np.allclose(again, best.base_from_tool)
+
+
+def test_the_probability_falls_with_the_covariance(scene):
+    chances = [
+        grasps_for(
+            placed(scale**2 * SMALL), GRIPPER, scene, Motion(min_probability=0.0)
+        ).best.success_probability
+        for scale in (1.0, 20.0, 60.0)
+    ]
+    assert chances[0] > 0.99
+    assert chances[0] > chances[1] > chances[2]
+
+
+def test_an_object_that_is_too_uncertain_is_not_grasped(scene):
+    plan = grasps_for(placed(200.0**2 * SMALL), GRIPPER, scene)
+    with pytest.raises(NoSafeGraspError, match=r"no safe grasp of box.*less than 50% chance"):
+        _ = plan.best
+
+
+def test_what_stands_in_the_way_is_named(scene):
+    wall = np.eye(4)
+    wall[:3, 3] = [0.1, -0.1, 0.2]
+    covered = scene.with_obstacles([Obstacle.box("lid", (0.3, 0.3, 0.01), wall)])
+    plan = grasps_for(placed(), GRIPPER, covered)
+    assert not len(plan)
+    assert "touches lid" in plan.summary
+    # And another object beside it, which the open fingers would hit.
+    neighbour = placed(x=0.1 - 0.045 * np.sin(0.3), y=-0.1 + 0.045 * np.cos(0.3))
+    crowded = grasps_for(placed(), GRIPPER, scene.with_objects([neighbour]))
+    assert all("box" in "; ".join(one.reasons) for one in crowded.refused)
+
+
+def test_out_of_reach_is_said_with_the_phases(scene):
+    plan = grasps_for(placed(x=3.0), GRIPPER, dataclasses.replace(scene, obstacles=()))
+    assert not len(plan)
+    assert "out of reach (pre_grasp)" in plan.summary
+
+
+def test_joint_limits_are_kept(scene):
+    narrow = np.tile([-np.pi, np.pi], (6, 1))
+    # The last joint as on a robot that turns its hand by 5 degrees only.
+    narrow[5] = np.deg2rad([-5.0, 5.0])
+    arm = dataclasses.replace(six_axes(), limits=jnp.asarray(narrow))
+    plan = grasps_for(placed(turn=0.8), GRIPPER, dataclasses.replace(scene, arm=arm))
+    assert not len(plan)
+    assert "out of limits: joint 6" in plan.summary
+
+
+def test_the_links_of_the_arm_are_kept_clear(scene):
+    tower = np.eye(4)
+    tower[:3, 3] = [-0.15, -0.1, 0.5]
+    blocked = scene.with_obstacles([Obstacle.box("tower", (0.05, 0.5, 1.0), tower)])
+    plan = grasps_for(placed(), GRIPPER, blocked)
+    assert not len(plan)
+    assert "arm's link" in plan.summary
+    assert "tower" in plan.summary
+    assert len(grasps_for(placed(), GRIPPER, dataclasses.replace(blocked, link_radius=None)))
+
+
+def test_symmetry_finds_a_grasp_where_one_side_is_blocked(scene):
+    side = grasp_on_face(BOX, 2, opening_direction=np.array([1.0, 0.0, 0.0]), depth=0.02)
+    model = dataclasses.replace(BOX, grasps=(side,))
+    # Face 2, the front, lies on the table: only its opposite is free.
+    pose = np.eye(4)
+    pose[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
+    pose[:3, 3] = 0.1, -0.1, 0.0
+    lying = PlacedObject(model, pose, SMALL)
+    assert not len(grasps_for(lying, GRIPPER, scene))
+    symmetric = dataclasses.replace(model, symmetry=find_symmetry(BOX))
+    plan = grasps_for(lying._replace(model=symmetric), GRIPPER, scene)
+    assert plan.best.world_from_gripper[1, 2, 2] < -0.99
+
+
+def test_without_an_arm_there_are_poses_but_no_joints():
+    plan = grasps_for(placed(), GRIPPER, GraspScene(CALIBRATION, (Obstacle.table(),)))
+    assert plan.best.joints is None
+    assert np.isfinite(plan.best.base_from_tool).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"world_from_object": 2.0 * np.eye(4)}, "object box"),
+        ({"covariance": np.full((6, 6), np.nan)}, "object box: covariance"),
+        ({"covariance": -np.eye(6)}, "without negative eigenvalues"),
+    ],
+)
+def test_wrong_poses_and_covariances_are_named(wrong, named):
+    with pytest.raises(ValueError, match=named):
+        grasps_for(placed()._replace(**wrong), GRIPPER, GraspScene(CALIBRATION))
+
+
+def test_a_camera_beside_the_arm_is_refused():
+    fixed = sv.Calibration.eye_to_hand(
+        CALIBRATION.camera, host_transforms(np.eye(4)), host_transforms(np.eye(4))
+    )
+    with pytest.raises(ValueError, match="eye_to_hand calibration has its world on the tool"):
+        GraspScene(fixed)
+
+
+def test_wrong_motions_are_refused():
+    with pytest.raises(ValueError, match="lift <= retreat"):
+        Motion(lift=0.2, retreat=0.1)
+
+
+def test_robot_error_field_of_an_arm_has_joints_without_naming_the_arm():
+    """The errors of an arm are inverted by its own kinematics: near is needed, the arm is not."""
+    error = RobotError.zero(DHErrors(six_axes()))
+    calibration = dataclasses.replace(CALIBRATION, robot_error=error)
+    with pytest.raises(ValueError, match="near"):
+        grasps_for(placed(), GRIPPER, GraspScene(calibration))

@@ -1,0 +1,57 @@
+"""The views of the board, and what is said when it is not there."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smartview_jax.geometry import host_matrices
+from smartview_jax.picking import calibrate_cell
+from smartview_jax.picking.calibrating import _planned_views, stacked_commands
+from smartview_jax.robots import Command
+from smartview_jax.simulation.cell import BOARD, drawn_calibration
+
+
+class Blank:
+    """A cell whose camera sees nothing."""
+
+    def __init__(self):
+        self.at = Command(drawn_calibration().command_for(np.eye(4)))
+
+    def move(self, target):
+        self.at = target
+        return target
+
+    def picture(self):
+        return np.full((800, 1280), 90, np.uint8)
+
+    def set_gripper(self, width):
+        return width
+
+    def where(self):
+        return self.at
+
+
+def test_a_board_that_is_not_found_is_said_with_the_number_of_views():
+    with pytest.raises(ValueError, match="found in 0 of 7 views; expected 6 or more"):
+        calibrate_cell(Blank(), BOARD, drawn_calibration(), views=7)
+
+
+def test_planned_views_show_most_of_the_board_from_many_sides():
+    drawing = drawn_calibration()
+    views = _planned_views(BOARD, drawing, 24, seed=0)
+    points = BOARD.points @ views[:, :3, :3].swapaxes(1, 2) + views[:, None, :3, 3]
+    pixels, valid = (np.asarray(x) for x in drawing.camera.project(jnp.asarray(points)))
+    size = np.array(drawing.camera.image_size)
+    inside = valid & (pixels > 0.0).all(axis=-1) & (pixels < size - 1.0).all(axis=-1)
+    # Some views are near and cut the board; the detector needs all of it in enough of them.
+    assert np.median(inside.mean(axis=1)) > 0.95
+    tilts = np.arccos(-views[:, 2, 2])
+    assert tilts.min() < np.deg2rad(14.0)
+    assert tilts.max() > np.deg2rad(25.0)
+
+
+def test_commands_are_stacked_with_joints_only_if_all_have_them():
+    one = Command(drawn_calibration().command_for(np.eye(4)))
+    stacked = stacked_commands([one, one])
+    assert host_matrices(stacked.base_from_tool).shape == (2, 4, 4)
+    assert stacked.joints is None

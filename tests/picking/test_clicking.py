@@ -1,0 +1,56 @@
+"""A script at the editor makes the model that a person would."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+import smartview_jax as sv
+from smartview_jax.geometry import host_matrices
+from smartview_jax.picking import model_by_clicks
+from smartview_jax.robots import Command
+from smartview_jax.simulation import paper_calibration
+
+
+@pytest.fixture(scope="module")
+def sample():
+    folder = sv.io.object_sample_folder()
+    views = sv.io.load_object_views(folder / "object")
+    truth = json.loads((folder / "truth.json").read_text())
+    return views, np.array(truth["vertices"]), truth["faces"]
+
+
+def clicked(sample, path, shift=0.0):
+    views, vertices, faces = sample
+    calibration = paper_calibration()
+    seen = np.asarray(calibration.project(views.base_from_tool, vertices)[0])
+    centres = np.linalg.inv(host_matrices(calibration.camera_from_world(views.base_from_tool)))
+    visible = np.zeros(seen.shape[:2], bool)
+    for view, centre in enumerate(centres[:, :3, 3]):
+        for loop in faces:
+            a, b, c = vertices[loop[:3]]
+            if np.cross(b - a, c - a) @ (centre - a) > 0.0:
+                visible[view, loop] = True
+    pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in views.paths]
+    command = Command(views.base_from_tool)
+    return model_by_clicks(
+        calibration, None, command, pictures, seen + shift, visible, faces, path, "block"
+    )
+
+
+def test_the_clicked_model_has_the_true_dimensions(sample, tmp_path):
+    model = clicked(sample, tmp_path / "block.json")
+    _, vertices, _ = sample
+    distances = np.linalg.norm(model.vertices[:, None] - vertices, axis=2).min(axis=1)
+    assert len(model.vertices) >= 8
+    assert len(model.faces) >= 2
+    # Millimetres of an object of 26 mm, seen at 0.2 m by 10 px a millimetre.
+    assert np.median(distances) < 3e-4
+    assert model.name == "block"
+    assert (tmp_path / "block.json").is_file()
+
+
+def test_a_script_that_finds_no_corners_says_so(sample, tmp_path):
+    with pytest.raises(ValueError, match="0 vertices were clicked, no face is complete"):
+        clicked(sample, tmp_path / "none.json", shift=1e4)

@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from smartview_jax.robots import Gripper
+from smartview_jax.simulation import box, stepped_block
+from smartview_jax.simulation.cell import CellError, CellObject, Physics
+from smartview_jax.simulation.cell.physics_model import GRIP_FORCE
+
+pytest.importorskip("mujoco")
+
+BOX = box(0.06, 0.04, 0.03)
+DOWN = np.array([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0, 0, 0, 1.0]])
+"""The gripper above the origin, fingers downwards, closing along the world's y axis."""
+
+
+def pose(x=0.0, y=0.0, z=0.0, rotation=None):
+    matrix = np.eye(4) if rotation is None else rotation.copy()
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def physics(*objects, fixtures=()):
+    found = Physics(objects, fixtures, Gripper(), (0.0, 0.0), (0.3, 0.3))
+    found.place_gripper(pose(z=0.3, rotation=DOWN))
+    return found
+
+
+def lifted_by(found, beside=0.0):
+    """How far the first object rises when it is grasped and the gripper goes up 0.14 m."""
+    height = found.world_from_object(0)[2, 3]
+    found.place_gripper(pose(beside, z=0.1, rotation=DOWN))
+    found.move_fingers(0.07)
+    found.lead_gripper(pose(beside, z=0.012, rotation=DOWN))
+    found.move_fingers(0.0)
+    found.lead_gripper(pose(beside, z=0.152, rotation=DOWN))
+    return found.world_from_object(0)[2, 3] - height
+
+
+@pytest.mark.parametrize("solid", [BOX, stepped_block(0.05)], ids=["box", "prism"])
+def test_what_falls_rests_on_a_face(solid):
+    found = physics(CellObject("it", solid))
+    tilted = np.eye(4)
+    tilted[:3, :3] = Rotation.from_euler("xyz", [0.5, 0.3, 1.0]).as_matrix()
+    found.place(0, pose(z=0.08, rotation=tilted))
+    found.fall()
+    heights = np.sort(solid.moved(found.world_from_object(0)).vertices[:, 2])
+    # Three points or more on the table, to a tenth of a millimetre, and none below.
+    assert np.all(np.abs(heights[:3]) < 1e-4)
+    assert heights[0] > -1e-5
+
+
+def test_a_stack_stands_and_loses_energy():
+    """It loses what it falls, and no contact gives any of it back but for its springs' part."""
+    found = physics(*(CellObject(name, BOX) for name in "abc"))
+    for k in range(3):
+        found.place(k, pose(0.004 * k, z=0.03 * k + 0.002 * (k + 1)))
+    energies = [found.energy]
+    for _ in range(12):
+        found._run(0.05, lambda: False)
+        energies.append(found.energy)
+    mass = 600.0 * 0.06 * 0.04 * 0.03
+    lost = mass * 9.81 * (0.002 + 0.004 + 0.006)
+    assert np.all(np.diff(energies) < 0.02 * lost)
+    assert np.isclose(energies[0] - energies[-1], lost, rtol=0.02)
+    found.settle()
+    tops = [found.world_from_object(k)[2, 3] for k in range(3)]
+    assert np.allclose(tops, [0.0, 0.03, 0.06], atol=1e-4)
+
+
+def test_a_grasp_at_the_object_lifts_it_and_one_beside_does_not():
+    found = physics(CellObject("box", BOX))
+    found.settle()
+    assert abs(lifted_by(found) - 0.14) < 1e-3
+    assert found.touched_by_fingers() == {"left": {0}, "right": {0}}
+    assert abs(found.opening - 0.04) < 1e-3
+    missed = physics(CellObject("box", BOX))
+    missed.settle()
+    # 30 mm beside its end, and so with empty fingers.
+    assert abs(lifted_by(missed, beside=0.06)) < 1e-3
+    assert missed.opening < 1e-3
+
+
+def test_what_is_too_heavy_for_the_friction_slips():
+    """Two fingers hold 2 mu F: above it an object of 1.5 times the weight stays on the table."""
+    mass = 600.0 * 0.06 * 0.04 * 0.03
+    limit = mass * 9.81 / (2.0 * GRIP_FORCE)
+    slippery = physics(CellObject("box", BOX, friction=limit / 1.5))
+    slippery.settle()
+    assert lifted_by(slippery) < 0.02
+    rough = physics(CellObject("box", BOX, friction=limit * 2.0))
+    rough.settle()
+    assert lifted_by(rough) > 0.1
+
+
+def test_the_gripper_is_where_it_is_led():
+    found = physics()
+    target = pose(0.05, -0.03, 0.2, DOWN)
+    target[:3, :3] = Rotation.from_euler("z", 0.4).as_matrix() @ target[:3, :3]
+    found.lead_gripper(target)
+    assert np.allclose(found.world_from_gripper, target, atol=1e-5)
+
+
+def test_an_unstable_simulation_says_so():
+    found = physics(CellObject("box", BOX))
+    found._data.joint("o0").qvel[:] = 1e12
+    with pytest.raises(CellError, match="became unstable"):
+        found.settle()
+    with pytest.raises(CellError, match="drop the objects again"):
+        found.settle()
+
+
+def test_an_interrupted_motion_is_not_gone_on_with():
+    found = physics(CellObject("box", BOX))
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        found._run(1.0, interrupt)
+    with pytest.raises(CellError, match="was interrupted"):
+        found.move_fingers(0.02)
+
+
+def test_objects_that_do_not_rest_are_an_error(monkeypatch):
+    monkeypatch.setattr("smartview_jax.simulation.cell.physics.MAX_FALL_TIME", 0.05)
+    found = physics(CellObject("box", BOX))
+    found.place(0, pose(z=0.2))
+    with pytest.raises(CellError, match="still moving"):
+        found.settle()
