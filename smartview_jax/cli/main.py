@@ -8,6 +8,7 @@ from .calibrate import calibrate
 from .check import check
 from .compare import compare
 from .demo import demo
+from .evaluate import evaluate
 from .export import export
 from .model import model
 from .new import new
@@ -42,5 +43,16 @@ def main(
     """
 
 
-for _subcommand in (calibrate, check, compare, demo, export, model, new, schema, viewpoint):
+for _subcommand in (
+    calibrate,
+    check,
+    compare,
+    demo,
+    evaluate,
+    export,
+    model,
+    new,
+    schema,
+    viewpoint,
+):
     app.command()(_subcommand)

@@ -72,9 +72,7 @@ def load_calibration(
     dataset: Path, calibration: Path | None
 ) -> "tuple[Calibration, SavedEstimate | None]":
     """Return the calibration of the option or of the folder, with its covariance if it has one."""
-    from ..calibration import Calibration
-    from ..files import read_yaml
-    from ..joint import load_estimate
+    from ..joint import load_with_uncertainty
 
     candidates = [dataset / "calibration.yaml", dataset / "calibration" / "calibration.yaml"]
     found = calibration or next((path for path in candidates if path.is_file()), None)
@@ -83,11 +81,10 @@ def load_calibration(
             f"{candidates[0]}: no such file; name the camera's calibration by --calibration "
             "(smartview calibrate makes one)"
         )
-    if "uncertainty" not in read_yaml(found):
+    loaded, estimate = load_with_uncertainty(found)
+    if estimate is None:
         typer.echo(f"{found} says nothing of its uncertainty: taken as exact", err=True)
-        return Calibration.load(found), None
-    estimate = load_estimate(found)
-    return estimate.calibration, estimate
+    return loaded, estimate
 
 
 def _announce(address: str, target: Path, browser: bool) -> None:

@@ -20,6 +20,7 @@ from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WID
 from .precompile import precompile as precompile
 from .saved_estimate import SavedEstimate as SavedEstimate
 from .saved_estimate import load_estimate as load_estimate
+from .saved_estimate import load_with_uncertainty as load_with_uncertainty
 from .saved_estimate import uncertainty_to_dict as uncertainty_to_dict
 
 __getattr__ = _deprecated_names(__name__)

@@ -26,6 +26,7 @@ class SavedEstimate(NamedTuple):
         covariance: covariance of the parameters that were estimated, in their own units.
         parameter_names: names of these parameters.
         noise: standard deviations of pixels and reported poses; None if the robot was trusted.
+        pixel_sigma: standard deviation of u and of v, px.
         observability: the rank of the fit: everything is determined.
     """
 
@@ -33,6 +34,7 @@ class SavedEstimate(NamedTuple):
     covariance: Float[np.ndarray, "free free"]
     parameter_names: tuple[str, ...]
     noise: Noise | None
+    pixel_sigma: float
     observability: Observability
 
 
@@ -54,6 +56,7 @@ def uncertainty_to_dict(fit: "JointFit") -> dict[str, Any] | None:
             "field": [float(sigma) for sigma in noise.field],
             "white_pixel": None if noise.white_pixel is None else float(noise.white_pixel),
         },
+        "pixel_sigma": float(fit.pixel_sigma),
         "smallest_singular_value": float(fit.observability.smallest_singular_value),
     }
 
@@ -85,8 +88,24 @@ def load_estimate(path: str | os.PathLike[str]) -> SavedEstimate:
         np.array(entry["covariance"], dtype=float),
         names,
         _noise_from_dict(entry.get("noise")),
+        float(entry["pixel_sigma"]),
         Observability(len(names), len(names), (), (), float(entry["smallest_singular_value"])),
     )
+
+
+def load_with_uncertainty(
+    path: str | os.PathLike[str],
+) -> tuple[Calibration, SavedEstimate | None]:
+    """Read a calibration, with its covariance where the file has one.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: naming the file and the entry that is wrong.
+    """
+    calibration = Calibration.load(path)
+    if read_yaml(path).get("uncertainty") is None:
+        return calibration, None
+    return calibration, load_estimate(path)
 
 
 def _finite(sigma: float) -> float | None:

@@ -1,6 +1,7 @@
 """Present a calibration, or a whole run, as tables, plots and an HTML page."""
 
 from ..deprecation import deprecated_names as _deprecated_names
+from .evaluation_page import write_evaluation_page as write_evaluation_page
 from .page import write_page as write_page
 from .story import Section as Section
 from .story import StoryFigure as StoryFigure

@@ -163,6 +163,7 @@ class UncertaintyEntry(Entry):
     parameters: Annotated[list[Name], Field(max_length=1000), Expected("names of parameters")]
     covariance: Annotated[list[_NumberRow], Field(max_length=1000), Expected("a square matrix")]
     noise: NoiseEntry | None = None
+    pixel_sigma: _Sigma
     smallest_singular_value: FiniteNumber
 
     @model_validator(mode="after")

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from ...calibration import Calibration
 from ...compilation import compiled
 from ...dataset import Dataset
-from ...joint import JointFit
+from ...joint import JointFit, SavedEstimate
 from ...robots import Command
 from ..measures import ReprojectionErrors, errors_at_target, predict
 from ..uncertainty import std_of, sum_of_squared_derivatives
@@ -83,7 +83,9 @@ def predicted_error(
     )
 
 
-def expected_reprojection_errors(fit: JointFit, data: Dataset) -> ReprojectionErrors:
+def expected_reprojection_errors(
+    fit: JointFit | SavedEstimate, data: Dataset
+) -> ReprojectionErrors:
     """Return the root of the expected squared reprojection error of every point seen.
 
     Under the model four independent errors add up: of the parameters, by the fit's covariance; of
@@ -91,7 +93,8 @@ def expected_reprojection_errors(fit: JointFit, data: Dataset) -> ReprojectionEr
     effective over the white sigma; and independent errors of the poses that the robot reports.
 
     Args:
-        fit: a joint fit; its parameters' uncertainty is that of views it never used.
+        fit: a joint fit, or one that was saved; the uncertainty of its parameters is that of views
+            it never used.
         data: any views. Points that cannot be predicted are infinite, those not seen NaN.
 
     Raises:
@@ -119,7 +122,7 @@ class ExpectedSquaredErrors(NamedTuple):
     poses: Float[np.ndarray, "views points"]
 
 
-def expected_squared_errors(fit: JointFit, data: Dataset) -> ExpectedSquaredErrors:
+def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> ExpectedSquaredErrors:
     """Return the contributions to `expected_reprojection_errors`; raises as it does."""
     calibration, noise = fit.calibration, fit.noise
     white_sigma = effective_sigma = fit.pixel_sigma

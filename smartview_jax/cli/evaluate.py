@@ -1,0 +1,139 @@
+"""Define `smartview evaluate`, which predicts pictures that a calibration was not fitted to."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .load import load_named
+from .options import BadViews, BadViewsOption, DebugOption
+from .terminal import errors_reported, progress_line
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..calibration import Calibration
+    from ..dataset import Dataset
+    from ..evaluation import ReprojectionErrors
+    from ..joint import SavedEstimate
+    from ..report import ErrorSummary
+
+
+def evaluate(
+    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")],
+    beside: Annotated[
+        list[Path] | None, typer.Option(help="Another calibration, to be compared with it.")
+    ] = None,
+    moved: Annotated[
+        bool, typer.Option("--moved", help="The target was moved: find anew where it stands.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="A page with the figures, such as evaluation.html.")
+    ] = None,
+    bad_views: BadViewsOption = BadViews.MASK,
+    debug: DebugOption = False,
+) -> None:
+    """Predict new pictures of the target from the robot's poses alone, and measure the error.
+
+    As in the paper's experiment: the pictures must not be those of the calibration. With --moved
+    only the camera and the hand-eye transform are judged.
+    """
+    with errors_reported(debug):
+        from ..evaluation import reprojection_errors
+        from ..files import refuse_unwritable
+        from ..report import ErrorSummary, write_evaluation_page
+
+        if out is not None:
+            refuse_unwritable(out.parent, "--out")
+        paths = [calibration, *(beside or [])]
+        with progress_line() as progress:
+            loaded = [_loaded(path) for path in paths]
+            data, name = load_named(dataset, bad_views, progress)
+            if moved:
+                loaded = [(_with_target_found(one, data), None) for one, _ in loaded]
+            summaries = [
+                ErrorSummary(path.stem, reprojection_errors(one, data), None)
+                for path, (one, _) in zip(paths, loaded, strict=True)
+            ]
+        rows = _rows(summaries, data, [_expected(estimate, data) for _, estimate in loaded])
+        for row in zip(*rows, strict=True):
+            typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
+        for view, reason in data.masked_views:
+            typer.echo(f"view {view} is left out: {reason}")
+        verdict = _verdict(summaries[0], name)
+        typer.echo(verdict)
+        if out is not None:
+            title = f"{calibration.name} on {name}"
+            write_evaluation_page(out, title, verdict, loaded[0][0], data, summaries, rows)
+            typer.echo(f"{out}: the figures")
+
+
+def _loaded(path: Path) -> "tuple[Calibration, SavedEstimate | None]":
+    """Return a calibration, and its covariance where the file has one."""
+    from ..joint import load_with_uncertainty
+
+    return load_with_uncertainty(path)
+
+
+def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":
+    """Return the calibration with the target where the pictures show it, all else held."""
+    from ..joint import fit_joint
+
+    held = ("camera", calibration.transform_names[0])
+    return fit_joint(data, calibration, noise="trusted", fixed=held).calibration
+
+
+def _expected(estimate: "SavedEstimate | None", data: "Dataset") -> "ReprojectionErrors | None":
+    """Return the errors that the calibration itself expects; None where it does not know."""
+    from ..evaluation import expected_reprojection_errors
+
+    return None if estimate is None else expected_reprojection_errors(estimate, data)
+
+
+def _rows(
+    summaries: "Sequence[ErrorSummary]",
+    data: "Dataset",
+    expected: "Sequence[ReprojectionErrors | None]",
+) -> list[list[str]]:
+    """Return the table, one row for each calibration, with its headings first."""
+    from ..evaluation import rms_interval
+
+    rows = [
+        [
+            "",
+            "mean +- std",
+            "RMS",
+            "  its 95 % interval over views",
+            "  at the target",
+            "  over what was expected (1 is honest)",
+            "points, views",
+            "points that cannot be predicted",
+        ]
+    ]
+    for summary, foreseen in zip(summaries, expected, strict=True):
+        errors = summary.reprojection_errors
+        low, high = rms_interval(errors)
+        views = int((errors.px == errors.px).any(axis=1).sum())
+        rows.append(
+            [
+                summary.name,
+                f"{errors.mean:.2f} +- {errors.std:.2f} px",
+                f"{errors.rms:.2f} px",
+                f"{low:.2f} to {high:.2f} px",
+                f"{errors.rms_mm:.2f} mm",
+                "-" if foreseen is None else f"{errors.rms / foreseen.rms:.2f}",
+                f"{data.observation_count}, {views}",
+                f"{errors.unpredicted_count}",
+            ]
+        )
+    return rows
+
+
+def _verdict(summary: "ErrorSummary", name: str) -> str:
+    """Return the result in a sentence."""
+    errors = summary.reprojection_errors
+    return (
+        f"{summary.name} predicts the target in {name} to {errors.rms:.2f} px RMS, "
+        f"{errors.rms_mm:.2f} mm at the target."
+    )
