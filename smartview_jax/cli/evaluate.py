@@ -57,7 +57,7 @@ def evaluate(
                 for path, (one, _) in zip(paths, loaded, strict=True)
             ]
         rows = _rows(summaries, data, [_expected(estimate, data) for _, estimate in loaded])
-        for row in zip(*rows, strict=True):
+        for row in rows:
             typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
         for view, reason in data.masked_views:
             typer.echo(f"view {view} is left out: {reason}")
@@ -96,10 +96,10 @@ def _rows(
     data: "Dataset",
     expected: "Sequence[ReprojectionErrors | None]",
 ) -> list[list[str]]:
-    """Return the table, one row for each calibration, with its headings first."""
+    """Return the table, one column for each calibration, with the measures' names first."""
     from ..evaluation import rms_interval
 
-    rows = [
+    columns = [
         [
             "",
             "mean +- std",
@@ -115,7 +115,7 @@ def _rows(
         errors = summary.reprojection_errors
         low, high = rms_interval(errors)
         views = int((errors.px == errors.px).any(axis=1).sum())
-        rows.append(
+        columns.append(
             [
                 summary.name,
                 f"{errors.mean:.2f} +- {errors.std:.2f} px",
@@ -127,7 +127,7 @@ def _rows(
                 f"{errors.unpredicted_count}",
             ]
         )
-    return rows
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def _verdict(summary: "ErrorSummary", name: str) -> str:

@@ -38,23 +38,22 @@ def write_evaluation_page(
         calibration: the first calibration, which predicts in the pictures.
         data: the views that are predicted.
         summaries: errors of every calibration.
-        rows: the table, its headings first.
+        rows: the table, the names of the calibrations first.
     """
-    errors = [
-        StoryFigure(
-            "Fig. 7",
-            "Distances between measured and predicted points.",
-            _picture(plots.error_histogram(summaries)),
-        ),
-        StoryFigure(
-            "View by view",
-            "One view that stands out is a wrong pose or a bad detection.",
-            _picture(plots.view_errors(data, summaries)),
-        ),
-    ]
+    histogram = StoryFigure(
+        "Fig. 7",
+        "Distances between measured and predicted points.",
+        _picture(plots.error_histogram(summaries)),
+    )
+    by_view = StoryFigure(
+        "RMS of each view.",
+        "One that stands out is a wrong pose or a bad detection.",
+        _picture(plots.view_errors(data, summaries)),
+    )
     sections = [
         Section("Errors", header=rows[0], rows=rows[1:]),
-        Section("Over all views", figures=errors),
+        Section("Over all points", figures=[histogram]),
+        Section("View by view", figures=[by_view]),
     ]
     overlays = [
         StoryFigure(

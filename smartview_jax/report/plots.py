@@ -17,6 +17,11 @@ BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7
 COLOURS = {"staged": ORANGE, "joint": BLUE}
 
 
+def _colour(name: str, index: int) -> str:
+    """Return the colour of a method: its own, or one by its place among the others."""
+    return COLOURS.get(name) or (BLUE, ORANGE, GREEN, RED, GREY)[index % 5]
+
+
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     """Return a figure with a single plot, of a width and a height in inches."""
     # `Figure` itself, not pyplot: it needs no display, and leaves a caller's own figures alone.
@@ -69,8 +74,8 @@ def error_histogram(rows: Sequence[ErrorSummary]) -> Figure:
     # The 99.5th percentile limits the axis, so that a few outliers do not compress the histogram.
     limit = max(float(np.percentile(values, 99.5)) for values in finite if values.size)
     bins = np.linspace(0.0, limit, 40).tolist()
-    for row, values in zip(rows, finite, strict=True):
-        colour = COLOURS.get(row.name, GREY)
+    for k, (row, values) in enumerate(zip(rows, finite, strict=True)):
+        colour = _colour(row.name, k)
         axes.hist(values, bins, alpha=0.35, color=colour)
         axes.hist(values, bins, histtype="step", color=colour, label=row.name)
         axes.axvline(row.reprojection_errors.mean, color=colour, linestyle="--", linewidth=1)
@@ -124,9 +129,7 @@ def view_errors(data: Dataset, rows: Sequence[ErrorSummary]) -> Figure:
         # The bars of a view stand side by side, centred on its position.
         offset = (k - 0.5 * (len(rows) - 1)) * 0.38
         heights = np.nan_to_num(row.reprojection_errors.rms_per_view)
-        axes.bar(
-            positions + offset, heights, 0.36, color=COLOURS.get(row.name, GREY), label=row.name
-        )
+        axes.bar(positions + offset, heights, 0.36, color=_colour(row.name, k), label=row.name)
     axes.set_xticks(positions, data.view_ids, rotation=90 if data.view_count > 20 else 0)
     axes.set_xlabel("view")
     axes.set_ylabel("RMS (px)")
