@@ -13,6 +13,7 @@ from .export import export
 from .model import model
 from .new import new
 from .schema import schema
+from .simulate import simulate
 from .viewpoint import viewpoint
 
 app = typer.Typer(
@@ -53,6 +54,7 @@ for _subcommand in (
     model,
     new,
     schema,
+    simulate,
     viewpoint,
 ):
     app.command()(_subcommand)

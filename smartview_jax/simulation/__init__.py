@@ -41,6 +41,7 @@ from .scenes import look_at_from_above as look_at_from_above
 from .scenes import paper_calibration as paper_calibration
 from .scenes import paper_points as paper_points
 from .scenes import random_scene as random_scene
+from .scenes import random_target_scene as random_target_scene
 from .scenes import random_viewpoints as random_viewpoints
 from .scenes import reported_poses as reported_poses
 from .scenes import simulate as simulate

@@ -1,5 +1,7 @@
 """Simulate calibration data with known truth: viewpoints, pixel noise, robot noise, outliers."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +11,9 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
-from ..geometry import PoseLike, as_se3, viewing_direction
+from ..geometry import PoseLike, as_se3, host_matrices, viewing_direction
 from ..geometry import look_at as look_along
+from ..targets import AbstractTarget
 
 
 class Scene(eqx.Module):
@@ -190,3 +193,38 @@ def random_scene(
         rotation_noise=rotation_noise,
         outlier_fraction=outlier_fraction,
     )
+
+
+def random_target_scene(
+    seed: int,
+    views: int,
+    target: AbstractTarget,
+    calibration: Calibration | None = None,
+    tilt: float = np.deg2rad(35.0),
+    distance: tuple[float, float] = (0.17, 0.25),
+    **noise: float,
+) -> Scene:
+    """Return random views of the printed side of a target.
+
+    Args:
+        seed: the same seed gives the same scene.
+        views: number of views.
+        target: what is seen; it is written to the data set.
+        calibration: the true one; by default the paper's.
+        tilt: largest tilt of the camera, rad.
+        distance: smallest and largest distance from the middle of the target, m.
+        noise: as for `simulate`.
+    """
+    truth = paper_calibration() if calibration is None else calibration
+    centre = target.points.mean(axis=0)
+    rng = np.random.default_rng((seed, 1))
+    camera_from_world = random_viewpoints(rng, views, centre, distance, tilt)
+    if not target.y_up:
+        # z points into the board, so that its printed side is seen from below: the viewpoints are
+        # turned by half a turn about the target's own x axis.
+        turn = np.diag([1.0, -1.0, -1.0, 1.0])
+        turn[:3, 3] = centre - turn[:3, :3] @ centre
+        camera_from_world = as_se3(host_matrices(camera_from_world) @ turn)
+    commands = truth.command_for(camera_from_world)
+    scene = simulate(truth, commands, target.points, seed=seed, **noise)
+    return dataclasses.replace(scene, data=dataclasses.replace(scene.data, target=target))

@@ -1,0 +1,71 @@
+"""Define `smartview simulate`, which writes a data set whose truth is known."""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import DebugOption
+from .terminal import errors_reported, progress_line
+
+TRUTH_FILE = "truth.yaml"
+"""The name of the file with the true calibration."""
+
+
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
+    views: Annotated[int, typer.Option(min=3, max=1000, help="Number of views.")] = 15,
+    pixel_noise: Annotated[float, typer.Option(min=0.0, help="Of u and of v, px.")] = 0.15,
+    position_noise: Annotated[
+        float, typer.Option(min=0.0, help="Of reported positions, mm.")
+    ] = 0.1,
+    angle_noise: Annotated[
+        float, typer.Option(min=0.0, help="Of reported angles, degrees.")
+    ] = 0.01,
+    outliers: Annotated[
+        float, typer.Option(min=0.0, max=0.5, help="Share of points that are far off.")
+    ] = 0.0,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Render pictures; their noise is a sensor's.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same data.")] = 0,
+    debug: DebugOption = False,
+) -> None:
+    """Write a data set of a chessboard before the paper's camera, with the truth beside it.
+
+    To see what a calibration makes of it: smartview calibrate FOLDER, and compare its
+    calibration.yaml with truth.yaml.
+    """
+    with errors_reported(debug):
+        from ..io import save_dataset
+        from ..io.dataset_folder import DESCRIPTION_FILE
+        from ..simulation import random_target_scene, write_pictures
+        from ..targets import Chessboard
+
+        if (folder / DESCRIPTION_FILE).exists():
+            raise FileExistsError(f"{folder / DESCRIPTION_FILE}: exists already")
+        board = Chessboard(9, 6, 0.004)
+        scene = random_target_scene(
+            seed,
+            views,
+            board,
+            pixel_noise=pixel_noise,
+            translation_noise=1e-3 * position_noise,
+            rotation_noise=math.radians(angle_noise),
+            outlier_fraction=outliers,
+        )
+        with progress_line() as progress:
+            if pictures:
+                progress(f"rendering {views} pictures")
+                write_pictures(
+                    folder,
+                    scene.calibration,
+                    scene.base_from_tool,
+                    board,
+                    reported_poses=scene.data.base_from_tool,
+                )
+            else:
+                save_dataset(scene.data, folder)
+        scene.calibration.save(folder / TRUTH_FILE, source="simulated")
+        typer.echo(f"{folder}: {views} views; {folder / TRUTH_FILE}: the truth")
