@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .argument_checks import require_instance
 from .calibration import Calibration
 from .cameras import AbstractLens, Camera
 from .dataset import Dataset, chain_residuals
@@ -199,8 +200,12 @@ def calibrate(
         joint_options: options of `fit_joint`, by keyword.
 
     Raises:
+        TypeError: an argument of another kind than stated.
         ValueError: as `fit_staged` and `fit_joint` do.
     """
+    require_instance("data", data, Dataset)
+    if camera is not None:
+        require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
     if step2 not in STEP2_METHODS:
         raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
     if camera is not None:

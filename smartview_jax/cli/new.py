@@ -30,7 +30,7 @@ def new(
     What to do next is printed; `smartview check` then looks at what was filled in.
     """
     with errors_reported(debug):
-        from ..io.new_dataset import write_new_dataset
+        from ..io import write_new_dataset
 
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
         size = _picture_size(folder)

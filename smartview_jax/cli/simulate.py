@@ -38,8 +38,7 @@ def simulate(
     calibration.yaml with truth.yaml.
     """
     with errors_reported(debug):
-        from ..io import save_dataset
-        from ..io.dataset_folder import DESCRIPTION_FILE
+        from ..io import DESCRIPTION_FILE, save_dataset
         from ..simulation import random_target_scene, write_pictures
         from ..targets import Chessboard
 

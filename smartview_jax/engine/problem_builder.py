@@ -13,6 +13,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
+from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
@@ -93,14 +94,15 @@ def build_problem(
             'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), and what '
             f"estimates it is fit_joint alone; found {noise!r}"
         )
-    for argument, paths in (("fixed", fixed), ("free", free)):
-        if isinstance(paths, str):
-            raise ValueError(f"{argument}: expected paths, as in ({paths!r},); found {paths!r}")
+    require_names("fixed", fixed)
+    require_names("free", free)
     if start.mount != data.mount:
         raise ValueError(f"the start is {start.mount}, the data {data.mount}")
     field = checked_field_choice(field)
     start = with_field(with_lens(start, lens), field)
     priors = dict(priors or {})
+    for path, prior in priors.items():
+        require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
     views = data.usable_views()
     if len(views) < 3 and not priors:
         raise ValueError(

@@ -2,6 +2,7 @@
 
 from ..deprecation import deprecated_names as _deprecated_names
 from .correspondences import import_correspondences as import_correspondences
+from .dataset_folder import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .dataset_folder import save_dataset as save_dataset
 from .dataset_folder import write_dataset_folder as write_dataset_folder
 from .easy_handeye import PoseSamples as PoseSamples
@@ -21,6 +22,7 @@ from .meshes import model_from_triangles as model_from_triangles
 from .meshes import read_mesh as read_mesh
 from .meshes import to_trimesh as to_trimesh
 from .meshes import write_mesh as write_mesh
+from .new_dataset import write_new_dataset as write_new_dataset
 from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict

@@ -9,6 +9,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool
 
+from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
@@ -115,6 +116,7 @@ def fit_joint(
             estimated; by default that of good industrial arms.
 
     Raises:
+        TypeError: an argument of another kind than stated.
         ValueError: an unknown path or name, too few views, or a start from which a view's points
             cannot be projected at all.
     """
@@ -122,6 +124,13 @@ def fit_joint(
         raise ValueError(
             f"gross_errors is one of {', '.join(GROSS_ERRORS_OPTIONS)}; found {gross_errors!r}"
         )
+    require_instance("data", data, Dataset)
+    require_instance("start", start, Calibration, "a fit has its calibration as `.calibration`")
+    require_names("fixed", fixed)
+    require_names("free", free)
+    if solver is not None:
+        hint = "such as optimistix.LevenbergMarquardt(rtol, atol)"
+        require_instance("solver", solver, optx.AbstractLeastSquaresSolver, hint)
     field, all_data = checked_field_choice(field), data
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))

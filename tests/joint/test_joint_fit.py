@@ -303,7 +303,6 @@ def test_one_rotation_axis_is_named(noisy):
     ("options", "message"),
     [
         ({"noise": "guessed"}, 'noise is "trusted", "estimated" or a Noise'),
-        ({"fixed": "camera"}, r"fixed: expected paths, as in \('camera',\); found 'camera'"),
         ({"fixed": ("camera.alpha",)}, r"no parameter is called 'camera.alpha'; did you mean"),
         ({"loss": "l7"}, "loss is one of huber, cauchy"),
         ({"lens": "bottle"}, "lens is one of pinhole"),

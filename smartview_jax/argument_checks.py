@@ -1,0 +1,31 @@
+"""Refuse arguments of the wrong kind, with a message that says what was expected."""
+
+from collections.abc import Sequence
+
+
+def require_instance(name: str, value: object, kind: type, hint: str = "") -> None:
+    """Raise a TypeError unless an argument is of the kind that is expected.
+
+    Args:
+        name: of the argument.
+        value: what was given.
+        kind: the class that is expected.
+        hint: what may have been meant.
+    """
+    if not isinstance(value, kind):
+        message = f"{name}: expected {kind.__name__}, found {_described(value)}"
+        raise TypeError(message + (f"; {hint}" if hint else ""))
+
+
+def require_names(name: str, value: Sequence[str]) -> None:
+    """Raise a TypeError for a single text where a sequence of names is expected."""
+    # A text is a sequence too: of its letters.
+    if isinstance(value, str):
+        raise TypeError(f"{name}: expected a list of names such as [{value!r}], found {value!r}")
+
+
+def _described(value: object) -> str:
+    """Return the kind of a value, and the value itself where that is short."""
+    text = repr(value)
+    kind = type(value).__name__
+    return f"{text} ({kind})" if len(text) <= 40 and "\n" not in text else f"one of type {kind}"

@@ -1,0 +1,67 @@
+"""What a user is told who gives something of the wrong kind.
+
+In a process of its own: in these tests a checker of types would be first.
+"""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from smartview_jax.argument_checks import require_instance, require_names
+
+CASES = {
+    "fit(priors={'camera.u0': 3.0})": "priors['camera.u0']: expected Prior, found 3.0 (float)",
+    "fit(priors={'camera.u0': (3.0, 1.0)})": "a Prior has a mean and a std",
+    "fit(solver='lm')": "solver: expected AbstractLeastSquaresSolver, found 'lm' (str); such as",
+    "fit(fixed='camera')": "fixed: expected a list of names such as ['camera'], found 'camera'",
+    "fit(free='target_scale')": "free: expected a list of names such as ['target_scale']",
+    "sv.calibrate(np.zeros((20, 20)))": "data: expected Dataset, found one of type ndarray",
+    "sv.calibrate(scene.data, camera=np.eye(3))": "camera: expected Camera, found",
+    "sv.fit_joint(scene.calibration, scene.data)": "data: expected Dataset, found",
+    "sv.fit_joint(scene.data, fit())": "start: expected Calibration, found",
+}
+
+SCRIPT = """
+import json, sys
+import numpy as np
+import smartview_jax as sv
+from smartview_jax.simulation import paper_points, random_scene
+
+scene = random_scene(0, 5, paper_points((0.0, 0.02))[::6])
+
+def fit(**options):
+    return sv.fit_joint(scene.data, scene.calibration, noise="trusted", **options)
+
+said = {}
+for case in json.loads(sys.argv[1]):
+    try:
+        eval(case)
+    except TypeError as error:
+        said[case] = str(error)
+print(json.dumps(said))
+"""
+
+
+@pytest.fixture(scope="module")
+def said():
+    words = [sys.executable, "-c", SCRIPT, json.dumps(list(CASES))]
+    run = subprocess.run(words, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_wrong_argument_is_named(said, case):
+    assert CASES[case] in said[case]
+
+
+def test_what_is_right_passes():
+    require_instance("data", [1], list)
+    require_names("fixed", ("camera",))
+
+
+def test_long_values_are_not_printed():
+    with pytest.raises(TypeError, match=r"^data: expected dict, found one of type list$"):
+        require_instance("data", list(range(100)), dict)
