@@ -16,18 +16,18 @@ import smartview_jax
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
-# From the ground floor up; `argument_checks` refuses what is of a wrong kind, `array_namespace` is
-# what tells NumPy from JAX, `blas_threads` on how many cores NumPy computes, `double_precision` what
-# JAX counts in, `compilation` and `compilation_cache` how programs are compiled and kept, `extras`
-# how optional packages are imported, `files` only the reading and writing of text, `fit_result` how
-# any fit ended, `deprecation` what old names are now, `schemas` what may stand in a file,
-# `interrupts` how Ctrl-C ends a run.
+# From the ground floor up; `argument_checks` refuses what is of a wrong kind, `array_namespace`
+# tells NumPy from JAX, `blas_threads` says on how many cores NumPy computes, `double_precision`
+# what JAX counts in, `compilation` and `compilation_cache` how programs are compiled and kept,
+# `extras` how optional packages are imported, `files` only how text is read and written,
+# `fit_result` how any fit ended, `deprecation` what old names are now, `schemas` what may stand in
+# a file, `interrupts` how Ctrl-C ends a run.
 FLOORS = """
-    argument_checks array_namespace blas_threads double_precision version compilation_cache compilation
-    extras files deprecation fit_result schemas geometry cameras targets robots robot_errors calibration
-    dataset detection staged engine variance joint arm_identification calibration_pipeline
-    evaluation viewpoints features modeling io simulation localization grasping report editor
-    picking interrupts cli
+    argument_checks array_namespace blas_threads double_precision version compilation_cache
+    compilation extras files deprecation fit_result schemas geometry cameras targets robots
+    robot_errors calibration dataset detection staged engine variance joint arm_identification
+    calibration_pipeline evaluation viewpoints features modeling io simulation localization grasping
+    report editor picking interrupts cli
 """.split()
 
 NO_OPENCV = """
