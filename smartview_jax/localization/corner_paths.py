@@ -19,10 +19,6 @@ MIN_LENGTH = 10.0
 MIN_ANGLE = float(np.deg2rad(10.0))
 """Smallest angle between the two segments of a path, and between them and one line, rad."""
 
-MAX_PATHS = 300
-"""Largest number of paths of one picture: those of the longest segments, junctions at the ends
-first."""
-
 
 class PicturePaths(NamedTuple):
     """Paths of two segments of one picture that meet in a corner.
@@ -40,12 +36,13 @@ class PicturePaths(NamedTuple):
     corners: Int[np.ndarray, "paths"]
 
 
-def picture_paths(features: Features, plane: IdealPlane) -> PicturePaths:
-    """Return the paths of a picture, the most promising first.
+def picture_paths(features: Features, plane: IdealPlane, count: int) -> PicturePaths:
+    """Return the most promising paths of a picture: of long segments that end at other ones.
 
     Args:
         features: of the picture.
         plane: of the camera that took it.
+        count: largest number of paths.
     """
     pixels, segments, corners, anchored = [], [], [], []
     is_junction = _ends_at_junctions(features)
@@ -72,7 +69,7 @@ def picture_paths(features: Features, plane: IdealPlane) -> PicturePaths:
     # The shorter of the two segments gives the pose less well; an end without a corner may be
     # anywhere along its edge.
     merit = lengths.min(axis=1, initial=np.inf) * (1.0 + np.array(anchored))
-    order = np.argsort(-merit, kind="stable")[:MAX_PATHS]
+    order = np.argsort(-merit, kind="stable")[:count]
     rays = plane.rays(plane.from_pixels(triples[order].reshape(-1, 2))).reshape(-1, 3, 3)
     return PicturePaths(
         triples[order],

@@ -6,6 +6,7 @@ fitted and judged.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,11 @@ from .corner_paths import picture_paths, poses_from_paths
 from .distinct_poses import distinct_poses
 from .polishing import polished_poses
 from .scoring import PoseScores, SceneMaps, score_poses
+from .stereo_edges import poses_from_edges, stereo_edges
 from .wireframe import Wireframe
+
+MAX_PATHS_ALONE, MAX_PATHS = 300, 100
+"""Largest number of paths of a picture, where it is the only one and where there are more."""
 
 COARSE_SAMPLES, COARSE_GATE = 24, 8.0
 """Samples of the wireframe for the first scores, and their gate, px: proposals err by some px."""
@@ -72,13 +77,21 @@ def find_hypotheses(
         raise ValueError("models: expected at least one, found none")
     maps = SceneMaps.of(evidence, views)
     plane = IdealPlane(views.camera)
-    paths = [picture_paths(one.features, plane) for one in evidence]
+    most = MAX_PATHS_ALONE if len(evidence) == 1 else MAX_PATHS
+    paths = [picture_paths(one.features, plane, most) for one in evidence]
+    edges = [
+        stereo_edges(
+            evidence[i].features, evidence[j].features, plane, views.camera_from_world[[i, j]]
+        )
+        for i, j in combinations(range(len(evidence)), 2)
+    ]
     found: list[Hypothesis] = []
     for index, model in enumerate(models):
         proposed = [
             poses_from_paths(own, model, camera_from_world)
             for own, camera_from_world in zip(paths, views.camera_from_world, strict=True)
         ]
+        proposed += [poses_from_edges(pair, model) for pair in edges]
         best, scores = _best(maps, model, np.concatenate(proposed), count)
         found += [
             Hypothesis(index, pose, float(score), float(share))
