@@ -100,7 +100,7 @@ def _is_bent(triple: Float[np.ndarray, "3 2"]) -> bool:
     """Return whether three corners are not near one line."""
     first, second = triple[0] - triple[1], triple[2] - triple[1]
     sine = first[0] * second[1] - first[1] * second[0]
-    return abs(sine) > np.sin(MIN_ANGLE) * np.linalg.norm(first) * np.linalg.norm(second)
+    return bool(abs(sine) > np.sin(MIN_ANGLE) * np.linalg.norm(first) * np.linalg.norm(second))
 
 
 def model_paths(model: ObjectModel) -> Int[np.ndarray, "paths 3"]:

@@ -85,7 +85,7 @@ def stereo_edges(
     centres = -np.einsum("vji,vj->vi", R, t)
     baseline = centres[1] - centres[0]
     length = float(np.linalg.norm(baseline))
-    if length == 0.0:
+    if length == 0.0 or not len(first.segments) or not len(second.segments):
         return SpaceEdges(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     rays = [_end_rays(one, plane) @ R[k] for k, one in enumerate((first, second))]
     turns = _epipolar_turns(rays, baseline / length, MIN_EXTENT / plane.focal_length)
