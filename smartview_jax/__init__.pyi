@@ -14,6 +14,7 @@ from . import fit_result as fit_result
 from . import geometry as geometry
 from . import io as io
 from . import joint as joint
+from . import localization as localization
 from . import modeling as modeling
 from . import report as report
 from . import robot_errors as robot_errors
@@ -49,6 +50,9 @@ from .joint import fit_joint as fit_joint
 from .joint import fit_many as fit_many
 from .joint import precompile as precompile
 from .joint import view_influence as view_influence
+from .localization import Localization as Localization
+from .localization import localize as localize
+from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
 from .staged import StagedFit as StagedFit
 from .staged import fit_staged as fit_staged

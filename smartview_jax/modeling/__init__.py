@@ -1,5 +1,6 @@
 """Model objects from several calibrated views: geometry, triangulation, surfaces and grasps."""
 
+from .calibration_uncertainty import CalibrationUncertainty as CalibrationUncertainty
 from .candidates import Candidates as Candidates
 from .candidates import direction_turn as direction_turn
 from .candidates import rank_candidates as rank_candidates

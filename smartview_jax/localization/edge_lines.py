@@ -1,0 +1,335 @@
+"""Measure where the edges of a model are in a picture: one fitted line for each predicted edge.
+
+From points along each predicted edge the nearest edge point along the edge's normal is taken, of
+the right orientation and of either polarity. The distances of these points from the prediction are
+fitted by a line. Two numbers say all that an edge tells of the pose: the distance of that line at
+the mean of its points, and its slope times their spread. Their errors are independent, and the
+covariance of neighbouring edge points, which share a smoothed pixel, is that of the line.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float, Int
+
+from ..array_namespace import AnyArray
+from ..cameras import Camera
+from ..compilation import compiled_optimised
+from .edge_lookup import EdgeLookup
+from .prediction import pose_jacobians, predict_view
+from .wireframe import Wireframe
+
+EXPLAINED_DISTANCE = 2.0
+"""Largest distance, px, of an edge point from the predicted edge that it explains."""
+
+MAX_RADIUS = 12
+"""Largest distance, px, of an edge point from the predicted edge."""
+
+MAX_ALONG = 1.5
+"""Largest distance of an edge point from the normal along which it is looked for, px."""
+
+ALONG_WEIGHT = 2.0
+"""Weight of that distance against the distance along the normal, where the nearest is chosen."""
+
+MIN_ALIGNMENT = 0.9
+"""Smallest cosine, about 25 degrees, between an edge point's gradient and the edge's normal."""
+
+CORRELATED_LENGTH = 3.5
+"""Length along an edge whose points count as one, px: see `CORRELATED_POINTS` of the segments."""
+
+CLEARANCE = 5.0
+"""Distance from other edges of the model, px, within which a blurred edge is biased by them."""
+
+MIN_POINT_SIGMA = 0.03
+"""Smallest standard deviation of an edge point that is believed, px: pixels have an extent."""
+
+MODEL_SIGMA = 0.01
+"""Standard deviation of a whole line's position however many points it has, px."""
+
+MIN_EDGE_PX = 8.0
+"""Visible length, px, below which an edge is not measured."""
+
+MIN_SHARE = 0.25
+"""Smallest part of an edge's visible length along which edge points make a line."""
+
+ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
+"""Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
+
+RADII = (12.0, 10.0, 8.0, 6.5, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0)
+"""Search radius of each step towards a pose, px."""
+
+TOLERANCE_OF_RADIUS = 0.25
+"""Standard deviation of an edge that is expected in a step, as a fraction of its search radius."""
+
+EDGE_GATE = 3.0
+"""Scale of the Geman-McClure weight of an edge, in standard deviations."""
+
+DAMPING = 1e-3
+"""Damping of the steps, relative to each diagonal entry of the normal equations."""
+
+
+class EdgeLines(NamedTuple):
+    """The lines that edge points make along predicted edges, and the points that they are made of.
+
+    The two numbers of a line are its distance (px, measured minus predicted along `normals`) at the
+    mean of its points, and its slope times the spread of its points.
+
+    Attributes:
+        offsets: the two numbers; zero where there is no line.
+        variances: their variances, px^2, independent of each other.
+        by_pose: derivatives of the predicted numbers by the tangent at the object.
+        measured: whether there is a line.
+        visible_px: visible length of each edge, px.
+        explained_px: length of the part of it with an edge point within the radius, px.
+        found_px: length of the part of it where the line has points, px.
+        strength: mean gradient of these points, grey levels per px.
+        scatter: standard deviation of the points about their line, px.
+        samples: predicted pixels; zero where not visible.
+        sample_px: visible length that each sample stands for, px.
+        normals: unit normals of the predicted edges at the samples; zero where not visible.
+        distances: of the edge points of the samples along the normals, px; NaN where there is none.
+        combination: the two numbers of an edge are the sums, over its samples, of these times the
+            samples' distances.
+        points: index of the edge point of each sample.
+    """
+
+    offsets: Float[AnyArray, "*views E 2"]
+    variances: Float[AnyArray, "*views E 2"]
+    by_pose: Float[AnyArray, "*views E 2 6"]
+    measured: Bool[AnyArray, "*views E"]
+    visible_px: Float[AnyArray, "*views E"]
+    explained_px: Float[AnyArray, "*views E"]
+    found_px: Float[AnyArray, "*views E"]
+    strength: Float[AnyArray, "*views E"]
+    scatter: Float[AnyArray, "*views E"]
+    samples: Float[AnyArray, "*views S 2"]
+    sample_px: Float[AnyArray, "*views S"]
+    normals: Float[AnyArray, "*views S 2"]
+    distances: Float[AnyArray, "*views S"]
+    combination: Float[AnyArray, "*views 2 S"]
+    points: Int[AnyArray, "*views S"]
+
+
+def edge_lines(
+    wireframe: Wireframe,
+    camera: Camera,
+    lookup: EdgeLookup,
+    camera_from_object: Float[Array, "4 4"],
+    radius: Float[Array, ""],
+) -> EdgeLines:
+    """Return the lines of edge points in one picture along the visible edges of a model.
+
+    Args:
+        wireframe: of the model.
+        camera: intrinsics and lens.
+        lookup: edge points of this picture, without the axis of views.
+        camera_from_object: pose of the object in the camera's frame.
+        radius: largest distance of an edge point from its predicted edge, px.
+    """
+    view = predict_view(wireframe, camera, camera_from_object)
+    visible = view.sample_visible & lookup.valid
+    p = jnp.where(visible[:, None], view.samples, 0.0)
+    d = jnp.where(visible[:, None], view.directions, 0.0)
+    n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
+    r, point = _nearest_along_normals(lookup, p, n, d, radius)
+    found = visible & jnp.isfinite(r)
+    r = jnp.where(found, r, 0.0)
+    J = pose_jacobians(wireframe.samples, camera, camera_from_object)[1]
+    J = jnp.einsum("si,sij->sj", n, jnp.where(visible[:, None, None], J, 0.0))
+    edges, px = wireframe.sample_edges, jnp.where(visible, view.sample_px, 0.0)
+
+    def over_edges(values: Float[Array, "S *k"]) -> Float[Array, "E *k"]:
+        return jnp.zeros((len(wireframe.edges), *values.shape[1:])).at[edges].add(values)
+
+    # Positions along the edge, from the mean of its visible samples.
+    middle = over_edges(px[:, None] * p) / _positive(over_edges(px))[:, None]
+    t = ((p - middle[edges]) * d).sum(axis=1)
+    clear = found & _is_clear(wireframe, view.vertices, view.edge_px, p)
+    weights = _robust_weights(over_edges, edges, t, r, clear.astype(r.dtype), radius)
+    # a = sum w r / W,  b = sum w (t - t_mean) r / S,  S = sum w (t - t_mean)^2
+    W = _positive(over_edges(weights))
+    t = t - (over_edges(weights * t) / W)[edges]
+    S = _positive(over_edges(weights * t**2))
+    spread = jnp.sqrt(S / W)
+    combination = jnp.stack([weights / W[edges], weights * t * (spread / S)[edges]])
+    numbers = jnp.stack([over_edges(row * r) for row in combination], axis=1)
+    by_pose = jnp.stack([over_edges(row[:, None] * J) for row in combination], axis=1)
+    # The scatter about the line is the noise of its points.
+    rest = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
+    found_px = over_edges(px * weights)
+    independent = jnp.maximum(jnp.minimum(W, found_px / CORRELATED_LENGTH), 1.0)
+    # Two numbers of the line are fitted to so many independent points.
+    variance = over_edges(weights * rest**2) / W
+    variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
+    variance = jnp.maximum(variance, MIN_POINT_SIGMA**2)
+    # A line as a whole may be off by MODEL_SIGMA at either end, independently.
+    tilt = MODEL_SIGMA * jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
+    variances = jnp.stack(
+        [variance / independent + MODEL_SIGMA**2, variance / independent + tilt**2], axis=1
+    )
+    visible_px = over_edges(px)
+    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px) & (W >= 4.0)
+    keep = measured[:, None]
+    strengths = lookup.strengths[point]
+    return EdgeLines(
+        jnp.where(keep, numbers, 0.0),
+        jnp.where(keep, variances, 1.0),
+        jnp.where(keep[..., None], by_pose, 0.0),
+        measured,
+        visible_px,
+        over_edges(jnp.where(found, px, 0.0)),
+        jnp.where(measured, found_px, 0.0),
+        jnp.where(measured, over_edges(weights * strengths) / W, 0.0),
+        jnp.sqrt(variance),
+        p,
+        px,
+        n,
+        jnp.where(found, r, jnp.nan),
+        jnp.where(measured[edges][None], combination, 0.0),
+        point,
+    )
+
+
+def _positive(values: Array) -> Array:
+    """Return values with zeros replaced by ones, so that what is divided by them stays finite."""
+    return jnp.where(values > 0.0, values, 1.0)
+
+
+def _is_clear(
+    wireframe: Wireframe,
+    vertices: Float[Array, "V 2"],
+    edge_px: Float[Array, "E"],
+    p: Float[Array, "S 2"],
+) -> Bool[Array, "S"]:
+    """Return which samples are far enough from all visible edges but their own."""
+    a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
+    seen = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
+    a, b = (jnp.where(seen[:, None], x, 0.0) for x in (a, b))
+    along = (b - a) / _positive(((b - a) ** 2).sum(axis=1))[:, None]
+    gap = p[:, None] - a[None]
+    s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
+    squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
+    own = wireframe.sample_edges[:, None] == jnp.arange(len(a))[None]
+    return (own | ~seen[None] | (squared > CLEARANCE**2)).all(axis=1)
+
+
+def _nearest_along_normals(
+    lookup: EdgeLookup,
+    p: Float[Array, "S 2"],
+    n: Float[Array, "S 2"],
+    d: Float[Array, "S 2"],
+    radius: Float[Array, ""],
+) -> tuple[Float[Array, "S"], Int[Array, "S"]]:
+    """Return the distance along each normal to the nearest edge point, and the point's index.
+
+    The distance is infinite where there is none.
+    """
+    rows, columns = lookup.cells.shape
+    steps = jnp.arange(-MAX_RADIUS, MAX_RADIUS + 1).astype(p.dtype)
+    places = jnp.round(p[:, None] + steps[None, :, None] * n[:, None]).astype(jnp.int32)
+    u, v = places[..., 0], places[..., 1]
+    within = (u >= 0) & (u < columns) & (v >= 0) & (v < rows)
+    index = lookup.cells[jnp.clip(v, 0, rows - 1), jnp.clip(u, 0, columns - 1)]
+    gap = lookup.pixels[index] - p[:, None]
+    across, along = (gap * n[:, None]).sum(axis=-1), (gap * d[:, None]).sum(axis=-1)
+    alignment = jnp.abs((lookup.normals[index] * n[:, None]).sum(axis=-1))
+    usable = within & (jnp.abs(across) <= radius) & (jnp.abs(along) <= MAX_ALONG)
+    # Of neighbours on one edge the one on the normal is taken: the one nearest to the prediction
+    # would draw the line towards it.
+    distance = jnp.abs(across) + ALONG_WEIGHT * jnp.abs(along)
+    distance = jnp.where(usable & (alignment >= MIN_ALIGNMENT), distance, jnp.inf)
+    best = jnp.argmin(distance, axis=1)[:, None]
+    r = jnp.take_along_axis(jnp.where(jnp.isfinite(distance), across, jnp.inf), best, axis=1)
+    return r[:, 0], jnp.take_along_axis(index, best, axis=1)[:, 0]
+
+
+def _robust_weights(
+    over_edges: Callable[[Array], Array],
+    edges: Int[Array, "S"],
+    t: Float[Array, "S"],
+    r: Float[Array, "S"],
+    found: Float[Array, "S"],
+    radius: Float[Array, ""],
+) -> Float[Array, "S"]:
+    """Return weights of samples in their line; those far from it have none."""
+    weights, rest, scale = found, r, radius
+    for largest in ROBUST_SCALES:
+        W = _positive(over_edges(weights))
+        mean_t, mean_r = over_edges(weights * t) / W, over_edges(weights * r) / W
+        t0, r0 = t - mean_t[edges], r - mean_r[edges]
+        slope = over_edges(weights * t0 * r0) / _positive(over_edges(weights * t0**2))
+        rest = r0 - slope[edges] * t0
+        # Geman and McClure's weight, then a limit of the same scale.
+        scale = jnp.minimum(radius, largest)
+        weights = found / (1.0 + (rest / scale) ** 2) ** 2
+    # The last round counts what is within the scale in full, so that the noise is not made less.
+    return jnp.where(jnp.abs(rest) <= scale, found, 0.0)
+
+
+@compiled_optimised
+def lines_in_views(
+    wireframe: Wireframe,
+    camera: Camera,
+    lookup: EdgeLookup,
+    camera_from_world: Float[Array, "views 4 4"],
+    world_from_object: Float[Array, "4 4"],
+    radius: Float[Array, ""],
+) -> EdgeLines:
+    """Return the lines of `edge_lines` in all views."""
+
+    def in_view(own: EdgeLookup, matrix: Float[Array, "4 4"]) -> EdgeLines:
+        return edge_lines(wireframe, camera, own, matrix @ world_from_object, radius)
+
+    return jax.vmap(in_view)(lookup, camera_from_world)
+
+
+@compiled_optimised
+def converged_poses(
+    wireframe: Wireframe,
+    camera: Camera,
+    lookup: EdgeLookup,
+    camera_from_world: Float[Array, "views 4 4"],
+    world_from_object: Float[Array, "poses 4 4"],
+) -> tuple[Float[Array, "poses 4 4"], Float[Array, "poses"]]:
+    """Return poses after the steps of `RADII`, and the share of visible edge length they explain.
+
+    Each step weights every edge of every view by Geman and McClure's function of its distance, with
+    a standard deviation that shrinks with the search radius (graduated non-convexity).
+    """
+
+    def lines_at(pose: Float[Array, "4 4"], radius: Float[Array, ""]) -> EdgeLines:
+        def in_view(own: EdgeLookup, matrix: Float[Array, "4 4"]) -> EdgeLines:
+            return edge_lines(wireframe, camera, own, matrix @ pose, radius)
+
+        return jax.vmap(in_view)(lookup, camera_from_world)
+
+    def step(pose: Float[Array, "4 4"], radius: Float[Array, ""]):
+        lines = lines_at(pose, radius)
+        return pose @ SE3.exp(_robust_step(lines, TOLERANCE_OF_RADIUS * radius)).as_matrix(), None
+
+    def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, ""]]:
+        pose, _ = jax.lax.scan(step, pose, jnp.asarray(RADII))
+        lines = lines_at(pose, jnp.asarray(EXPLAINED_DISTANCE))
+        share = lines.explained_px.sum() / jnp.maximum(lines.visible_px.sum(), 1.0)
+        return pose, share
+
+    # One pose after the other: their arrays stay in the processor's cache.
+    return jax.lax.map(converge, world_from_object)
+
+
+def _robust_step(lines: EdgeLines, tolerance: Float[Array, ""]) -> Float[Array, "6"]:
+    """Return the damped Gauss-Newton step of robustly weighted edges."""
+    # H = sum w J^T J / v,  g = sum w J^T r / v
+    variances = lines.variances + tolerance**2
+    squared = (lines.offsets**2 / variances).sum(axis=-1)
+    robust = lines.measured.astype(squared.dtype) / (1.0 + squared / EDGE_GATE**2) ** 2
+    weights = robust[..., None] / variances
+    H = jnp.einsum("vek,veki,vekj->ij", weights, lines.by_pose, lines.by_pose)
+    g = jnp.einsum("vek,veki,vek->i", weights, lines.by_pose, lines.offsets)
+    # Metres and radians are scaled to one before the system is solved.
+    scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diagonal(H), 1e-12))
+    scaled = H * scale[:, None] * scale[None] + DAMPING * jnp.eye(6)
+    return scale * jnp.linalg.solve(scaled, scale * g)

@@ -1,0 +1,93 @@
+"""Prepare the edge points of pictures so that a program finds those along a line of pixels."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..array_namespace import to_device
+from ..features import EdgePoints
+
+MIN_POINTS = 8192
+"""Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
+
+FAR_AWAY = -1e6
+"""Coordinate, px, of the edge point that stands for none."""
+
+
+class EdgeLookup(eqx.Module):
+    """The edge points of all pictures, and which of them is in each pixel.
+
+    Views are padded to a power of two with pictures that have no edge points. The last point of
+    each view is far away and stands for "none".
+
+    Attributes:
+        cells: index of the edge point in each pixel. Edge points are a chain that may pass between
+            diagonal neighbours; the four neighbours of each point have its index too, where they
+            have no point of their own.
+        pixels: sub-pixel positions, px.
+        normals: unit directions of the gradient.
+        strengths: magnitudes of the gradient, grey levels per px.
+        valid: False for views that were added.
+    """
+
+    cells: Int[Array, "views rows columns"]
+    pixels: Float[Array, "views points 2"]
+    normals: Float[Array, "views points 2"]
+    strengths: Float[Array, "views points"]
+    valid: Bool[Array, "views"]
+
+    @classmethod
+    def of(
+        cls,
+        pictures: Sequence[EdgePoints],
+        image_size: tuple[int, int],
+        usable: Sequence[Bool[np.ndarray, "_"]] | None = None,
+    ) -> "EdgeLookup":
+        """Return the lookup of the edge points of some pictures.
+
+        Args:
+            pictures: edge points of each view.
+            image_size: width and height, px.
+            usable: for each view, which points may be used; all by default.
+        """
+        views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
+        # One more than there are: the last stands for none.
+        count = max(MIN_POINTS, 1 << int(largest).bit_length())
+        cells = np.full((views, image_size[1], image_size[0]), count - 1, dtype=np.int32)
+        pixels = np.full((views, count, 2), FAR_AWAY)
+        normals, strengths = np.zeros((views, count, 2)), np.zeros((views, count))
+        for view, points in enumerate(pictures):
+            own = np.arange(len(points.pixels), dtype=np.int32)
+            chosen = own if usable is None else own[usable[view]]
+            _write_cells(cells[view], points.cells[chosen], chosen)
+            pixels[view, own], normals[view, own] = points.pixels, points.normals
+            strengths[view, own] = points.strengths
+        valid = np.arange(views) < len(pictures)
+        return cls(*map(to_device, (cells, pixels, normals, strengths, valid)))
+
+
+def padded_view_count(count: int) -> int:
+    """Return the number of views that programs are compiled for: the next power of two."""
+    return 1 << (count - 1).bit_length()
+
+
+def padded_poses(poses: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "padded 4 4"]:
+    """Return poses with the last one repeated up to `padded_view_count`."""
+    extra = padded_view_count(len(poses)) - len(poses)
+    return np.concatenate([poses, np.repeat(poses[-1:], extra, axis=0)])
+
+
+def _write_cells(
+    cells: Int[np.ndarray, "rows columns"],
+    places: Int[np.ndarray, "points 2"],
+    indices: Int[np.ndarray, "points"],
+) -> None:
+    """Write indices into the pixels of points and, before, into those beside them."""
+    rows, columns = cells.shape
+    # A point's own pixel is written last, so that no neighbour takes it.
+    for du, dv in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
+        u = np.clip(places[:, 0] + du, 0, columns - 1)
+        v = np.clip(places[:, 1] + dv, 0, rows - 1)
+        cells[v, u] = indices

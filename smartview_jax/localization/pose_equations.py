@@ -1,0 +1,208 @@
+"""Write what pictures say about an object's pose as linear equations, and solve them.
+
+All equations are about the tangent of the pose at the object, translation first: the true pose is
+`world_from_object @ SE3.exp(tangent)`. To first order
+
+    measured - predicted = J tangent + B calibration_error + V vertex_error + noise,
+
+where the errors of the calibration and of the model's vertices are common to all equations. Their
+covariances are part of that of the equations, so that an error of the robot's pose that moves all
+edges of a view counts once, and not for every edge again.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.stats import chi2
+
+from ..modeling import CalibrationUncertainty, ObjectModel
+
+GATE_PROBABILITY = 0.999
+"""Probability with which a block of equations without gross error passes the gate."""
+
+
+class PoseEquations(NamedTuple):
+    """Linear equations about a pose, px, in blocks of one feature each.
+
+    Attributes:
+        residuals: measured minus predicted.
+        by_pose: derivatives of the predicted by the tangent of the pose.
+        noise: covariance of the pictures' own noise, px^2.
+        by_calibration: derivatives by the numbers of a `CalibrationUncertainty`.
+        by_vertices: derivatives by the coordinates of the model's vertices, px/m.
+        block: number of the feature that each equation belongs to.
+    """
+
+    residuals: Float[np.ndarray, "n"]
+    by_pose: Float[np.ndarray, "n 6"]
+    noise: Float[np.ndarray, "n n"]
+    by_calibration: Float[np.ndarray, "n numbers"]
+    by_vertices: Float[np.ndarray, "n coordinates"]
+    block: Int[np.ndarray, "n"]
+
+    def of(self, keep: Bool[np.ndarray, "n"]) -> "PoseEquations":
+        """Return some of the equations."""
+        return PoseEquations(
+            self.residuals[keep],
+            self.by_pose[keep],
+            self.noise[np.ix_(keep, keep)],
+            self.by_calibration[keep],
+            self.by_vertices[keep],
+            self.block[keep],
+        )
+
+
+class CommonErrors(NamedTuple):
+    """The covariances of the errors that all equations have in common.
+
+    Attributes:
+        calibration: of the numbers of a `CalibrationUncertainty`.
+        vertices: of the coordinates of the model's vertices, m^2.
+    """
+
+    calibration: Float[np.ndarray, "numbers numbers"]
+    vertices: Float[np.ndarray, "coordinates coordinates"]
+
+    @classmethod
+    def of(cls, uncertainty: CalibrationUncertainty, model: ObjectModel) -> "CommonErrors":
+        """Return the errors of a calibration and of a model; an exact one has no numbers.
+
+        The error of the calibration that made the model counts as an error of the model: that it
+        may be the one of these views too is not known here.
+        """
+        count = 0 if model.is_exact else 3 * len(model.vertices)
+        vertices = np.zeros((count, count))
+        given, factor = model.covariance, model.calibration_factor
+        if given is not None:
+            blocks = np.asarray(given)
+            vertices = blocks if blocks.ndim == 2 else np.asarray(block_diag(*blocks))
+        if factor is not None:
+            vertices = vertices + factor @ factor.T
+        return cls(uncertainty.covariance, vertices)
+
+    def covariances(
+        self, equations: PoseEquations
+    ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+        """Return the covariances of equations due to the calibration and due to the model, px^2."""
+        B, V = equations.by_calibration, equations.by_vertices
+        return B @ self.calibration @ B.T, V @ self.vertices @ V.T
+
+
+class PoseStep(NamedTuple):
+    """The solution of pose equations.
+
+    Attributes:
+        tangent: best tangent of the pose.
+        pictures, calibration, model: parts of its covariance; their sum is the whole.
+        chi_square: squared residuals after the step, whitened.
+        degrees_of_freedom: number of equations minus six.
+    """
+
+    tangent: Float[np.ndarray, "6"]
+    pictures: Float[np.ndarray, "6 6"]
+    calibration: Float[np.ndarray, "6 6"]
+    model: Float[np.ndarray, "6 6"]
+    chi_square: float
+    degrees_of_freedom: int
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "6 6"]:
+        """The covariance of the tangent."""
+        return self.pictures + self.calibration + self.model
+
+
+def joined(parts: Sequence[PoseEquations]) -> PoseEquations:
+    """Return the equations of several kinds of features together; blocks are numbered anew."""
+    starts = np.cumsum([0, *(1 + max(part.block, default=-1) for part in parts[:-1])])
+    residuals, by_pose, _, by_calibration, by_vertices, _ = (
+        [part[k] for part in parts] for k in range(6)
+    )
+    return PoseEquations(
+        np.concatenate(residuals),
+        np.concatenate(by_pose),
+        np.asarray(block_diag(*(part.noise for part in parts))),
+        np.concatenate(by_calibration),
+        np.concatenate(by_vertices),
+        np.concatenate([part.block + start for part, start in zip(parts, starts, strict=True)]),
+    )
+
+
+def solve_pose(
+    equations: PoseEquations,
+    errors: CommonErrors,
+    prior: tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6 6"]] | None = None,
+) -> PoseStep:
+    """Return the generalised least-squares solution of pose equations.
+
+    Args:
+        equations: of all features.
+        errors: what is common to them.
+        prior: mean and covariance of the tangent, known beforehand.
+
+    Raises:
+        ValueError: the equations leave the pose undetermined.
+    """
+    by_calibration, by_model = errors.covariances(equations)
+    # C = (J^T W J)^-1, W = (R + B S B^T + V P V^T)^-1; each part X of the sum adds G X G^T with
+    # G = C J^T W to the covariance of the solution.
+    factor = cho_factor(equations.noise + by_calibration + by_model)
+    WJ = cho_solve(factor, equations.by_pose)
+    information = equations.by_pose.T @ WJ
+    right = WJ.T @ equations.residuals
+    if prior is not None:
+        weight = np.linalg.inv(prior[1])
+        information, right = information + weight, right + weight @ prior[0]
+    covariance = scaled_inverse(information)
+    tangent = covariance @ right
+    G = covariance @ WJ.T
+    rest = equations.residuals - equations.by_pose @ tangent
+    from_calibration, from_model = (G @ part @ G.T for part in (by_calibration, by_model))
+    # What is neither of calibration nor of model is of pictures: these, and those of the prior.
+    return PoseStep(
+        tangent,
+        covariance - from_calibration - from_model,
+        from_calibration,
+        from_model,
+        float(rest @ cho_solve(factor, rest)),
+        len(rest) - 6,
+    )
+
+
+def scaled_inverse(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return the inverse of an information matrix of parameters of different units.
+
+    Raises:
+        ValueError: it is singular: something is undetermined.
+    """
+    scale = np.sqrt(np.diagonal(information))
+    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+        raise ValueError("the pose is undetermined: too few features")
+    # Correlations instead of covariances: metres and radians keep their precision.
+    scaled = information / np.outer(scale, scale)
+    if np.linalg.eigvalsh(scaled)[0] < 1e-12:
+        raise ValueError("the pose is undetermined: too few features, or all on one line")
+    return np.linalg.inv(scaled) / np.outer(scale, scale)
+
+
+def consistent_blocks(
+    equations: PoseEquations,
+    errors: CommonErrors,
+    step: PoseStep,
+    gate: float = GATE_PROBABILITY,
+) -> Bool[np.ndarray, "n"]:
+    """Return which equations belong to blocks whose residuals after a step pass a chi-square gate.
+
+    Each block is judged by its own covariance, the common errors included.
+    """
+    by_calibration, by_model = errors.covariances(equations)
+    total = equations.noise + by_calibration + by_model
+    rest = equations.residuals - equations.by_pose @ step.tangent
+    keep = np.ones(len(rest), dtype=bool)
+    for block in np.unique(equations.block):
+        own = equations.block == block
+        squared = rest[own] @ np.linalg.solve(total[np.ix_(own, own)], rest[own])
+        keep[own] = squared <= chi2.ppf(gate, int(own.sum()))
+    return keep

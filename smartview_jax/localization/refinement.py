@@ -1,0 +1,348 @@
+"""Estimate the pose of an object from all that its pictures show of it, with its covariance.
+
+Two estimators share their equations (`pose_equations`): from given matches of corners and segments,
+and from the edge points along the visible wireframe, whose correspondences are renewed in every
+step. Both weight the pictures' noise and what the calibration and the model contribute together, so
+that an uncertain robot does not make one view contradict another.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import cho_factor, cho_solve
+
+from ..array_namespace import to_device
+from ..geometry import host_exponentials
+from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews, pixel_jacobians
+from .edge_lines import EdgeLines, lines_in_views
+from .edge_lookup import EdgeLookup, padded_poses
+from .match_equations import Matches, match_equations
+from .pose_equations import (
+    CommonErrors,
+    PoseEquations,
+    PoseStep,
+    consistent_blocks,
+    joined,
+    solve_pose,
+)
+from .wireframe import Wireframe
+
+MAX_STEPS = 20
+"""Largest number of Gauss-Newton steps."""
+
+CONVERGED = 0.02
+"""Length of a step, in standard deviations of the pose, below which the fit has ended."""
+
+FINAL_RADIUS = 4.0
+"""Search radius of edge points in the final fit, px: calibration errors move edges by some px."""
+
+MAX_EDGE_SIGMA = 1.5
+"""Largest standard deviation by which edges of pictures may differ from those of the model, px."""
+
+EDGE_SIGMAS = (0.0, *np.geomspace(0.01, MAX_EDGE_SIGMA, 16))
+"""Standard deviations of whole edges that are compared, px."""
+
+FIT_SAMPLES = 1024
+"""Number of points along all edges in the final fit: enough to meet almost every edge point."""
+
+
+class RefinedPose(NamedTuple):
+    """The pose of an object with its covariance, and the edges that it was estimated from.
+
+    Attributes:
+        world_from_object: pose.
+        pictures, calibration, model: parts of the covariance of the tangent at the object,
+            translation first: `world_from_object @ SE3.exp(tangent)`; m and rad.
+        edge_sigma: standard deviation, estimated, by which whole edges of the pictures differ from
+            those of the model, px.
+        chi_square, degrees_of_freedom: of the residuals, whitened.
+        lines: edges as they were measured at the pose, in all views.
+        used: which of them the pose was estimated from.
+    """
+
+    world_from_object: Float[np.ndarray, "4 4"]
+    pictures: Float[np.ndarray, "6 6"]
+    calibration: Float[np.ndarray, "6 6"]
+    model: Float[np.ndarray, "6 6"]
+    edge_sigma: float
+    chi_square: float
+    degrees_of_freedom: int
+    lines: EdgeLines
+    used: Bool[np.ndarray, "views E"]
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "6 6"]:
+        """The covariance of the pose: pictures, calibration and model together."""
+        return self.pictures + self.calibration + self.model
+
+
+def pose_from_matches(
+    matches: Matches,
+    model: ObjectModel,
+    views: SeenViews,
+    start: Float[np.ndarray, "4 4"],
+    uncertainty: CalibrationUncertainty | None = None,
+    robust_scale: float | None = None,
+) -> tuple[Float[np.ndarray, "4 4"], PoseStep]:
+    """Return the pose that fits given matches best, and its last step, which has its covariance.
+
+    Args:
+        matches: corners with vertices, segments with edges.
+        model: of the object.
+        views: camera and poses.
+        start: pose near the answer.
+        uncertainty: of the calibration in these views; None for an exact one.
+        robust_scale: scale of Geman and McClure's loss, in standard deviations; None for least
+            squares.
+
+    Raises:
+        ValueError: the matches leave the pose undetermined.
+    """
+    uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
+    errors, pose = CommonErrors.of(uncertainty, model), start
+    for remaining in range(MAX_STEPS)[::-1]:
+        equations = match_equations(matches, model, views, pose, uncertainty)
+        if robust_scale is not None:
+            equations = _weighted(equations, errors, robust_scale)
+        step = solve_pose(equations, errors)
+        pose = pose @ host_exponentials(step.tangent)
+        if _has_converged(step) or not remaining:
+            return pose, step
+    raise AssertionError("the last step returns")
+
+
+def _has_converged(step: PoseStep) -> bool:
+    """Return whether a step is short, measured by the covariance of the pose."""
+    return float(step.tangent @ np.linalg.solve(step.covariance, step.tangent)) < CONVERGED**2
+
+
+def _weighted(equations: PoseEquations, errors: CommonErrors, scale: float) -> PoseEquations:
+    """Return equations whose noise is larger where blocks are far off (Geman and McClure)."""
+    by_calibration, by_model = errors.covariances(equations)
+    total, r = equations.noise + by_calibration + by_model, equations.residuals
+    inflation = np.ones(len(r))
+    for block in np.unique(equations.block):
+        own = equations.block == block
+        squared = r[own] @ np.linalg.solve(total[np.ix_(own, own)], r[own])
+        # The weight 1 / (1 + s / c^2)^2 of the loss s / (1 + s / c^2), as a larger noise.
+        inflation[own] = 1.0 + squared / scale**2
+    return equations._replace(noise=equations.noise * np.outer(inflation, inflation))
+
+
+def refine_pose(
+    start: Float[np.ndarray, "4 4"],
+    model: ObjectModel,
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    uncertainty: CalibrationUncertainty | None = None,
+    matches: Matches | None = None,
+    radius: float = FINAL_RADIUS,
+) -> RefinedPose:
+    """Return the pose that fits the edge points of all views best.
+
+    Edges that a gate rejects, each by its own covariance, are left out. That whole edges differ
+    from the model, by a rounded corner, a shadow or another lens, is one standard deviation, which
+    is estimated together with the pose (restricted maximum likelihood).
+
+    Args:
+        start: pose within some pixels of the answer, as `converged_poses` returns.
+        model: of the object.
+        wireframe: of the model, with `FIT_SAMPLES` points.
+        views: camera and poses.
+        lookup: edge points of the views.
+        uncertainty: of the calibration in these views; None for an exact one.
+        matches: corners and segments that are used too; they must not be of the same edge points,
+            which would count twice.
+        radius: largest distance of an edge point from its predicted edge, px.
+
+    Raises:
+        ValueError: too few edges are found to determine a pose.
+    """
+    uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
+    errors, pose = CommonErrors.of(uncertainty, model), start
+    for remaining in range(MAX_STEPS)[::-1]:
+        lines = measured_lines(wireframe, views, lookup, pose, radius)
+        equations = line_equations(lines, model, wireframe, views, pose, uncertainty)
+        edge_rows = len(equations.residuals)
+        if matches is not None:
+            given = match_equations(matches, model, views, pose, uncertainty)
+            equations = joined([equations, given])
+        keep, edge_sigmas = _gated(equations, errors, edge_rows)
+        step = solve_pose(_with_edge_sigmas(equations, edge_sigmas, edge_rows).of(keep), errors)
+        pose = pose @ host_exponentials(step.tangent)
+        if _has_converged(step) or not remaining:
+            used = np.zeros(lines.measured.shape, dtype=bool)
+            used[lines.measured] = keep[:edge_rows:2]
+            parts = step.pictures, step.calibration, step.model
+            fit = step.chi_square, step.degrees_of_freedom
+            return RefinedPose(pose, *parts, edge_sigmas[0], *fit, lines, used)
+    raise AssertionError("the last step returns")
+
+
+def measured_lines(
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    world_from_object: Float[np.ndarray, "4 4"],
+    radius: float,
+) -> EdgeLines:
+    """Return the lines of edge points along the visible edges of an object, on the host.
+
+    Args:
+        wireframe: of the model.
+        views: camera and poses.
+        lookup: edge points of the views.
+        world_from_object: pose.
+        radius: largest distance of an edge point from its predicted edge, px.
+    """
+    lines = lines_in_views(
+        wireframe,
+        views.camera,
+        lookup,
+        to_device(padded_poses(views.camera_from_world)),
+        to_device(world_from_object),
+        to_device(float(radius)),
+    )
+    return EdgeLines(*(np.asarray(part)[: len(views.camera_from_world)] for part in lines))
+
+
+def line_equations(
+    lines: EdgeLines,
+    model: ObjectModel,
+    wireframe: Wireframe,
+    views: SeenViews,
+    world_from_object: Float[np.ndarray, "4 4"],
+    uncertainty: CalibrationUncertainty,
+) -> PoseEquations:
+    """Return the two equations of each measured edge about the tangent at a pose.
+
+    Args:
+        lines: measured at the pose.
+        model: of the object.
+        wireframe: of the model.
+        views: camera and poses.
+        world_from_object: pose at which the edges were measured.
+        uncertainty: of the calibration in these views.
+    """
+    view, edge = np.nonzero(lines.measured)
+    count = len(view)
+    by_calibration = np.zeros((2 * count, len(uncertainty.names)))
+    by_vertices = np.zeros((2 * count, 0 if model.is_exact else 3 * len(model.vertices)))
+    if by_calibration.size or by_vertices.size:
+        samples = np.asarray(wireframe.samples)
+        R, t = world_from_object[:3, :3], world_from_object[:3, 3]
+        found = pixel_jacobians(views, samples @ R.T + t)
+        owners = np.asarray(wireframe.sample_edges)
+        places = _places_on_edges(model, samples, owners)
+        for k, (v, e) in enumerate(zip(view, edge, strict=True)):
+            own = np.flatnonzero((owners == e) & (lines.combination[v, 0] != 0.0))
+            normals, mix = lines.normals[v, own], lines.combination[v][:, own]
+            rows = slice(2 * k, 2 * k + 2)
+            by_view = np.einsum("si,sil->sl", normals, found.by_view[v, own])
+            by_calibration[rows] = mix @ by_view @ uncertainty.view_jacobian[v]
+            if by_vertices.size:
+                gradient = np.einsum("si,sij->sj", normals, found.by_point[v, own] @ R)
+                for vertex, share in zip(
+                    model.edges[e], (1.0 - places[own], places[own]), strict=True
+                ):
+                    columns = slice(3 * vertex, 3 * vertex + 3)
+                    by_vertices[rows, columns] = mix @ (share[:, None] * gradient)
+    return PoseEquations(
+        np.ravel(lines.offsets[view, edge]),
+        np.reshape(lines.by_pose[view, edge], (-1, 6)),
+        np.diag(np.ravel(lines.variances[view, edge])),
+        by_calibration,
+        by_vertices,
+        np.repeat(np.arange(count), 2),
+    )
+
+
+def _places_on_edges(
+    model: ObjectModel, samples: Float[np.ndarray, "S 3"], owners: np.ndarray
+) -> Float[np.ndarray, "S"]:
+    """Return where samples are on their edges: 0 at the first vertex, 1 at the second."""
+    starts, ends = (model.vertices[model.edges[owners, k]] for k in (0, 1))
+    along = ends - starts
+    return ((samples - starts) * along).sum(axis=1) / (along**2).sum(axis=1)
+
+
+def _with_edge_sigmas(
+    equations: PoseEquations, sigmas: tuple[float, float], edge_rows: int
+) -> PoseEquations:
+    """Return equations whose first rows, those of edges, have additional independent errors.
+
+    The two standard deviations, px, are those of an edge's distance and of its tilt.
+    """
+    extra = np.zeros(len(equations.residuals))
+    extra[0:edge_rows:2], extra[1:edge_rows:2] = sigmas[0] ** 2, sigmas[1] ** 2
+    return equations._replace(noise=equations.noise + np.diag(extra))
+
+
+def _gated(
+    equations: PoseEquations, errors: CommonErrors, edge_rows: int
+) -> tuple[Bool[np.ndarray, "n"], tuple[float, float]]:
+    """Return which equations are consistent with one pose, and the edges' own sigmas, px.
+
+    Raises:
+        ValueError: the equations leave the pose undetermined.
+    """
+    # A robust start: the median of the edges' numbers is not moved by a few wrong ones.
+    sigmas = (0.0, 0.0)
+    if edge_rows:
+        distance, tilt = np.median(np.abs(equations.residuals[:edge_rows].reshape(-1, 2)), axis=0)
+        sigmas = (min(1.48 * distance, MAX_EDGE_SIGMA), min(1.48 * tilt, MAX_EDGE_SIGMA))
+    weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
+    step = solve_pose(_weighted(weighted, errors, 2.0), errors)
+    keep = consistent_blocks(weighted, errors, step)
+    for _ in range(2):
+        sigmas = _likeliest_edge_sigmas(equations, errors, edge_rows, keep, sigmas)
+        weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
+        step = solve_pose(weighted.of(keep), errors)
+        keep = consistent_blocks(weighted, errors, step)
+    return keep, sigmas
+
+
+def _likeliest_edge_sigmas(
+    equations: PoseEquations,
+    errors: CommonErrors,
+    edge_rows: int,
+    keep: Bool[np.ndarray, "n"],
+    start: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the standard deviations of whole edges of the largest restricted likelihood, px."""
+    sigmas = list(start)
+    own = equations.of(keep)
+    rows = int(keep[:edge_rows].sum())
+    common = sum(errors.covariances(own))
+    for which in (0, 1, 0):
+        best = (np.inf, sigmas[which])
+        for sigma in EDGE_SIGMAS:
+            sigmas[which] = float(sigma)
+            noise = _with_edge_sigmas(own, (sigmas[0], sigmas[1]), rows).noise
+            best = min(best, (_restricted_deviance(own, noise + common), float(sigma)))
+        sigmas[which] = best[1]
+    return sigmas[0], sigmas[1]
+
+
+def _restricted_deviance(equations: PoseEquations, total: Float[np.ndarray, "n n"]) -> float:
+    """Return minus twice the restricted log-likelihood of a covariance, up to a constant."""
+    # l = log|C| + log|J^T W J| + r^T W r - (r^T W J) (J^T W J)^-1 (J^T W r),  W = C^-1
+    factor = cho_factor(total)
+    WJ, Wr = cho_solve(factor, equations.by_pose), cho_solve(factor, equations.residuals)
+    information, gradient = equations.by_pose.T @ WJ, equations.by_pose.T @ Wr
+    sign, determinant = np.linalg.slogdet(information)
+    if sign <= 0.0:
+        return np.inf
+    value = 2.0 * np.log(np.diagonal(factor[0])).sum() + determinant
+    return float(
+        value + equations.residuals @ Wr - gradient @ np.linalg.solve(information, gradient)
+    )
+
+
+def edge_points_used(refined: RefinedPose, view: int) -> np.ndarray:
+    """Return the indices of the edge points of a view that an object's edges explain."""
+    owners_found = np.isfinite(refined.lines.distances[view])
+    owners_found &= refined.lines.combination[view, 0] != 0.0
+    return np.unique(refined.lines.points[view][owners_found])

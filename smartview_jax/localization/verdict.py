@@ -1,0 +1,283 @@
+"""Judge whether an object is where a pose says: accepted, rejected or open, with the numbers.
+
+The test has five parts, each with a threshold that is a constant below and a number in `Verdict`:
+
+- the explained share: of the visible edge length, the part that has an edge point within
+  `EXPLAINED_DISTANCE`, of the edge's orientation; in all views together and in each;
+- chance: the share that the same wireframe explains at other places of the same pictures, after the
+  same convergence. A beta distribution of these shares gives the expected number of poses so well
+  explained by what else is there, among all that were looked at (an a-contrario test: Desolneux,
+  Moisan and Morel, "Meaningful alignments", 2000);
+- residuals: how far whole edges are from the model, beyond their covariance;
+- contrast: the gradient along the explained edges, over that of the picture's edges;
+- rivals: the log-likelihood over that of the best other pose or model at the same place that is not
+  the same by symmetry.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import betainc
+
+from ..array_namespace import to_device
+from ..geometry import host_exponentials
+from ..modeling import ObjectModel, SeenViews
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, converged_poses
+from .edge_lookup import EdgeLookup, padded_poses
+from .refinement import measured_lines
+from .wireframe import Wireframe
+
+ACCEPTED_SHARE, REJECTED_SHARE = 0.75, 0.5
+"""Explained shares from which a pose may be accepted, and below which it is rejected."""
+
+ACCEPTED_VIEW_SHARE = 0.55
+"""Smallest explained share in each view in which enough of the object is seen."""
+
+MIN_VIEW_PX = 60.0
+"""Visible edge length, px, from which a view is judged by its own share."""
+
+MIN_EDGES = 5
+"""Smallest number of measured edges, all views together, of an accepted pose."""
+
+MAX_LOG_FALSE_ALARMS = -2.0
+"""Largest decimal logarithm of the expected number of false alarms of an accepted pose."""
+
+MAX_EDGE_RMS = 1.2
+"""Largest RMS distance of the measured edges of an accepted pose from the model, px."""
+
+MIN_CONTRAST = 0.35
+"""Smallest median gradient along explained edges, over the median of the picture's edge points."""
+
+MIN_MARGIN = 6.0
+"""Smallest log-likelihood over that of the best rival of an accepted pose."""
+
+CHANCE_POSES = 48
+"""Number of displaced poses from which chance is estimated."""
+
+FOUND_PROBABILITY = 0.9
+"""Probability that a piece of a truly visible edge has an edge point: shadows and equal brightness
+on both sides take the rest."""
+
+INDEPENDENT_LENGTH = 12.0
+"""Length of an edge, px, whose being found or not counts as one observation."""
+
+
+class Chance(NamedTuple):
+    """The explained share of a wireframe at places where the object is not.
+
+    Attributes:
+        mean, std: of the shares.
+    """
+
+    mean: float
+    std: float
+
+    def probability_above(self, share: float) -> float:
+        """Return the probability that chance explains at least a share.
+
+        A beta distribution of the same mean and standard deviation stands for the tail, in which
+        there are no samples.
+        """
+        mean = float(np.clip(self.mean, 0.02, 0.98))
+        variance = float(np.clip(self.std**2, 1e-4, 0.8 * mean * (1.0 - mean)))
+        count = mean * (1.0 - mean) / variance - 1.0
+        # 1 - I_x(a, b) = I_(1-x)(b, a), which keeps its digits where it is small.
+        return float(betainc((1.0 - mean) * count, mean * count, 1.0 - min(share, 1.0)))
+
+
+class Evidence(NamedTuple):
+    """The numbers of a pose that a verdict rests on, without comparing it with others.
+
+    Attributes:
+        explained: share of the visible edge length with an edge point, all views together.
+        explained_in_view: likewise in each view; NaN where too little of the object is visible.
+        visible_px: visible edge length of all views, px.
+        edges: number of measured edges, each view for itself.
+        edge_rms: RMS distance of measured edges from the model, px.
+        contrast: see `MIN_CONTRAST`.
+        log_likelihood: of the visible edges being found or not, over their being clutter.
+    """
+
+    explained: float
+    explained_in_view: tuple[float, ...]
+    visible_px: float
+    edges: int
+    edge_rms: float
+    contrast: float
+    log_likelihood: float
+
+
+class Verdict(NamedTuple):
+    """A decision about a pose, its reasons in words, and its numbers.
+
+    Attributes:
+        decision: "accepted", "rejected" or "open".
+        reasons: why it is not accepted; empty if it is.
+        evidence: of the pose itself.
+        log_false_alarms: decimal logarithm of the expected number of poses that chance explains so
+            well, among all that were looked at.
+        margin: log-likelihood over that of the best rival; infinite without one.
+    """
+
+    decision: str
+    reasons: tuple[str, ...]
+    evidence: Evidence
+    log_false_alarms: float
+    margin: float
+
+
+def chance_of(
+    pose: Float[np.ndarray, "4 4"],
+    model: ObjectModel,
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    seed: int = 0,
+) -> Chance:
+    """Return how much of a wireframe's visible length other places of the pictures explain.
+
+    The wireframe is displaced by half its size to three times its size, turned by up to 40 degrees
+    and drawn to the best place near by, as a hypothesis is. Poses that return to the object itself
+    are left out, and so are those of which the pictures show little.
+
+    Args:
+        pose: of the object that is judged.
+        model: of the object.
+        wireframe: of the model; few samples are enough.
+        views: camera and poses.
+        lookup: edge points of the views.
+        seed: of the displacements.
+    """
+    rng = np.random.default_rng(seed)
+    extent = float(np.ptp(model.vertices, axis=0).max())
+    tangents = np.zeros((CHANCE_POSES, 6))
+    directions = rng.standard_normal((CHANCE_POSES, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    tangents[:, :3] = rng.uniform(0.5, 3.0, (CHANCE_POSES, 1)) * extent * directions
+    axes = rng.standard_normal((CHANCE_POSES, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    tangents[:, 3:] = rng.uniform(0.0, np.deg2rad(40.0), (CHANCE_POSES, 1)) * axes
+    # Displaced about the object's middle, not about the origin of its frame.
+    middle = np.eye(4)
+    middle[:3, 3] = model.vertices.mean(axis=0)
+    displaced = pose @ middle @ host_exponentials(tangents) @ np.linalg.inv(middle)
+    found, shares = converged_poses(
+        wireframe,
+        views.camera,
+        lookup,
+        to_device(padded_poses(views.camera_from_world)),
+        to_device(displaced),
+    )
+    moved = np.asarray(found) @ middle - (pose @ middle)
+    elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
+    values = np.asarray(shares)[elsewhere & (np.asarray(shares) > 0.0)]
+    if len(values) < 5:
+        # Nothing else is in the pictures: chance explains next to nothing.
+        return Chance(0.05, 0.05)
+    return Chance(float(values.mean()), float(values.std(ddof=1)))
+
+
+def evidence_of(
+    pose: Float[np.ndarray, "4 4"],
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    strengths: Sequence[Float[np.ndarray, "_"]],
+    chance: float,
+) -> Evidence:
+    """Return what the pictures say for and against a pose.
+
+    Args:
+        pose: world_from_object.
+        wireframe: of the model.
+        views: camera and poses.
+        lookup: edge points of the views.
+        strengths: gradients of all edge points of each view, grey levels per px.
+        chance: share of visible length that clutter explains.
+    """
+    lines = measured_lines(wireframe, views, lookup, pose, EXPLAINED_DISTANCE)
+    visible, explained = lines.visible_px.sum(axis=1), lines.explained_px.sum(axis=1)
+    in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
+    numbers = lines.offsets[lines.measured]
+    total, share = float(visible.sum()), float(explained.sum() / max(visible.sum(), 1.0))
+    return Evidence(
+        share,
+        tuple(in_view.tolist()),
+        total,
+        int(lines.measured.sum()),
+        # The two numbers are distances at the mean and at the spread: their squares add up.
+        float(np.sqrt((numbers**2).sum(axis=1).mean())) if len(numbers) else np.inf,
+        _contrast(lines, strengths),
+        _log_likelihood(share, total, chance),
+    )
+
+
+def _log_likelihood(share: float, visible_px: float, chance: float) -> float:
+    """Return the log-likelihood of found and missing edge length over that of clutter."""
+    # Each piece is found with probability q if the object is there, and with p if clutter is:
+    #   l = n (x log(q / p) + (1 - x) log((1 - q) / (1 - p)))
+    p, q = float(np.clip(chance, 0.02, 0.8)), FOUND_PROBABILITY
+    pieces = visible_px / INDEPENDENT_LENGTH
+    return pieces * (share * np.log(q / p) + (1.0 - share) * np.log((1.0 - q) / (1.0 - p)))
+
+
+def _contrast(lines: EdgeLines, strengths: Sequence[Float[np.ndarray, "_"]]) -> float:
+    """Return the gradient along measured edges, over that of all edge points."""
+    if not lines.measured.any():
+        return 0.0
+    usual = np.array([np.median(one) if len(one) else np.inf for one in strengths])
+    ratios = lines.strength / usual[:, None]
+    return float(np.median(ratios[lines.measured]))
+
+
+def judge(
+    evidence: Evidence, chance: Chance, tested: int, margin: float, rival: str = "another pose"
+) -> Verdict:
+    """Return the verdict on a pose.
+
+    Args:
+        evidence: of the pose.
+        chance: of the same wireframe elsewhere in the same pictures.
+        tested: number of poses that were looked at.
+        margin: log-likelihood over that of the best rival; infinite without one.
+        rival: what the best rival is, in words.
+    """
+    # Expected number of false alarms: tested poses times the probability of each.
+    probability = max(chance.probability_above(evidence.explained), 1e-300)
+    log_false_alarms = float(np.log10(max(tested, 1)) + np.log10(probability))
+    share, rms = evidence.explained, evidence.edge_rms
+    against = []
+    if share < REJECTED_SHARE:
+        against.append(f"only {share:.0%} of its visible edges are in the pictures")
+    if log_false_alarms > 0.0:
+        against.append(
+            f"clutter explains as much: {chance.mean:.0%} +- {chance.std:.0%} elsewhere, "
+            f"{share:.0%} here"
+        )
+    if evidence.edges < MIN_EDGES - 2:
+        against.append(f"only {evidence.edges} of its edges are in the pictures")
+    if against:
+        return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
+    doubts = []
+    if share < ACCEPTED_SHARE:
+        doubts.append(f"{share:.0%} of its visible edges are in the pictures")
+    doubts += [
+        f"view {k}: {one:.0%} of its visible edges are in the picture"
+        for k, one in enumerate(evidence.explained_in_view)
+        if one < ACCEPTED_VIEW_SHARE
+    ]
+    if evidence.edges < MIN_EDGES:
+        doubts.append(f"only {evidence.edges} edges are measured")
+    if log_false_alarms > MAX_LOG_FALSE_ALARMS:
+        doubts.append(f"{10.0**log_false_alarms:.2g} such poses are expected by chance")
+    if rms > MAX_EDGE_RMS:
+        doubts.append(f"its edges are {rms:.2f} px (RMS) from those of the pictures")
+    if evidence.contrast < MIN_CONTRAST:
+        doubts.append(f"its edges have {evidence.contrast:.2f} of the pictures' usual contrast")
+    if margin < MIN_MARGIN:
+        doubts.append(f"ambiguous: {rival} explains the pictures nearly as well")
+    return Verdict(
+        "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
+    )
