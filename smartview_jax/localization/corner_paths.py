@@ -157,10 +157,9 @@ def _path_faces_camera(
     # c = -R^T t in the object's frame; a face of normal n through o looks at it if n . c > n . o.
     R, t = camera_from_object[..., :3, :3], camera_from_object[..., :3, 3]
     centres = -(np.swapaxes(R, -1, -2) @ t[..., None])[..., 0]
-    finite = np.isfinite(centres).all(axis=-1)
-    facing = np.stack([finite, finite], axis=-1)
+    facing = np.isfinite(centres[..., 0])
     if not model.faces:
-        return facing.all(axis=-1)
+        return facing
     planes = [model.plane(k) for k in range(len(model.faces))]
     normals = np.array([plane.normal for plane in planes])
     offsets = np.array([plane.normal @ plane.origin for plane in planes])
@@ -168,9 +167,10 @@ def _path_faces_camera(
         seen = centres @ normals.T > offsets
     owners = _faces_of_edges(model)
     for side in (0, 1):
-        faces = owners[paths[:, side], paths[:, side + 1]]
-        facing[..., side] &= (seen & faces[:, None]).any(axis=-1) | ~faces.any(axis=-1)[:, None]
-    return facing.all(axis=-1)
+        faces = owners[paths[:, side], paths[:, side + 1]][:, None]
+        # An edge on no face is seen from everywhere.
+        facing = facing & ((seen & faces).any(axis=-1) | ~faces.any(axis=-1))
+    return facing
 
 
 def _faces_of_edges(model: ObjectModel) -> Bool[np.ndarray, "V V F"]:

@@ -68,6 +68,24 @@ def test_searches_without_models_pictures_or_edges_are_refused(scene):
         find_hypotheses(scene.evidence, scene.views, [points])
 
 
+def test_a_workspace_keeps_what_is_outside_of_it_from_the_list(scene):
+    """The table is at z = 0; one view alone takes a small near object for a large far one."""
+    views = SeenViews.of(CALIBRATION, np.linalg.inv(scene.views.camera_from_world[:1]))
+    table = np.array([[0.3, 0.3, 0.0], [-0.3, -0.3, 0.1]])
+    model = scene.models[1]
+    anywhere = find_hypotheses(scene.evidence[:1], views, [model])
+    found = find_hypotheses(scene.evidence[:1], views, [model], workspace=table)
+    heights = [
+        np.array([(one.world_from_object @ [*v, 1.0])[2] for one in listed for v in model.vertices])
+        for listed in (anywhere, found)
+    ]
+    assert heights[0].min() < -0.02
+    assert heights[1].min() > -0.006
+    assert len(found) > 5
+    with pytest.raises(ValueError, match="workspace: expected two corners"):
+        find_hypotheses(scene.evidence, scene.views, [model], workspace=table[:, :2])
+
+
 def test_paths_of_one_picture_propose_the_true_pose(scene):
     model, truth = scene.models[0], scene.world_from_object[0]
     paths = picture_paths(scene.evidence[0].features, IdealPlane(CAMERA), 200)
