@@ -21,7 +21,7 @@ from .scoring import PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
 
-MAX_PATHS_ALONE, MAX_PATHS = 300, 100
+MAX_PATHS_ALONE, MAX_PATHS = 300, 40
 """Largest number of paths of a picture, where it is the only one and where there are more."""
 
 WORKSPACE_SLACK = 5e-3
@@ -33,11 +33,9 @@ COARSE_SAMPLES, COARSE_GATE = 24, 8.0
 FINE_GATE = 4.0
 """Gate of the scores of polished poses, px."""
 
-FINER_SCORED = 1024
-"""Number of proposals that are scored once more with all samples."""
-
-POLISHED = 64
-"""Number of distinct proposals that are polished."""
+COMPARED, FINER_SCORED, POLISHED = 1024, 192, 64
+"""Numbers of the best proposals that are compared with one another, to leave out those that are
+almost the same; of those that are scored once more, with all samples; and of those polished."""
 
 
 class Hypothesis(NamedTuple):
@@ -135,9 +133,10 @@ def _best(
     """Return the best distinct poses after polishing, with their scores."""
     coarse, fine = Wireframe.of(model, COARSE_SAMPLES), Wireframe.of(model)
     poses = poses[_are_within(model, poses, box)]
-    poses = _ranked(maps, coarse, poses, COARSE_GATE)[0][:FINER_SCORED]
-    poses = _ranked(maps, fine, poses, COARSE_GATE)[0]
-    poses = poses[distinct_poses(model, poses, POLISHED)]
+    scores = score_poses(maps, coarse, poses, COARSE_GATE, convex=True)
+    poses = poses[np.argsort(-scores.surplus_px, kind="stable")[:COMPARED]]
+    poses = poses[distinct_poses(model, poses, FINER_SCORED)]
+    poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
     poses = polished_poses(maps, fine, poses)
     # Some are drawn out of the workspace.
     poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], FINE_GATE)
