@@ -16,7 +16,7 @@ from ..features import IdealPlane, PictureEvidence
 from ..modeling import ObjectModel, SeenViews
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .distinct_poses import distinct_poses
-from .polishing import polished_poses
+from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
 from .scoring import PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
@@ -137,7 +137,8 @@ def _best(
     poses = poses[np.argsort(-scores.surplus_px, kind="stable")[:COMPARED]]
     poses = poses[distinct_poses(model, poses, FINER_SCORED)]
     poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
-    poses = polished_poses(maps, fine, poses)
+    schedules = WIDE_GATES, NARROW_GATES
+    poses = np.concatenate([polished_poses(maps, fine, poses, gates) for gates in schedules])
     # Some are drawn out of the workspace.
     poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], FINE_GATE)
     kept = distinct_poses(model, poses, count)
