@@ -91,6 +91,7 @@ def _step(
     hessian, gradient = jnp.zeros((6, 6), pose.dtype), jnp.zeros(6, pose.dtype)
     for view in range(len(maps.camera_from_world)):
         residual, J, weight = _residuals(maps, view, wireframe, pose, gate)
+        # Summed over the views: all of them see one rigid object.
         J = jnp.concatenate([J[:, :3] * radius, J[:, 3:]], axis=1)
         hessian = hessian + J.T @ (weight[:, None] * J)
         gradient = gradient + J.T @ (weight * residual)
@@ -134,6 +135,7 @@ def _residuals(
 def _solved(matrix: Float[Array, "6 6"], right: Float[Array, "6"]) -> Float[Array, "6"]:
     """Return the solution of a positive definite system, by elimination without pivots."""
     # Written out, because a call of LAPACK for each of many small systems costs far more.
+    # Without pivots: the matrix is damped, so that none of them is near zero.
     augmented = jnp.concatenate([matrix, right[:, None]], axis=1)
     for k in range(6):
         row = augmented[k] / augmented[k, k]
