@@ -245,7 +245,7 @@ def seen_samples(
     # d(x / z) = (dx - x / z dz) / z
     slope = f * (tangents[:, :2] - ideal / f * tangents[:, 2:]) / z[:, None]
     scale = jnp.sqrt((slope**2).sum(axis=1))
-    # Rounded to the nearest map; an edge and its reverse are half a turn apart, which is map 0 again.
+    # Rounded to the nearest map; an edge and its reverse are half a turn apart, and of one map.
     turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
     orientation = jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS
     cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
