@@ -99,6 +99,7 @@ def localize(
     noise: Noise | None = None,
     previous: Localizations | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
+    workspace: Float[np.ndarray, "2 3"] | None = None,
 ) -> Localizations:
     """Find objects of known models in one, two or more calibrated pictures.
 
@@ -113,6 +114,8 @@ def localize(
         previous: what was found in earlier views of the same scene. Their pictures count together
             with the new ones, and every hypothesis is judged anew.
         hypotheses: poses to begin from instead of those that are searched for.
+        workspace: two opposite corners of a box in the world, m, in which objects are, as of a bin;
+            what is not there is not found. None for anywhere.
 
     Returns:
         What was found, accepted ones first; `messages` says why the others were not.
@@ -134,9 +137,16 @@ def localize(
     if hypotheses is None and previous is not None and len(previous):
         hypotheses = _hypotheses_of(previous)
     if hypotheses is None:
-        hypotheses = find_hypotheses(pictures, views, [one.model for one in prepared])
+        hypotheses = find_hypotheses(
+            pictures, views, [one.model for one in prepared], workspace=workspace
+        )
     scene = _Scene(views, pictures)
     candidates = _converged(scene, prepared, hypotheses)
+    if workspace is not None:
+        low, high = np.min(workspace, axis=0), np.max(workspace, axis=0)
+        middles = [_middle(prepared[one.model], one.pose) for one in candidates]
+        inside = [bool(((low <= m) & (m <= high)).all()) for m in middles]
+        candidates = [one for one, is_in in zip(candidates, inside, strict=True) if is_in]
     found = _judged(scene, prepared, candidates, uncertainty, len(hypotheses))
     return Localizations(
         _reported(found), _messages(prepared, found, hypotheses), pictures, _own_command(views)
