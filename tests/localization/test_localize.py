@@ -23,10 +23,11 @@ CALIBRATION = calibration()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_poses_of_chance():
-    """Enough of them for wireframes among drawn edges; they cost most of the time."""
+def few_samples():
+    """Enough for wireframes among drawn edges; chance costs most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 16)
+        patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 8)
+        patch.setattr("smartview_jax.localization.localize.FIT_SAMPLES", 256)
         yield
 
 
