@@ -67,7 +67,9 @@ def predict_view(
     directions = slopes / jnp.where(scale > 0.0, scale, 1.0)[:, None]
     vertex_visible = wireframe.vertex_mask & ~hidden_vertices(wireframe, centre)
     sample_visible = (wireframe.sample_lengths > 0.0) & ~hidden_samples(wireframe, centre)
+    # Beyond the lens there is no pixel, and at its limit no derivative.
     sample_visible = sample_visible & usable & _within(samples, camera)
+    # To first order in the part's length; the parts of an edge are short against its distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
     return PredictedView(
@@ -104,13 +106,27 @@ def _hidden(
     own: Bool[Array, "n F"],
 ) -> Bool[Array, "n"]:
     """Return which points are hidden, with the faces to which each belongs."""
-    # A face is seen from its outer side: n . (c - p) > 0.
-    towards = ((centre[None] - wireframe.face_points) * wireframe.face_normals).sum(axis=1)
     # A face does not hide its own border.
     covered = (_faces_before(wireframe, centre, points) & ~own).any(axis=1)
+    return covered | _turned_away(wireframe, centre, own)
+
+
+def edges_turned_away(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "E"]:
+    """Return which edges are between faces that all look away from a point; as `hidden_samples`.
+
+    They are all hidden edges of a convex object, at a tenth of the time.
+    """
+    return _turned_away(wireframe, centre, wireframe.edge_faces)
+
+
+def _turned_away(
+    wireframe: Wireframe, centre: Float[Array, "3"], own: Bool[Array, "n F"]
+) -> Bool[Array, "n"]:
+    """Return for which points none of the faces to which each belongs is seen from its outside."""
+    # n . (c - p) > 0
+    towards = ((centre[None] - wireframe.face_points) * wireframe.face_normals).sum(axis=1)
     # One face alone may be a sheet that is seen from both sides.
-    turned_away = (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
-    return covered | turned_away
+    return (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
 
 
 def _faces_before(
