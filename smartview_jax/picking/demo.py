@@ -124,7 +124,7 @@ def run_demo(
     page = out / "demo.html"
     say("writing the page")
     sections = [
-        localised_section(attempt, calibrated),
+        localised_section(attempt, calibrated, region, strip),
         grasp_section(attempt, strip),
         numbers_section(attempt, calibrated, model, error, held, times),
     ]
@@ -197,7 +197,7 @@ def _watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
         BYSTANDER_FOCAL, BYSTANDER_FOCAL, 0.5 * width, 0.5 * height, Pinhole(), (width, height)
     )
     aim = cell.centre + np.array([0.0, 0.0, 0.09])
-    pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75, np.pi))
+    pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75))
     return cell.watch(pose, camera)
 
 
