@@ -28,6 +28,7 @@ BENCHMARKS = {
     "object_features": "corners and proposed models on pictures of objects, against references",
     "modeling": "vertices of objects from clicks: NEES, edges, peers, real pictures, times",
     "grasping": "grasps executed in physics, by staged and joint calibration: held, and foretold?",
+    "localization": "known objects found without a start: ranks of the right pose, seconds",
     "fuzz": "malformed files: refused by name, or their values in range",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "editor": "the time from a click in the object-model editor to the drawn answer",

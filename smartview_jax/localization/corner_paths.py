@@ -19,10 +19,6 @@ MIN_LENGTH = 10.0
 MIN_ANGLE = float(np.deg2rad(10.0))
 """Smallest angle between the two segments of a path, and between them and one line, rad."""
 
-MAX_PATHS = 300
-"""Largest number of paths of one picture: those of the longest segments, junctions at the ends
-first."""
-
 
 class PicturePaths(NamedTuple):
     """Paths of two segments of one picture that meet in a corner.
@@ -40,12 +36,13 @@ class PicturePaths(NamedTuple):
     corners: Int[np.ndarray, "paths"]
 
 
-def picture_paths(features: Features, plane: IdealPlane) -> PicturePaths:
-    """Return the paths of a picture, the most promising first.
+def picture_paths(features: Features, plane: IdealPlane, count: int) -> PicturePaths:
+    """Return the most promising paths of a picture: of long segments that end at other ones.
 
     Args:
         features: of the picture.
         plane: of the camera that took it.
+        count: largest number of paths.
     """
     pixels, segments, corners, anchored = [], [], [], []
     is_junction = _ends_at_junctions(features)
@@ -72,7 +69,7 @@ def picture_paths(features: Features, plane: IdealPlane) -> PicturePaths:
     # The shorter of the two segments gives the pose less well; an end without a corner may be
     # anywhere along its edge.
     merit = lengths.min(axis=1, initial=np.inf) * (1.0 + np.array(anchored))
-    order = np.argsort(-merit, kind="stable")[:MAX_PATHS]
+    order = np.argsort(-merit, kind="stable")[:count]
     rays = plane.rays(plane.from_pixels(triples[order].reshape(-1, 2))).reshape(-1, 3, 3)
     return PicturePaths(
         triples[order],
@@ -103,7 +100,7 @@ def _is_bent(triple: Float[np.ndarray, "3 2"]) -> bool:
     """Return whether three corners are not near one line."""
     first, second = triple[0] - triple[1], triple[2] - triple[1]
     sine = first[0] * second[1] - first[1] * second[0]
-    return abs(sine) > np.sin(MIN_ANGLE) * np.linalg.norm(first) * np.linalg.norm(second)
+    return bool(abs(sine) > np.sin(MIN_ANGLE) * np.linalg.norm(first) * np.linalg.norm(second))
 
 
 def model_paths(model: ObjectModel) -> Int[np.ndarray, "paths 3"]:
@@ -160,10 +157,9 @@ def _path_faces_camera(
     # c = -R^T t in the object's frame; a face of normal n through o looks at it if n . c > n . o.
     R, t = camera_from_object[..., :3, :3], camera_from_object[..., :3, 3]
     centres = -(np.swapaxes(R, -1, -2) @ t[..., None])[..., 0]
-    finite = np.isfinite(centres).all(axis=-1)
-    facing = np.stack([finite, finite], axis=-1)
+    facing = np.isfinite(centres[..., 0])
     if not model.faces:
-        return facing.all(axis=-1)
+        return facing
     planes = [model.plane(k) for k in range(len(model.faces))]
     normals = np.array([plane.normal for plane in planes])
     offsets = np.array([plane.normal @ plane.origin for plane in planes])
@@ -171,9 +167,10 @@ def _path_faces_camera(
         seen = centres @ normals.T > offsets
     owners = _faces_of_edges(model)
     for side in (0, 1):
-        faces = owners[paths[:, side], paths[:, side + 1]]
-        facing[..., side] &= (seen & faces[:, None]).any(axis=-1) | ~faces.any(axis=-1)[:, None]
-    return facing.all(axis=-1)
+        faces = owners[paths[:, side], paths[:, side + 1]][:, None]
+        # An edge on no face is seen from everywhere.
+        facing = facing & ((seen & faces).any(axis=-1) | ~faces.any(axis=-1))
+    return facing
 
 
 def _faces_of_edges(model: ObjectModel) -> Bool[np.ndarray, "V V F"]:

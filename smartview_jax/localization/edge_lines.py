@@ -12,13 +12,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray
+from ..array_namespace import AnyArray, to_device
 from ..cameras import Camera
 from ..compilation import compiled_optimised
-from .edge_lookup import EdgeLookup
+from ..modeling import SeenViews
+from .edge_lookup import EdgeLookup, padded_poses
 from .prediction import pose_jacobians, predict_view
 from .wireframe import Wireframe
 
@@ -57,6 +59,9 @@ MIN_SHARE = 0.25
 
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
 """Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
+
+POSES_PER_BATCH = 8
+"""Number of poses that are drawn to the edges by one call of a compiled program."""
 
 RADII = (12.0, 10.0, 8.0, 6.5, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0)
 """Search radius of each step towards a pose, px."""
@@ -318,6 +323,29 @@ def converged_poses(
 
     # One pose after the other: their arrays stay in the processor's cache.
     return jax.lax.map(converge, world_from_object)
+
+
+def poses_on_edges(
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    world_from_object: Float[np.ndarray, "poses 4 4"],
+) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses"]]:
+    """Return what `converged_poses` does for any number of poses, by one compiled program."""
+    poses, shares = [np.zeros((0, 4, 4))], [np.zeros(0)]
+    for start in range(0, len(world_from_object), POSES_PER_BATCH):
+        own = world_from_object[start : start + POSES_PER_BATCH]
+        padding = np.repeat(own[-1:], POSES_PER_BATCH - len(own), axis=0)
+        found = converged_poses(
+            wireframe,
+            views.camera,
+            lookup,
+            to_device(padded_poses(views.camera_from_world)),
+            to_device(np.concatenate([own, padding])),
+        )
+        poses.append(np.asarray(found[0])[: len(own)])
+        shares.append(np.asarray(found[1])[: len(own)])
+    return np.concatenate(poses), np.concatenate(shares)
 
 
 def _robust_step(lines: EdgeLines, tolerance: Float[Array, ""]) -> Float[Array, "6"]:

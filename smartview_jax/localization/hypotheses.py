@@ -6,18 +6,26 @@ fitted and judged.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..features import IdealPlane, PictureEvidence
 from ..modeling import ObjectModel, SeenViews
-from .corner_paths import picture_paths, poses_from_paths
+from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .distinct_poses import distinct_poses
 from .polishing import polished_poses
 from .scoring import PoseScores, SceneMaps, score_poses
+from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
+
+MAX_PATHS_ALONE, MAX_PATHS = 300, 40
+"""Largest number of paths of a picture, where it is the only one and where there are more."""
+
+WORKSPACE_SLACK = 5e-3
+"""Distance by which a proposal may leave the workspace, m: proposals err by some millimetres."""
 
 COARSE_SAMPLES, COARSE_GATE = 24, 8.0
 """Samples of the wireframe for the first scores, and their gate, px: proposals err by some px."""
@@ -25,11 +33,9 @@ COARSE_SAMPLES, COARSE_GATE = 24, 8.0
 FINE_GATE = 4.0
 """Gate of the scores of polished poses, px."""
 
-FINER_SCORED = 1024
-"""Number of proposals that are scored once more with all samples."""
-
-POLISHED = 64
-"""Number of distinct proposals that are polished."""
+COMPARED, FINER_SCORED, POLISHED = 1024, 192, 64
+"""Numbers of the best proposals that are compared with one another, to leave out those that are
+almost the same; of those that are scored once more, with all samples; and of those polished."""
 
 
 class Hypothesis(NamedTuple):
@@ -53,7 +59,9 @@ def find_hypotheses(
     evidence: Sequence[PictureEvidence],
     views: SeenViews,
     models: Sequence[ObjectModel],
-    count: int = 20,
+    count: int = 24,
+    *,
+    workspace: Float[np.ndarray, "2 3"] | None = None,
 ) -> list[Hypothesis]:
     """Return where objects may be, the best hypotheses first.
 
@@ -62,42 +70,89 @@ def find_hypotheses(
         views: the camera's poses at the pictures; one is enough, two or more tell far more.
         models: of the objects that may be there. Their symmetry, if known, keeps equal poses from
             being listed several times.
-        count: largest number of hypotheses.
+        count: largest number of hypotheses of each model.
+        workspace: two opposite corners of a box in the world, m, in which objects are; the lower
+            one is then that of a table or of the bottom of a bin. Vertices may be outside by
+            `WORKSPACE_SLACK`. None for anywhere.
 
     Raises:
-        ValueError: no pictures or no models, other numbers of pictures than of poses, or a model
-            without edges.
+        ValueError: no pictures or no models, other numbers of pictures than of poses, a model
+            without edges, or a workspace that is not a box.
     """
     if not len(models):
         raise ValueError("models: expected at least one, found none")
+    box = None if workspace is None else _checked_box(workspace)
     maps = SceneMaps.of(evidence, views)
-    plane = IdealPlane(views.camera)
-    paths = [picture_paths(one.features, plane) for one in evidence]
+    paths, edges = _picture_proposals(evidence, views)
     found: list[Hypothesis] = []
     for index, model in enumerate(models):
         proposed = [
             poses_from_paths(own, model, camera_from_world)
             for own, camera_from_world in zip(paths, views.camera_from_world, strict=True)
         ]
-        best, scores = _best(maps, model, np.concatenate(proposed), count)
+        proposed += [poses_from_edges(pair, model) for pair in edges]
+        best, scores = _best(maps, model, np.concatenate(proposed), count, box)
         found += [
             Hypothesis(index, pose, float(score), float(share))
             for pose, score, share in zip(best, scores.surplus_px, scores.explained, strict=True)
         ]
-    return sorted(found, key=lambda one: -one.score)[:count]
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
+    """Return the corners of a box with the lower bounds first."""
+    corners = np.asarray(workspace, dtype=float)
+    if corners.shape != (2, 3) or not np.isfinite(corners).all():
+        raise ValueError(f"workspace: expected two corners (2, 3), finite, m; found {workspace}")
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def _picture_proposals(
+    evidence: Sequence[PictureEvidence], views: SeenViews
+) -> tuple[list[PicturePaths], list[SpaceEdges]]:
+    """Return the paths of each picture, and the edges in space of pairs of pictures."""
+    plane, poses = IdealPlane(views.camera), views.camera_from_world
+    features = [one.features for one in evidence]
+    # So many that all pictures together propose about as much as two do.
+    most = MAX_PATHS_ALONE if len(features) == 1 else 2 * MAX_PATHS // len(features)
+    paths = [picture_paths(one, plane, most) for one in features]
+    pairs = list(combinations(range(len(features)), 2))
+    # Of many pictures, each with the next: every one takes part, and the time grows no faster.
+    pairs = pairs if len(features) <= 3 else [(k, k + 1) for k in range(len(features) - 1)]
+    edges = [stereo_edges(features[i], features[j], plane, poses[[i, j]]) for i, j in pairs]
+    return paths, edges
 
 
 def _best(
-    maps: SceneMaps, model: ObjectModel, poses: Float[np.ndarray, "poses 4 4"], count: int
+    maps: SceneMaps,
+    model: ObjectModel,
+    poses: Float[np.ndarray, "poses 4 4"],
+    count: int,
+    box: Float[np.ndarray, "2 3"] | None,
 ) -> tuple[Float[np.ndarray, "best 4 4"], PoseScores]:
     """Return the best distinct poses after polishing, with their scores."""
     coarse, fine = Wireframe.of(model, COARSE_SAMPLES), Wireframe.of(model)
-    poses = _ranked(maps, coarse, poses, COARSE_GATE)[0][:FINER_SCORED]
-    poses = _ranked(maps, fine, poses, COARSE_GATE)[0]
-    poses = poses[distinct_poses(model, poses, POLISHED)]
-    poses, scores = _ranked(maps, fine, polished_poses(maps, fine, poses), FINE_GATE)
+    poses = poses[_are_within(model, poses, box)]
+    scores = score_poses(maps, coarse, poses, COARSE_GATE, convex=True)
+    poses = poses[np.argsort(-scores.surplus_px, kind="stable")[:COMPARED]]
+    poses = poses[distinct_poses(model, poses, FINER_SCORED)]
+    poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
+    poses = polished_poses(maps, fine, poses)
+    # Some are drawn out of the workspace.
+    poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], FINE_GATE)
     kept = distinct_poses(model, poses, count)
     return poses[kept], PoseScores(*(part[kept] for part in scores))
+
+
+def _are_within(
+    model: ObjectModel, poses: Float[np.ndarray, "poses 4 4"], box: Float[np.ndarray, "2 3"] | None
+) -> Bool[np.ndarray, "poses"]:
+    """Return at which poses all vertices are within a box and its slack, if there is one."""
+    if box is None:
+        return np.ones(len(poses), dtype=bool)
+    vertices = model.vertices @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+    low, high = box[0] - WORKSPACE_SLACK, box[1] + WORKSPACE_SLACK
+    return ((vertices > low) & (vertices < high)).all(axis=(1, 2))
 
 
 def _ranked(

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
@@ -19,12 +18,12 @@ from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
 from .distinct_poses import pose_distances
-from .edge_lines import converged_poses
-from .edge_lookup import EdgeLookup, padded_poses
+from .edge_lines import EdgeLines, poses_on_edges
+from .edge_lookup import EdgeLookup
 from .hypotheses import Hypothesis, find_hypotheses
 from .localization import Localization, Localizations, Rival
-from .refinement import FIT_SAMPLES, edge_points_used, refine_pose
-from .verdict import REJECTED_SHARE, Chance, Evidence, chance_of, evidence_of, judge
+from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
+from .verdict import REJECTED_SHARE, Chance, Evidence, chance_of, evidence_of, judge, relative_std
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -36,15 +35,12 @@ MAX_JUDGED = 12
 SAME_POSE = 0.04
 """Largest RMS distance between the vertices of poses that count as one, over the model's extent."""
 
-SAME_PLACE = 0.7
+SAME_PLACE = 0.5
 """Distance between the middles of two objects, over the smaller extent, that cannot both be there.
 """
 
 TYPICAL_CHANCE = 0.25
 """Share of an edge that clutter explains, by which poses are ranked before it is measured."""
-
-SMALLEST_BATCH = 8
-"""Smallest number of poses that a program is compiled for; then powers of two."""
 
 
 class _Candidate(NamedTuple):
@@ -86,10 +82,10 @@ class _Scene:
     def _lookup(self) -> EdgeLookup:
         return EdgeLookup.of(self._points, self.views.camera.image_size, self._free)
 
-    def take(self, used: Sequence[np.ndarray]) -> None:
+    def take(self, lines: EdgeLines) -> None:
         """Take edge points that an object explains away from all others."""
-        for free, indices in zip(self._free, used, strict=True):
-            free[indices] = False
+        for view, (free, points) in enumerate(zip(self._free, self._points, strict=True)):
+            free[explained_edge_points(lines, view, points)] = False
         self.lookup = self._lookup()
 
 
@@ -103,6 +99,7 @@ def localize(
     noise: Noise | None = None,
     previous: Localizations | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
+    workspace: Float[np.ndarray, "2 3"] | None = None,
 ) -> Localizations:
     """Find objects of known models in one, two or more calibrated pictures.
 
@@ -117,6 +114,8 @@ def localize(
         previous: what was found in earlier views of the same scene. Their pictures count together
             with the new ones, and every hypothesis is judged anew.
         hypotheses: poses to begin from instead of those that are searched for.
+        workspace: two opposite corners of a box in the world, m, in which objects are, as of a bin;
+            what is not there is not found. None for anywhere.
 
     Returns:
         What was found, accepted ones first; `messages` says why the others were not.
@@ -138,9 +137,16 @@ def localize(
     if hypotheses is None and previous is not None and len(previous):
         hypotheses = _hypotheses_of(previous)
     if hypotheses is None:
-        hypotheses = find_hypotheses(pictures, views, [one.model for one in prepared])
+        hypotheses = find_hypotheses(
+            pictures, views, [one.model for one in prepared], workspace=workspace
+        )
     scene = _Scene(views, pictures)
     candidates = _converged(scene, prepared, hypotheses)
+    if workspace is not None:
+        low, high = np.min(workspace, axis=0), np.max(workspace, axis=0)
+        middles = [_middle(prepared[one.model], one.pose) for one in candidates]
+        inside = [bool(((low <= m) & (m <= high)).all()) for m in middles]
+        candidates = [one for one, is_in in zip(candidates, inside, strict=True) if is_in]
     found = _judged(scene, prepared, candidates, uncertainty, len(hypotheses))
     return Localizations(
         _reported(found), _messages(prepared, found, hypotheses), pictures, _own_command(views)
@@ -216,19 +222,9 @@ def _converged(
         starts = [h.world_from_object for h in hypotheses if h.model == index][:MAX_HYPOTHESES]
         if not starts:
             continue
-        # The first is repeated up to a size for which the program is compiled once.
-        size = max(SMALLEST_BATCH, 1 << (len(starts) - 1).bit_length())
-        batch = np.stack([*starts, *[starts[0]] * (size - len(starts))])
-        found, shares = converged_poses(
-            one.coarse,
-            scene.views.camera,
-            scene.lookup,
-            to_device(padded_poses(scene.views.camera_from_world)),
-            to_device(batch),
-        )
-        order = np.argsort(-np.asarray(shares)[: len(starts)])
+        found, shares = poses_on_edges(one.coarse, scene.views, scene.lookup, np.stack(starts))
         kept: list[np.ndarray] = []
-        for pose in np.asarray(found)[order]:
+        for pose in found[np.argsort(-shares)]:
             if not kept or pose_distances(one.model, pose, np.stack(kept)).min() > one.same:
                 kept.append(pose)
                 candidates.append(_Candidate(index, pose, _evidence_at(scene, one, pose)))
@@ -250,6 +246,17 @@ def _evidence_at(
 def _middle(one: _Prepared, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
     """Return the middle of a model's vertices in the world, m."""
     return pose[:3, :3] @ one.model.vertices.mean(axis=0) + pose[:3, 3]
+
+
+def _overlap(
+    one: _Prepared,
+    pose: Float[np.ndarray, "4 4"],
+    other: _Prepared,
+    its_pose: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Return whether two objects would be in one place."""
+    apart = np.linalg.norm(_middle(one, pose) - _middle(other, its_pose))
+    return bool(apart < SAME_PLACE * min(one.extent, other.extent))
 
 
 def _judged(
@@ -278,8 +285,11 @@ def _judged(
             continue
         found.append(one)
         if one.verdict.decision != "rejected":
-            views = range(len(scene.strengths))
-            scene.take([edge_points_used(one.refined, view) for view in views])
+            scene.take(one.refined.lines)
+        if one.accepted:
+            # Two solids are not in one place.
+            own, pose = prepared[best.model], one.world_from_object
+            waiting = [c for c in waiting if not _overlap(own, pose, prepared[c.model], c.pose)]
     return found
 
 
@@ -308,7 +318,8 @@ def _judge_candidate(
     if rivals:
         other = prepared[rivals[0].model].model.name
         name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
-    verdict = judge(evidence, chance, tested, margin, name)
+    uncertain = relative_std(one.model, refined.covariance)
+    verdict = judge(evidence, chance, tested, margin, name, uncertain)
     return Localization(one.model, best.model, refined, verdict, tuple(rivals))
 
 
@@ -324,12 +335,11 @@ def _rivals(
     one, rivals = prepared[best.model], []
     for other in others:
         its = prepared[other.model]
-        apart = np.linalg.norm(_middle(one, pose) - _middle(its, other.pose))
-        if apart > SAME_PLACE * min(one.extent, its.extent):
+        if not _overlap(one, pose, its, other.pose):
             continue
-        if other.model == best.model:
-            if pose_distances(one.model, pose, other.pose[None])[0] < one.same:
-                continue
+        same_model = other.model == best.model
+        if same_model and pose_distances(one.model, pose, other.pose[None])[0] < one.same:
+            continue
         evidence = _evidence_at(scene, its, other.pose, chance.mean, its.fine)
         rivals.append(Rival(other.model, other.pose, evidence.log_likelihood))
     return sorted(rivals, key=lambda rival: -rival.log_likelihood)

@@ -102,7 +102,7 @@ def _residuals(
 ) -> tuple[Float[Array, "S"], Float[Array, "S 6"], Float[Array, "S"]]:
     """Return distances of samples across the nearest edges, derivatives by the pose, weights."""
     samples = seen_samples(maps, view, wireframe, pose)
-    nearest = maps.nearest[view, samples.map, samples.row, samples.column]
+    nearest = maps.nearest[view].reshape(-1)[samples.cell]
     offset = samples.ideal - maps.points[view, nearest]
     normal = maps.normals[view, nearest]
     # Points of the same line that are far along it are not the sample's own.

@@ -97,6 +97,7 @@ class PoseStep(NamedTuple):
     Attributes:
         tangent: best tangent of the pose.
         pictures, calibration, model: parts of its covariance; their sum is the whole.
+        calibration_jacobian: derivatives of the tangent by the numbers of the calibration.
         chi_square: squared residuals after the step, whitened.
         degrees_of_freedom: number of equations minus six.
     """
@@ -105,6 +106,7 @@ class PoseStep(NamedTuple):
     pictures: Float[np.ndarray, "6 6"]
     calibration: Float[np.ndarray, "6 6"]
     model: Float[np.ndarray, "6 6"]
+    calibration_jacobian: Float[np.ndarray, "6 numbers"]
     chi_square: float
     degrees_of_freedom: int
 
@@ -166,6 +168,8 @@ def solve_pose(
         covariance - from_calibration - from_model,
         from_calibration,
         from_model,
+        # A larger number moves the prediction, and with it the residuals the other way.
+        -G @ equations.by_calibration,
         float(rest @ cho_solve(factor, rest)),
         len(rest) - 6,
     )

@@ -104,13 +104,27 @@ def _hidden(
     own: Bool[Array, "n F"],
 ) -> Bool[Array, "n"]:
     """Return which points are hidden, with the faces to which each belongs."""
-    # A face is seen from its outer side: n . (c - p) > 0.
-    towards = ((centre[None] - wireframe.face_points) * wireframe.face_normals).sum(axis=1)
     # A face does not hide its own border.
     covered = (_faces_before(wireframe, centre, points) & ~own).any(axis=1)
+    return covered | _turned_away(wireframe, centre, own)
+
+
+def edges_turned_away(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "E"]:
+    """Return which edges are between faces that all look away from a point; as `hidden_samples`.
+
+    They are all hidden edges of a convex object, at a tenth of the time.
+    """
+    return _turned_away(wireframe, centre, wireframe.edge_faces)
+
+
+def _turned_away(
+    wireframe: Wireframe, centre: Float[Array, "3"], own: Bool[Array, "n F"]
+) -> Bool[Array, "n"]:
+    """Return for which points none of the faces to which each belongs is seen from its outside."""
+    # n . (c - p) > 0
+    towards = ((centre[None] - wireframe.face_points) * wireframe.face_normals).sum(axis=1)
     # One face alone may be a sheet that is seen from both sides.
-    turned_away = (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
-    return covered | turned_away
+    return (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
 
 
 def _faces_before(

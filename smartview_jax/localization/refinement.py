@@ -9,13 +9,15 @@ that an uncertain robot does not make one view contradict another.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import KDTree
 
 from ..array_namespace import to_device
+from ..features import EdgePoints
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews, pixel_jacobians
-from .edge_lines import EdgeLines, lines_in_views
+from .edge_lines import MIN_ALIGNMENT, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .match_equations import Matches, match_equations
 from .pose_equations import (
@@ -43,6 +45,9 @@ MAX_EDGE_SIGMA = 1.5
 EDGE_SIGMAS = (0.0, *np.geomspace(0.01, MAX_EDGE_SIGMA, 16))
 """Standard deviations of whole edges that are compared, px."""
 
+EXPLAINED_REACH = 3.0
+"""Distance from measured edge points within which others are of the same edge, px."""
+
 FIT_SAMPLES = 1024
 """Number of points along all edges in the final fit: enough to meet almost every edge point."""
 
@@ -54,6 +59,8 @@ class RefinedPose(NamedTuple):
         world_from_object: pose.
         pictures, calibration, model: parts of the covariance of the tangent at the object,
             translation first: `world_from_object @ SE3.exp(tangent)`; m and rad.
+        calibration_jacobian: derivatives of that tangent by the numbers of the
+            `CalibrationUncertainty` of the views; what else depends on them errs together with it.
         edge_sigma: standard deviation, estimated, by which whole edges of the pictures differ from
             those of the model, px.
         chi_square, degrees_of_freedom: of the residuals, whitened.
@@ -65,6 +72,7 @@ class RefinedPose(NamedTuple):
     pictures: Float[np.ndarray, "6 6"]
     calibration: Float[np.ndarray, "6 6"]
     model: Float[np.ndarray, "6 6"]
+    calibration_jacobian: Float[np.ndarray, "6 numbers"]
     edge_sigma: float
     chi_square: float
     degrees_of_freedom: int
@@ -175,7 +183,7 @@ def refine_pose(
         if _has_converged(step) or not remaining:
             used = np.zeros(lines.measured.shape, dtype=bool)
             used[lines.measured] = keep[:edge_rows:2]
-            parts = step.pictures, step.calibration, step.model
+            parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
             fit = step.chi_square, step.degrees_of_freedom
             return RefinedPose(pose, *parts, edge_sigmas[0], *fit, lines, used)
     raise AssertionError("the last step returns")
@@ -341,8 +349,19 @@ def _restricted_deviance(equations: PoseEquations, total: Float[np.ndarray, "n n
     )
 
 
-def edge_points_used(refined: RefinedPose, view: int) -> np.ndarray:
-    """Return the indices of the edge points of a view that an object's edges explain."""
-    owners_found = np.isfinite(refined.lines.distances[view])
-    owners_found &= refined.lines.combination[view, 0] != 0.0
-    return np.unique(refined.lines.points[view][owners_found])
+def explained_edge_points(
+    lines: EdgeLines, view: int, points: EdgePoints
+) -> Int[np.ndarray, "explained"]:
+    """Return the indices of the edge points of a view that an object's edges explain.
+
+    They lie within `EXPLAINED_REACH` of those that were measured, and have their direction.
+    """
+    found = np.unique(lines.points[view][np.isfinite(lines.distances[view])])
+    if not len(found):
+        return found
+    tree = KDTree(points.pixels[found])
+    gap, nearest = tree.query(points.pixels, distance_upper_bound=EXPLAINED_REACH)
+    near = np.flatnonzero(np.isfinite(gap))
+    own = points.normals[found[np.asarray(nearest)[near]]]
+    aligned = np.abs((points.normals[near] * own).sum(axis=1)) >= MIN_ALIGNMENT
+    return near[aligned]

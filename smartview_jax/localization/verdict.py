@@ -21,25 +21,50 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import betainc
 
-from ..array_namespace import to_device
 from ..geometry import host_exponentials
-from ..modeling import ObjectModel, SeenViews
-from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, converged_poses
-from .edge_lookup import EdgeLookup, padded_poses
+from ..modeling import ObjectModel, SeenViews, project_points
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, poses_on_edges
+from .edge_lookup import EdgeLookup
 from .refinement import measured_lines
 from .wireframe import Wireframe
 
-ACCEPTED_SHARE, REJECTED_SHARE = 0.75, 0.5
+ACCEPTED_SHARE, REJECTED_SHARE = 0.82, 0.4
 """Explained shares from which a pose may be accepted, and below which it is rejected."""
 
-ACCEPTED_VIEW_SHARE = 0.55
+HIDDEN_SHARE = 0.58
+"""Explained share from which a pose may be accepted whose other edges something hides.
+
+Then its edges have to fit exactly, chance has to be out of the question, and much of what is
+missing has to be of edges that end somewhere: see the constants that follow. A model of another
+height than the object has edges that are there and edges that are not.
+"""
+
+PARTLY_HIDDEN = 0.3
+"""Smallest part of the missing length that is of edges of which a part is there."""
+
+PARTLY_SHARES = (0.1, 0.92)
+"""Explained shares between which a part of an edge is there."""
+
+HIDDEN_EDGE_RMS, HIDDEN_LOG_FALSE_ALARMS = 0.5, -5.0
+"""Largest RMS distance of edges, px, and logarithm of false alarms of such a pose."""
+
+ACCEPTED_VIEW_SHARE = 0.45
 """Smallest explained share in each view in which enough of the object is seen."""
 
 MIN_VIEW_PX = 60.0
 """Visible edge length, px, from which a view is judged by its own share."""
 
-MIN_EDGES = 5
-"""Smallest number of measured edges, all views together, of an accepted pose."""
+MIN_EDGES = 6
+"""Smallest number of measured edges, all views together, of a pose that is not rejected."""
+
+MIN_LOG_LIKELIHOOD = 25.0
+"""Smallest log-likelihood, over that of clutter, of a pose that is not rejected."""
+
+ACCEPTED_EDGES, ACCEPTED_LOG_LIKELIHOOD = 7, 100.0
+"""Smallest number of edges and log-likelihood, over that of clutter, of an accepted pose."""
+
+MIN_IN_PICTURE = 0.7
+"""Smallest part of the vertices that are within the picture in some view, of an accepted pose."""
 
 MAX_LOG_FALSE_ALARMS = -2.0
 """Largest decimal logarithm of the expected number of false alarms of an accepted pose."""
@@ -49,6 +74,9 @@ MAX_EDGE_RMS = 1.2
 
 MIN_CONTRAST = 0.35
 """Smallest median gradient along explained edges, over the median of the picture's edge points."""
+
+MAX_RELATIVE_STD = 0.02
+"""Largest standard deviation of a vertex of an accepted pose, over the extent of the object."""
 
 MIN_MARGIN = 6.0
 """Smallest log-likelihood over that of the best rival of an accepted pose."""
@@ -95,8 +123,10 @@ class Evidence(NamedTuple):
         explained_in_view: likewise in each view; NaN where too little of the object is visible.
         visible_px: visible edge length of all views, px.
         edges: number of measured edges, each view for itself.
+        partly_hidden: part of the missing length that is of edges of which a part is there.
         edge_rms: RMS distance of measured edges from the model, px.
         contrast: see `MIN_CONTRAST`.
+        in_picture: part of the vertices within the picture, in the view that has most of them.
         log_likelihood: of the visible edges being found or not, over their being clutter.
     """
 
@@ -104,8 +134,10 @@ class Evidence(NamedTuple):
     explained_in_view: tuple[float, ...]
     visible_px: float
     edges: int
+    partly_hidden: float
     edge_rms: float
     contrast: float
+    in_picture: float
     log_likelihood: float
 
 
@@ -163,16 +195,10 @@ def chance_of(
     middle = np.eye(4)
     middle[:3, 3] = model.vertices.mean(axis=0)
     displaced = pose @ middle @ host_exponentials(tangents) @ np.linalg.inv(middle)
-    found, shares = converged_poses(
-        wireframe,
-        views.camera,
-        lookup,
-        to_device(padded_poses(views.camera_from_world)),
-        to_device(displaced),
-    )
-    moved = np.asarray(found) @ middle - (pose @ middle)
+    found, shares = poses_on_edges(wireframe, views, lookup, displaced)
+    moved = found @ middle - (pose @ middle)
     elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
-    values = np.asarray(shares)[elsewhere & (np.asarray(shares) > 0.0)]
+    values = shares[elsewhere & (shares > 0.0)]
     if len(values) < 5:
         # Nothing else is in the pictures: chance explains next to nothing.
         return Chance(0.05, 0.05)
@@ -207,11 +233,30 @@ def evidence_of(
         tuple(in_view.tolist()),
         total,
         int(lines.measured.sum()),
+        _partly_hidden(lines),
         # The two numbers are distances at the mean and at the spread: their squares add up.
         float(np.sqrt((numbers**2).sum(axis=1).mean())) if len(numbers) else np.inf,
         _contrast(lines, strengths),
+        _part_in_picture(pose, wireframe, views),
         _log_likelihood(share, total, chance),
     )
+
+
+def _partly_hidden(lines: EdgeLines) -> float:
+    """Return the part of the missing length that is of edges of which a part is there."""
+    missing = lines.visible_px - lines.explained_px
+    shares = lines.explained_px / np.maximum(lines.visible_px, 1.0)
+    partly = (shares > PARTLY_SHARES[0]) & (shares < PARTLY_SHARES[1])
+    return float(missing[partly].sum() / max(missing.sum(), 1.0))
+
+
+def _part_in_picture(
+    pose: Float[np.ndarray, "4 4"], wireframe: Wireframe, views: SeenViews
+) -> float:
+    """Return the part of the vertices within the picture, in the view that has most of them."""
+    vertices = np.asarray(wireframe.vertices)[np.asarray(wireframe.vertex_mask)]
+    pixels = project_points(views, vertices @ pose[:3, :3].T + pose[:3, 3])
+    return float(np.isfinite(pixels).all(axis=2).mean(axis=1).max())
 
 
 def _log_likelihood(share: float, visible_px: float, chance: float) -> float:
@@ -232,8 +277,23 @@ def _contrast(lines: EdgeLines, strengths: Sequence[Float[np.ndarray, "_"]]) -> 
     return float(np.median(ratios[lines.measured]))
 
 
+def relative_std(model: ObjectModel, covariance: Float[np.ndarray, "6 6"]) -> float:
+    """Return the largest standard deviation of a vertex at a pose, over the object's extent."""
+    # A tangent (v, w) moves the vertex p by v + w x p.
+    turns = np.cross(np.eye(3)[None], model.vertices[:, None])
+    moves = np.concatenate([np.tile(np.eye(3), (len(turns), 1, 1)), turns], axis=1)
+    spread = moves.swapaxes(1, 2) @ covariance @ moves
+    extent = float(np.ptp(model.vertices, axis=0).max())
+    return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max())) / extent
+
+
 def judge(
-    evidence: Evidence, chance: Chance, tested: int, margin: float, rival: str = "another pose"
+    evidence: Evidence,
+    chance: Chance,
+    tested: int,
+    margin: float,
+    rival: str = "another pose",
+    uncertainty: float = 0.0,
 ) -> Verdict:
     """Return the verdict on a pose.
 
@@ -243,6 +303,7 @@ def judge(
         tested: number of poses that were looked at.
         margin: log-likelihood over that of the best rival; infinite without one.
         rival: what the best rival is, in words.
+        uncertainty: `relative_std` of the pose.
     """
     # Expected number of false alarms: tested poses times the probability of each.
     probability = max(chance.probability_above(evidence.explained), 1e-300)
@@ -256,26 +317,37 @@ def judge(
             f"clutter explains as much: {chance.mean:.0%} +- {chance.std:.0%} elsewhere, "
             f"{share:.0%} here"
         )
-    if evidence.edges < MIN_EDGES - 2:
-        against.append(f"only {evidence.edges} of its edges are in the pictures")
+    if evidence.edges < MIN_EDGES or evidence.log_likelihood < MIN_LOG_LIKELIHOOD:
+        against.append(
+            f"only {evidence.edges} edges of {evidence.visible_px:.0f} px speak for it, too few"
+        )
     if against:
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
     doubts = []
-    if share < ACCEPTED_SHARE:
-        doubts.append(f"{share:.0%} of its visible edges are in the pictures")
+    is_exact = rms <= HIDDEN_EDGE_RMS and log_false_alarms <= HIDDEN_LOG_FALSE_ALARMS
+    is_hidden = is_exact and evidence.partly_hidden >= PARTLY_HIDDEN
+    if share < (HIDDEN_SHARE if is_hidden else ACCEPTED_SHARE):
+        doubts.append(f"only {share:.0%} of its visible edges are in the pictures")
+    if evidence.edges < ACCEPTED_EDGES or evidence.log_likelihood < ACCEPTED_LOG_LIKELIHOOD:
+        doubts.append(f"{evidence.edges} edges of {evidence.visible_px:.0f} px are few")
+    seen = sum(np.isfinite(evidence.explained_in_view))
+    if seen < min(2, len(evidence.explained_in_view)):
+        doubts.append(f"only {seen} of {len(evidence.explained_in_view)} views show it")
+    if evidence.in_picture < MIN_IN_PICTURE:
+        doubts.append(f"only {evidence.in_picture:.0%} of it are within a picture")
     doubts += [
         f"view {k}: {one:.0%} of its visible edges are in the picture"
         for k, one in enumerate(evidence.explained_in_view)
         if one < ACCEPTED_VIEW_SHARE
     ]
-    if evidence.edges < MIN_EDGES:
-        doubts.append(f"only {evidence.edges} edges are measured")
     if log_false_alarms > MAX_LOG_FALSE_ALARMS:
         doubts.append(f"{10.0**log_false_alarms:.2g} such poses are expected by chance")
     if rms > MAX_EDGE_RMS:
         doubts.append(f"its edges are {rms:.2f} px (RMS) from those of the pictures")
     if evidence.contrast < MIN_CONTRAST:
         doubts.append(f"its edges have {evidence.contrast:.2f} of the pictures' usual contrast")
+    if uncertainty > MAX_RELATIVE_STD:
+        doubts.append(f"its pose is uncertain by {uncertainty:.0%} of its size")
     if margin < MIN_MARGIN:
         doubts.append(f"ambiguous: {rival} explains the pictures nearly as well")
     return Verdict(

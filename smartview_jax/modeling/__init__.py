@@ -47,6 +47,7 @@ from .picture_equations import ModelObservations as ModelObservations
 from .pixel_jacobians import PixelJacobians as PixelJacobians
 from .pixel_jacobians import pixel_jacobians as pixel_jacobians
 from .point_estimation import PointStatus as PointStatus
+from .projection import project_points as project_points
 from .proposal import ModelProposal as ModelProposal
 from .proposal import propose_model as propose_model
 from .refined_features import RefinedFeatures as RefinedFeatures

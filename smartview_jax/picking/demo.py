@@ -100,7 +100,7 @@ def run_demo(
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
     cell.drop([block, *others], seed)
     strip = [("before", _watched(cell))]
-    region = Region(cell.centre, (0.24, 0.18, 0.08))
+    region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
     walls = [Obstacle.box(one.name, one.size, one.world_from_box) for one in cell.fixtures]
     scene = GraspScene(

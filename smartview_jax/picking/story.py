@@ -71,7 +71,7 @@ def localised_section(
         for k, evidence in enumerate(look.found.pictures[:2])
     ]
     last = len(look.pictures) - 1
-    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.inside]
+    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.found.accepted]
     # The last view is the one that verified, where there was one.
     shown = {
         "the verification view" if look.verification is not None else "the last view": (

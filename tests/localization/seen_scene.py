@@ -1,0 +1,89 @@
+"""A rendered scene of two solids on a table, in two pictures, for the tests of the search."""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import smartview_jax as sv
+from smartview_jax.cameras import OpenCV5
+from smartview_jax.features import PictureEvidence, picture_evidence
+from smartview_jax.geometry import host_matrices, look_at
+from smartview_jax.modeling import Face, ObjectModel, SeenViews, find_symmetry
+from smartview_jax.simulation import (
+    SolidScene,
+    Surface,
+    box,
+    matt,
+    render_solids,
+    speckled,
+    stepped_block,
+)
+
+CAMERA = sv.Camera(800.0, 805.0, 325.0, 236.0, OpenCV5(-0.15, 0.05, 0.0, 0.0, 0.0), (640, 480))
+CALIBRATION = sv.Calibration.eye_in_hand(CAMERA, np.eye(4), np.eye(4))
+
+
+class SeenScene(NamedTuple):
+    """Evidence of two pictures, with the models and their true poses."""
+
+    evidence: list[PictureEvidence]
+    views: SeenViews
+    models: list[ObjectModel]
+    world_from_object: list[np.ndarray]
+
+
+def model_of(solid):
+    model = ObjectModel(solid.vertices, solid.edges, tuple(Face(loop) for loop in solid.faces))
+    return ObjectModel(model.vertices, model.edges, model.faces, symmetry=find_symmetry(model))
+
+
+def placed(x, y, angle):
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("z", angle).as_matrix()
+    pose[:2, 3] = x, y
+    return pose
+
+
+@functools.cache
+def seen_scene():
+    """A stepped block and a box; two views 25 degrees apart."""
+    solids = [stepped_block(0.06), box(0.05, 0.035, 0.02)]
+    poses = [placed(-0.035, 0.0, 0.4), placed(0.045, 0.01, 1.2)]
+    surfaces = [Surface.of_plane(0.5, matt(0.3))]
+    for solid, pose in zip(solids, poses, strict=True):
+        surfaces.append(Surface.of_polyhedron(solid.moved(pose), speckled(0.7, 0.02, 0.003)))
+    directions = np.array([[0.35, 0.45, -1.0], [-0.1, 0.45, -1.0]])
+    cameras = look_at((0.0, 0.0, 0.015), directions, 0.36, np.array([0.2, -0.4]))
+    base_from_tool = np.linalg.inv(host_matrices(cameras))
+    evidence = [
+        picture_evidence(
+            render_solids(CALIBRATION, pose, SolidScene(surfaces), exposure=1.2, samples=8), CAMERA
+        )
+        for pose in base_from_tool
+    ]
+    views = SeenViews.of(CALIBRATION, base_from_tool)
+    return SeenScene(evidence, views, [model_of(solid) for solid in solids], poses)
+
+
+def errors(model, poses, truth):
+    """Rotation (degrees) and translation of the middle (mm) from the nearest equal pose."""
+    equal = truth @ model.symmetry.object_from_object
+    turns = np.einsum("pij,sij->ps", poses[:, :3, :3], equal[:, :3, :3])
+    angles = np.degrees(np.arccos(np.clip((turns - 1.0) / 2.0, -1.0, 1.0)))
+    best = angles.argmin(axis=1)
+    middle = np.append(model.vertices.mean(axis=0), 1.0)
+    shifts = ((poses - equal[best]) @ middle)[:, :3]
+    return angles.min(axis=1), 1e3 * np.linalg.norm(shifts, axis=1)
+
+
+def shaken(pose, rng, degrees, millimetres, count):
+    """A pose moved by random turns and shifts of given sizes."""
+    tangents = rng.standard_normal((count, 2, 3))
+    tangents /= np.linalg.norm(tangents, axis=2, keepdims=True)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    turns = Rotation.from_rotvec(np.deg2rad(degrees) * tangents[:, 0])
+    poses[:, :3, :3] = turns.as_matrix()
+    poses[:, :3, 3] = 1e-3 * millimetres * tangents[:, 1]
+    return pose @ poses

@@ -1,0 +1,277 @@
+"""From hypotheses to verdicts, and the next view, on drawn edges with known truth."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from drawn_edges import TWO_DIRECTIONS, calibration, camera, drawn, poses_towards, seen_views
+from solids import box, prism
+
+import smartview_jax as sv
+from smartview_jax.engine import Noise
+from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps
+from smartview_jax.geometry import host_exponentials, host_logarithms
+from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
+from smartview_jax.modeling import ObjectModel, find_symmetry
+
+PLAIN = box()
+MODEL = dataclasses.replace(PLAIN, name="box", symmetry=find_symmetry(PLAIN))
+POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
+MIDDLE = POSE[:3, :3] @ MODEL.vertices.mean(axis=0) + POSE[:3, 3]
+POSES = poses_towards(MIDDLE, TWO_DIRECTIONS)
+CALIBRATION = calibration()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_poses_of_chance():
+    """Enough of them for wireframes among drawn edges; they cost most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 16)
+        yield
+
+
+def no_features():
+    empty = np.zeros((0, 2))
+    return Features(
+        empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
+        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
+    )  # fmt: skip
+
+
+def evidence(pictures):
+    """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
+    features = no_features()
+    maps = edge_maps(features, camera())
+    return [PictureEvidence(features, points, maps) for points in pictures]
+
+
+def together(*pictures):
+    """The edge points of several drawings of the same views."""
+    return [
+        EdgePoints(*(np.concatenate(parts) for parts in zip(*one, strict=True)))
+        for one in zip(*pictures, strict=True)
+    ]
+
+
+def clutter(rng, count=40):
+    """Straight edges anywhere in the pictures, as those of other things."""
+    pictures = []
+    for _ in range(2):
+        starts, angles = (
+            rng.uniform([100, 100], [1150, 850], (count, 2)),
+            rng.uniform(0, 6.3, count),
+        )
+        lengths = rng.uniform(40.0, 250.0, count)
+        t = [np.arange(0.0, length) for length in lengths]
+        d = np.column_stack([np.cos(angles), np.sin(angles)])
+        pixels = np.concatenate([s + x[:, None] * v for s, x, v in zip(starts, t, d, strict=True)])
+        normals = np.concatenate(
+            [np.tile([-v[1], v[0]], (len(x), 1)) for x, v in zip(t, d, strict=True)]
+        )
+        pixels = pixels + 0.1 * rng.standard_normal((len(pixels), 1)) * normals
+        cells = np.round(pixels).astype(int)
+        inside = ((cells >= 0) & (cells < camera().image_size)).all(axis=1)
+        strengths = np.full(int(inside.sum()), 20.0)
+        pictures.append(EdgePoints(pixels[inside], normals[inside], strengths, cells[inside]))
+    return pictures
+
+
+def views():
+    return seen_views(MIDDLE)
+
+
+def starts(pose=POSE, count=3, model=0, seed=0):
+    rng = np.random.default_rng(seed)
+    tangents = np.concatenate(
+        [1e-3 * rng.standard_normal((count, 3)), 0.01 * rng.standard_normal((count, 3))], axis=1
+    )
+    return [Hypothesis(model, pose @ host_exponentials(t), 0.0, 0.0) for t in tangents]
+
+
+def find(pictures, models=MODEL, hypotheses=None, poses=POSES, **more):
+    given = starts() if hypotheses is None else hypotheses
+    return localize(evidence(pictures), poses, CALIBRATION, models, hypotheses=given, **more)
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return together(drawn(MODEL, views(), POSE, 0.1), clutter(np.random.default_rng(1)))
+
+
+@pytest.fixture(scope="module")
+def found(pictures):
+    return find(pictures)
+
+
+def test_an_object_is_found_with_its_covariance(found):
+    (one,) = found
+    assert one.verdict.decision == "accepted"
+    assert found.accepted == (one,)
+    assert found.messages == ()
+    errors = [host_logarithms(np.linalg.inv(POSE) @ pose) for pose in one.equivalent_poses]
+    error = min(errors, key=np.linalg.norm)
+    assert np.linalg.norm(error[:3]) < 1e-4
+    assert error @ np.linalg.solve(one.covariance, error) < 25.0
+    assert len(one.equivalent_poses) == 4
+    assert one.verdict.evidence.explained > 0.9
+    assert all(match.found_px <= match.visible_px + 1e-9 for match in one.matches)
+
+
+def test_a_symmetry_that_is_not_known_is_ambiguous(pictures):
+    turned = POSE @ MODEL.symmetry.object_from_object[1]
+    found = find(pictures, PLAIN, starts() + starts(turned))
+    assert [one.verdict.decision for one in found] == ["open"]
+    assert "ambiguous" in found.messages[0]
+    assert found[0].rivals
+
+
+def test_another_object_is_not_accepted(pictures):
+    other = dataclasses.replace(prism(6), name="prism")
+    hypotheses = [
+        Hypothesis(0, POSE @ host_exponentials(t), 0.0, 0.0)
+        for t in 0.02 * np.random.default_rng(2).standard_normal((8, 6)) * [1, 1, 1, 40, 40, 40]
+    ]
+    found = find(pictures, other, hypotheses)
+    assert not found.accepted
+    assert "prism: not found" in found.messages[0]
+
+
+def test_a_box_of_another_height_is_not_accepted(pictures):
+    """Its top fits exactly, which is most of what is seen."""
+    lower = dataclasses.replace(box(z=0.02), name="lower")
+    down = np.eye(4)
+    down[2, 3] = 0.01
+    found = find(pictures, lower, starts(POSE @ down))
+    assert not found.accepted
+
+
+def test_of_two_models_the_right_one_is_accepted(pictures):
+    lower = dataclasses.replace(box(z=0.02), name="lower")
+    down = np.eye(4)
+    down[2, 3] = 0.01
+    found = find(pictures, [lower, MODEL], starts(POSE @ down) + starts(model=1))
+    assert [one.model.name for one in found.accepted] == ["box"]
+    assert "lower: not found" in found.messages[0]
+
+
+def test_clutter_alone_is_nothing():
+    found = find(clutter(np.random.default_rng(0), 80))
+    assert not found.accepted
+    assert found.messages
+
+
+def test_empty_pictures_are_no_object():
+    empty = [EdgePoints(*(part[:0] for part in one)) for one in clutter(np.random.default_rng(0))]
+    found = find(empty)
+    assert not len(found)
+    assert found.messages == ("box: not found: 3 hypotheses, none with enough edges",)
+
+
+def test_two_instances_are_both_found():
+    shifted = POSE.copy()
+    shifted[:3, 3] += [-0.08, 0.03, 0.0]
+    pictures = together(drawn(MODEL, views(), POSE, 0.1), drawn(MODEL, views(), shifted, 0.1))
+    found = find(pictures, hypotheses=starts(shifted) + starts())
+    assert len(found.accepted) == 2
+    middles = np.array(
+        [one.world_from_object @ [*MODEL.vertices.mean(axis=0), 1.0] for one in found]
+    )
+    assert abs(np.linalg.norm(middles[0] - middles[1]) - np.linalg.norm([0.08, 0.03])) < 1e-4
+
+
+def test_half_outside_the_picture_is_not_certain():
+    across = views().camera_from_world[0, 0, :3]
+    poses = poses_towards(MIDDLE + 0.165 * across, TWO_DIRECTIONS[:1])
+    seen = sv.modeling.SeenViews.of(CALIBRATION, poses)
+    found = find(drawn(MODEL, seen, POSE, 0.1), poses=poses)
+    assert not found.accepted
+
+
+def test_a_further_view_counts_together_with_the_first(pictures):
+    alone = localize(evidence(pictures[:1]), POSES[:1], CALIBRATION, MODEL, hypotheses=starts())
+    both = localize(evidence(pictures[1:]), POSES[1:], CALIBRATION, MODEL, previous=alone)
+    at_once = find(pictures)
+    assert len(both.pictures) == 2
+    np.testing.assert_allclose(both[0].world_from_object, at_once[0].world_from_object, atol=2e-5)
+    sizes = [np.sqrt(np.linalg.eigvalsh(x[0].covariance)[-1]) for x in (alone, both)]
+    assert sizes[1] < 0.8 * sizes[0]
+
+
+def test_bad_input_is_named(pictures):
+    edgeless = ObjectModel(MODEL.vertices, name="points")
+    with pytest.raises(ValueError, match="model 0 'points' has no edges"):
+        find(pictures, edgeless)
+    with pytest.raises(ValueError, match="2 pictures and 1 poses; view 1"):
+        find(pictures, poses=POSES[:1])
+    with pytest.raises(ValueError, match="at least one, found none"):
+        find(pictures, [])
+    with pytest.raises(ValueError, match="one for each view"):
+        localize([], POSES, CALIBRATION, MODEL)
+    blank = np.full((960, 1280), 90, np.uint8)
+    with pytest.raises(ValueError, match="view 0: picture: blank"):
+        localize([blank, blank], POSES, CALIBRATION, MODEL)
+    with pytest.raises(ValueError, match="view 1: picture: over-exposed"):
+        localize([evidence(pictures)[0], blank + np.uint8(165)], POSES, CALIBRATION, MODEL)
+
+
+def test_the_papers_view_looks_along_the_top_surface(found):
+    chosen = next_view(found, CALIBRATION, Reachable(distance=0.4))
+    assert chosen.paper is not None
+    up = POSE[:3, 2]
+    np.testing.assert_allclose(chosen.paper.camera_from_world[2, :3], -up, atol=1e-3)
+    assert chosen.gain >= chosen.paper.gain
+    assert "the paper's view" in chosen.reason
+    assert chosen.position_std[1] < chosen.position_std[0]
+
+
+def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
+    """From above the boxes look alike; their heights are seen from the side."""
+    lower = dataclasses.replace(box(z=0.02), name="lower")
+    down = np.eye(4)
+    down[2, 3] = 0.01
+    found = find(pictures, [MODEL, lower], starts() + starts(POSE @ down, model=1))
+    verdict = found[0].verdict._replace(decision="open", margin=1.0)
+    rival = found[0].rivals[0]._replace(log_likelihood=verdict.evidence.log_likelihood - 1.0)
+    open_one = found[0]._replace(verdict=verdict, rivals=(rival,))
+    up = POSE[:3, 2]
+    side = np.cross(up, [1.0, 0.2, 0.0])
+    looks = poses_towards(MIDDLE, np.array([-up, -(0.35 * up + side)]))
+    candidates = np.linalg.inv(looks)
+    chosen = next_view([open_one], CALIBRATION, Reachable(candidates), models=[MODEL, lower])
+    np.testing.assert_allclose(chosen.camera_from_world, candidates[1])
+    assert chosen.discrimination > chosen.paper.discrimination
+    assert "rivals apart" in chosen.reason
+
+
+def test_the_predicted_covariance_is_that_of_the_view(found, pictures):
+    third = np.linalg.inv(poses_towards(MIDDLE, np.array([[0.1, -0.7, -0.8]])))
+    chosen = next_view(found, CALIBRATION, Reachable(third))
+    pose = np.linalg.inv(chosen.camera_from_world)[None]
+    new = drawn(MODEL, sv.modeling.SeenViews.of(CALIBRATION, pose), POSE, 0.1)
+    after = localize(evidence(new), pose, CALIBRATION, MODEL, previous=found)
+    p = MODEL.vertices.mean(axis=0)
+    shift = np.eye(6)
+    shift[:3, 3:] = -np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])
+    own = shift @ after[0].covariance @ shift.T
+    std = np.sqrt(np.linalg.eigvalsh(own[:3, :3])[-1])
+    assert 0.6 < std / chosen.position_std[1] < 1.6
+
+
+def test_the_robots_noise_makes_a_view_tell_less(found):
+    exact, noisy = (
+        next_view(found, CALIBRATION, Reachable(distance=0.4), noise=noise)
+        for noise in (None, Noise(0.1, 3e-4, 1e-3))
+    )
+    assert noisy.position_std[1] > 1.2 * exact.position_std[1]
+
+
+def test_no_view_is_an_error(found):
+    away = np.linalg.inv(poses_towards(MIDDLE + np.array([1.0, 0.0, 0.0]), TWO_DIRECTIONS))
+    off_picture = Reachable(away, limits=sv.viewpoints.Limits())
+    with pytest.raises(ValueError, match="nothing was found"):
+        next_view([], CALIBRATION, Reachable(distance=0.4))
+    with pytest.raises(ValueError, match="a distance"):
+        next_view(found, CALIBRATION, Reachable())
+    wall = sv.viewpoints.Limits(focus_range=(0.01, 0.02))
+    with pytest.raises(ValueError, match=r"none of 6 views: .*too far to be sharp"):
+        next_view(found, CALIBRATION, off_picture._replace(limits=wall))
