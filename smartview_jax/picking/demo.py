@@ -87,6 +87,7 @@ def run_demo(
         times.append((name, time.perf_counter() - start))
         start = time.perf_counter()
 
+    # Everything below drives it by the methods of any cell, but for the judge.
     cell = SimulatedCell(seed)
     calibrated = calibrate_cell(
         cell, cell.board, drawn_calibration(), cell.arm, views, seed, progress
@@ -146,9 +147,11 @@ def _modelled(
     calibration = calibrated.fit.calibration
     solid = block.solid.moved(cell.judge().world_from_object[block.name])
     aim = solid.vertices.mean(axis=0)
+    # Evenly, and not along the sides of the object.
     azimuths = 2.0 * np.pi * np.arange(MODEL_VIEWS) / MODEL_VIEWS + 0.3
     directions = np.asarray(viewing_direction(np.full(MODEL_VIEWS, MODEL_TILT), azimuths))
     near = np.asarray(cell.where().joints)
+    # All around, as far as the arm reaches.
     wanted = viewpoint_commands(
         calibration, look_at(aim, directions, MODEL_DISTANCE), arm=cell.arm, near=near
     )

@@ -137,6 +137,7 @@ def _near(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
 
 def _view_command(view: NextView) -> Command:
     """Return the command of a chosen view."""
+    # Joints were solved with the view: the same branch of the arm is kept.
     joints = None if view.joints is None else to_device(np.asarray(view.joints))
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 

@@ -32,6 +32,7 @@ def model_section(
         )
         for k, picture in enumerate(pictures[:3])
     ]
+    # An exact model has no uncertainty to tell of.
     sigma = model.vertex_sigma
     known = "" if sigma is None else f", known to {1e3 * float(np.median(sigma)):.2f} mm (median)"
     text = (
