@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..array_namespace import to_device
 from ..features import EdgePoints
 
-MIN_POINTS = 8192
+MIN_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
 
 FAR_AWAY = -1e6
@@ -69,8 +69,8 @@ class EdgeLookup(eqx.Module):
 
 
 def padded_view_count(count: int) -> int:
-    """Return the number of views that programs are compiled for: the next power of two."""
-    return 1 << (count - 1).bit_length()
+    """Return the number of views that programs are compiled for: a power of two from two."""
+    return max(2, 1 << (count - 1).bit_length())
 
 
 def padded_poses(poses: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "padded 4 4"]:

@@ -111,9 +111,9 @@ class Localization(NamedTuple):
 
 
 class Localizations(tuple[Localization, ...]):
-    """What was found of all models, accepted ones first, and the pictures it was found in.
+    """A tuple of what was found of all models, accepted ones first, with the pictures it is from.
 
-    It is a tuple of `Localization`. A model of which nothing was found has none, or its best pose
+    Each is a `Localization`. A model of which nothing was found has none, or its best pose
     with the verdict "rejected".
 
     Attributes:
@@ -140,10 +140,10 @@ class Localizations(tuple[Localization, ...]):
 
     @property
     def accepted(self) -> tuple[Localization, ...]:
-        """Those whose verdict is "accepted"."""
+        """The localizations whose verdict is "accepted"."""
         return tuple(one for one in self if one.accepted)
 
     @property
     def open(self) -> tuple[Localization, ...]:
-        """Those whose verdict is "open": a further view may decide."""
+        """The localizations whose verdict is "open": a further view may decide."""
         return tuple(one for one in self if one.verdict.decision == "open")

@@ -54,13 +54,13 @@ ACCEPTED_VIEW_SHARE = 0.45
 MIN_VIEW_PX = 60.0
 """Visible edge length, px, from which a view is judged by its own share."""
 
-MIN_EDGES = 6
+MIN_EDGES = 5
 """Smallest number of measured edges, all views together, of a pose that is not rejected."""
 
 MIN_LOG_LIKELIHOOD = 25.0
 """Smallest log-likelihood, over that of clutter, of a pose that is not rejected."""
 
-ACCEPTED_EDGES, ACCEPTED_LOG_LIKELIHOOD = 7, 100.0
+ACCEPTED_EDGES, ACCEPTED_LOG_LIKELIHOOD = 7, 45.0
 """Smallest number of edges and log-likelihood, over that of clutter, of an accepted pose."""
 
 MIN_IN_PICTURE = 0.7
@@ -75,7 +75,7 @@ MAX_EDGE_RMS = 1.2
 MIN_CONTRAST = 0.35
 """Smallest median gradient along explained edges, over the median of the picture's edge points."""
 
-MAX_RELATIVE_STD = 0.02
+MAX_RELATIVE_STD = 0.04
 """Largest standard deviation of a vertex of an accepted pose, over the extent of the object."""
 
 MIN_MARGIN = 6.0

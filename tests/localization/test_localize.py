@@ -1,6 +1,7 @@
 """From hypotheses to verdicts, and the next view, on drawn edges with known truth."""
 
 import dataclasses
+import importlib
 
 import numpy as np
 import pytest
@@ -23,10 +24,13 @@ CALIBRATION = calibration()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_poses_of_chance():
-    """Enough of them for wireframes among drawn edges; they cost most of the time."""
+def few_samples():
+    """Enough for wireframes among drawn edges; chance costs most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 16)
+        patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 8)
+        # The function of that name hides the module.
+        module = importlib.import_module("smartview_jax.localization.localize")
+        patch.setattr(module, "FIT_SAMPLES", 256)
         yield
 
 
@@ -243,17 +247,21 @@ def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
     assert "rivals apart" in chosen.reason
 
 
-def test_the_predicted_covariance_is_that_of_the_view(found, pictures):
-    third = np.linalg.inv(poses_towards(MIDDLE, np.array([[0.1, -0.7, -0.8]])))
-    chosen = next_view(found, CALIBRATION, Reachable(third))
+def test_the_predicted_covariance_is_that_of_the_view(pictures):
+    first = localize(evidence(pictures[:1]), POSES[:1], CALIBRATION, MODEL, hypotheses=starts())
+    second = Reachable(np.linalg.inv(POSES[1:]), distance=0.4)
+    chosen = next_view(first, CALIBRATION, second)
     pose = np.linalg.inv(chosen.camera_from_world)[None]
-    new = drawn(MODEL, sv.modeling.SeenViews.of(CALIBRATION, pose), POSE, 0.1)
-    after = localize(evidence(new), pose, CALIBRATION, MODEL, previous=found)
+    seen = sv.modeling.SeenViews.of(CALIBRATION, pose)
+    after = localize(
+        evidence(drawn(MODEL, seen, POSE, 0.1)), pose, CALIBRATION, MODEL, previous=first
+    )
     p = MODEL.vertices.mean(axis=0)
     shift = np.eye(6)
     shift[:3, 3:] = -np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])
     own = shift @ after[0].covariance @ shift.T
     std = np.sqrt(np.linalg.eigvalsh(own[:3, :3])[-1])
+    assert chosen.position_std[1] < 0.7 * chosen.position_std[0]
     assert 0.6 < std / chosen.position_std[1] < 1.6
 
 
