@@ -1,5 +1,6 @@
 """Tell the paper's whole story in a simulated cell: calibrate, model, localise, verify, grasp."""
 
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..cameras import Camera, Pinhole
+from ..files import write_atomically
 from ..geometry import host_matrices, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
@@ -95,7 +97,11 @@ def run_demo(
     done(f"calibration from {len(calibrated.pictures)} pictures")
     say("modelling: pictures all around the object")
     block = CellObject("stepped block", stepped_block(0.06))
-    model, model_pictures, model_poses = _modelled(cell, calibrated, block, out / "object.json")
+    # In a folder of its own: a session goes on with the clicks of an earlier one, of another run.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.json"
+        model, model_pictures, model_poses = _modelled(cell, calibrated, block, path)
+        write_atomically(out / path.name, path.read_bytes())
     done(f"model from {len(model_pictures)} pictures by scripted clicks")
     say("three objects fall into the bin")
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
