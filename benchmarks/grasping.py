@@ -243,7 +243,7 @@ def picking(rigs: list[dict[str, Rig]], drops: int, objects: int) -> bool:
         outcomes = []
         for r, rig in enumerate(rigs):
             cell = rig[kind].cell
-            region = Region(cell.centre, (0.24, 0.18, 0.08))
+            region = Region(cell.centre, (0.24, 0.18, 0.12))
             for d in track(range(drops), f"{kind}: picks", disable=drops < 5):
                 chosen = [names[(d + k) % len(names)] for k in range(objects)]
                 cell.set_gripper(cell.gripper.max_opening)
@@ -253,7 +253,7 @@ def picking(rigs: list[dict[str, Rig]], drops: int, objects: int) -> bool:
                     cell, rig[kind].calibration, models, cell.gripper, region,
                     scene_of(rig[kind]), arm=cell.arm, estimate=rig[kind].estimate,
                 )  # fmt: skip
-                accepted += len(result.look.inside) > 0
+                accepted += len(result.look.found.accepted) > 0
                 executed += result.grasp is not None
                 good = result.target is not None and result.target.model.name in cell.judge().held
                 held += good

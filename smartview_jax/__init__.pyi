@@ -17,6 +17,7 @@ from . import io as io
 from . import joint as joint
 from . import localization as localization
 from . import modeling as modeling
+from . import picking as picking
 from . import report as report
 from . import robot_errors as robot_errors
 from . import robots as robots

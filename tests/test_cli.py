@@ -388,3 +388,9 @@ def test_a_viewpoint_in_an_arms_joints(tmp_path):
         run = RUNNER.invoke(app, words)
         assert run.exit_code == 2
         assert message in run.stderr
+
+
+def test_the_demo_needs_enough_views_of_the_board(tmp_path):
+    run = RUNNER.invoke(app, ["demo", "--views", "3", "--out", str(tmp_path)])
+    assert run.exit_code == 2
+    assert "--views: expected 8 or more, found 3" in run.stderr

@@ -139,6 +139,21 @@ def swept_gripper(
     return swept
 
 
+def closing_fingers(
+    gripper: Gripper, opening: float, width: float, world_from_gripper: Float[np.ndarray, "4 4"]
+) -> dict[str, Float[np.ndarray, "16 3"]]:
+    """Return the corners of all that the fingers sweep while they close from an opening to a width.
+
+    A wall may stand between an open finger and the object, where neither end touches it.
+    """
+    R, t = world_from_gripper[:3, :3], world_from_gripper[:3, 3]
+    both = zip(gripper.boxes(opening)[1:], gripper.boxes(width)[1:], strict=True)
+    return {
+        before.name: np.concatenate([before.vertices, after.vertices]) @ R.T + t
+        for before, after in both
+    }
+
+
 def arm_links(
     origins: Float[np.ndarray, "frames 3"], radius: float
 ) -> dict[str, Float[np.ndarray, "corners 3"]]:

@@ -15,8 +15,12 @@ The others are about what the camera sees. That a robot error is not known so fa
 (`known_region`) shows in the probability of success, whose covariance grows there.
 """
 
-PADDED_POSES = 16
-"""Numbers of poses are padded to a multiple of this one, so that few programs are compiled."""
+PADDED_POSES = 36
+"""Numbers of poses are padded to a multiple of this one, so that one program serves them all.
+
+It is that of the later phases of `GRASPS_AT_ONCE` grasps: compiling for a second, smaller number
+takes longer than computing some poses in vain.
+"""
 
 
 def gripper_commands(

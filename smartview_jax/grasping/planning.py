@@ -10,7 +10,7 @@ from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..robots import Command, Gripper
 from .candidates import Candidate, candidate_grasps
-from .collisions import CollisionChecker, swept_gripper
+from .collisions import CollisionChecker, closing_fingers, swept_gripper
 from .localized import LocalizedObject, checked_object
 from .motions import Motions, plan_motions
 from .planned import PHASES, GraspPlan, NoSafeGraspError, PlannedGrasp
@@ -136,14 +136,17 @@ def _without_collisions(
             approach = swept_gripper(gripper, one.opening, grasp_pose, back)
             # On the way up the fingers are closed on the object.
             leaving = swept_gripper(gripper, one.width, grasp_pose, motion.retreat * up)
-            for contact in filter(None, (around.nearest(approach), around.nearest(leaving))):
+            closing = closing_fingers(gripper, one.opening, one.width, grasp_pose)
+            # The first that speaks against the grasp is enough.
+            ways = (around.nearest(parts) for parts in (approach, closing, leaving))
+            for contact in filter(None, ways):
                 clearance = min(clearance, contact.clearance)
                 if contact.clearance < scene.margin:
                     reasons.append(str(contact))
+                    break
             touched = itself.nearest(approach)
             if touched is not None and touched.clearance <= 0.0:
                 reasons.append(str(touched))
-        # What hits something on both ways is said once.
         drafts.append(
             PlannedGrasp(
                 one.grasp,
@@ -155,7 +158,7 @@ def _without_collisions(
                 float("nan"),
                 {},
                 clearance,
-                tuple(dict.fromkeys(reasons)),
+                tuple(reasons),
             )
         )
     return drafts

@@ -71,6 +71,7 @@ def calibrate_cell(
     flat = board.board if isinstance(board, StackedTarget) else board
     pictures, found, commands = [], [], []
     for k, pose in enumerate(_planned_views(board, drawing, views, seed)):
+        # Counted as planned, whether or not the board is found there.
         say(f"calibrating: view {k + 1} of {views}")
         command = _command(cell, drawing, pose, arm)
         if command is None:
@@ -89,6 +90,7 @@ def calibrate_cell(
         )
     # Only views in which the board was found.
     stacked = stacked_commands(commands)
+    # Joints without an arm, or an arm without joints, tell nothing.
     with_joints = arm is not None and stacked.joints is not None
     height, width = pictures[0].shape
     data = Dataset.from_arrays(

@@ -1,5 +1,6 @@
 """Tell the paper's whole story in a simulated cell: calibrate, model, localise, verify, grasp."""
 
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..cameras import Camera, Pinhole
+from ..files import write_atomically
 from ..geometry import host_matrices, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
@@ -87,6 +89,7 @@ def run_demo(
         times.append((name, time.perf_counter() - start))
         start = time.perf_counter()
 
+    # Everything below drives it by the methods of any cell, but for the judge.
     cell = SimulatedCell(seed)
     calibrated = calibrate_cell(
         cell, cell.board, drawn_calibration(), cell.arm, views, seed, progress
@@ -94,13 +97,17 @@ def run_demo(
     done(f"calibration from {len(calibrated.pictures)} pictures")
     say("modelling: pictures all around the object")
     block = CellObject("stepped block", stepped_block(0.06))
-    model, model_pictures, model_poses = _modelled(cell, calibrated, block, out / "object.json")
+    # In a folder of its own: a session goes on with the clicks of an earlier one, of another run.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.json"
+        model, model_pictures, model_poses = _modelled(cell, calibrated, block, path)
+        write_atomically(out / path.name, path.read_bytes())
     done(f"model from {len(model_pictures)} pictures by scripted clicks")
     say("three objects fall into the bin")
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
     cell.drop([block, *others], seed)
     strip = [("before", _watched(cell))]
-    region = Region(cell.centre, (0.24, 0.18, 0.08))
+    region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
     walls = [Obstacle.box(one.name, one.size, one.world_from_box) for one in cell.fixtures]
     scene = GraspScene(
@@ -124,7 +131,7 @@ def run_demo(
     page = out / "demo.html"
     say("writing the page")
     sections = [
-        localised_section(attempt, calibrated),
+        localised_section(attempt, calibrated, region, strip),
         grasp_section(attempt, strip),
         numbers_section(attempt, calibrated, model, error, held, times),
     ]
@@ -146,9 +153,11 @@ def _modelled(
     calibration = calibrated.fit.calibration
     solid = block.solid.moved(cell.judge().world_from_object[block.name])
     aim = solid.vertices.mean(axis=0)
+    # Evenly, and not along the sides of the object.
     azimuths = 2.0 * np.pi * np.arange(MODEL_VIEWS) / MODEL_VIEWS + 0.3
     directions = np.asarray(viewing_direction(np.full(MODEL_VIEWS, MODEL_TILT), azimuths))
     near = np.asarray(cell.where().joints)
+    # All around, as far as the arm reaches.
     wanted = viewpoint_commands(
         calibration, look_at(aim, directions, MODEL_DISTANCE), arm=cell.arm, near=near
     )
@@ -197,7 +206,7 @@ def _watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
         BYSTANDER_FOCAL, BYSTANDER_FOCAL, 0.5 * width, 0.5 * height, Pinhole(), (width, height)
     )
     aim = cell.centre + np.array([0.0, 0.0, 0.09])
-    pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75, np.pi))
+    pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75))
     return cell.watch(pose, camera)
 
 

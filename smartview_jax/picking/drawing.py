@@ -13,7 +13,7 @@ from ..features import PictureEvidence
 from ..localization import Wireframe, predict_view
 from ..modeling import ObjectModel
 
-EDGE_COLOUR, SEGMENT_COLOUR, CORNER_COLOUR = (110, 110, 110), (120, 200, 60), (40, 120, 255)
+EDGE_COLOUR, SEGMENT_COLOUR, CORNER_COLOUR = (150, 150, 150), (120, 220, 60), (40, 120, 255)
 """Colours of edge points, segments and corners: blue, green, red."""
 
 WIREFRAME_COLOURS = ((255, 160, 30), (60, 190, 255), (200, 90, 220), (90, 220, 90))
@@ -38,9 +38,9 @@ def edge_map(evidence: PictureEvidence) -> UInt8[np.ndarray, "rows columns 3"]:
     canvas[rows[inside], columns[inside]] = EDGE_COLOUR
     for ends in evidence.features.segments:
         a, b = (_fixed(end) for end in ends)
-        cv2.line(canvas, a, b, SEGMENT_COLOUR, 1, cv2.LINE_AA, SHIFT)
+        cv2.line(canvas, a, b, SEGMENT_COLOUR, 2, cv2.LINE_AA, SHIFT)
     for corner in evidence.features.corners:
-        cv2.circle(canvas, _fixed(corner), 3 << SHIFT, CORNER_COLOUR, 1, cv2.LINE_AA, SHIFT)
+        cv2.circle(canvas, _fixed(corner), 5 << SHIFT, CORNER_COLOUR, 2, cv2.LINE_AA, SHIFT)
     return canvas
 
 

@@ -36,6 +36,7 @@ def execute(
     cell.set_gripper(grasp.opening)
     width = grasp.opening
     for k, phase in enumerate(PHASES):
+        # Poses alone where no arm was known to the planning.
         joints = None if grasp.joints is None else to_device(grasp.joints[k])
         cell.move(Command(host_transforms(grasp.base_from_tool[k]), joints))
         done(phase)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -11,10 +10,8 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
-from ..features import PictureEvidence, picture_evidence
 from ..geometry import host_transforms, look_at, viewing_direction
-from ..grasping import LocalizedObject
-from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
+from ..localization import Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
 from ..robots import BOX_CORNERS, Command, SerialArm
 from ..simulation import Cell, CellError
@@ -28,12 +25,8 @@ DISTANCE = 0.45
 """Distance of the camera from the middle of the region, m."""
 
 
-FADE = 60.0
-"""Width of the border over which a picture fades around the region, px."""
-
-
 class Region(NamedTuple):
-    """A box of the world in which objects are looked for; what is found elsewhere is left alone.
+    """A box of the world in which objects are looked for; what is elsewhere is not found.
 
     Attributes:
         centre: of its floor, m.
@@ -43,36 +36,10 @@ class Region(NamedTuple):
     centre: Float[np.ndarray, "3"]
     size: tuple[float, float, float]
 
-    def contains(self, found: LocalizedObject) -> bool:
-        """Return whether the middle of a found object is in the region."""
-        pose = np.asarray(found.world_from_object)
-        middle = pose[:3, :3] @ found.model.vertices.mean(axis=0) + pose[:3, 3] - self.centre
-        half = 0.5 * np.array(self.size[:2])
-        return bool((np.abs(middle[:2]) < half).all() and 0.0 < middle[2] < self.size[2])
-
     @property
     def corners(self) -> Float[np.ndarray, "8 3"]:
         """The corners of the box, m."""
         return self.centre + (BOX_CORNERS + np.array([0.0, 0.0, 0.5])) * np.array(self.size)
-
-    @staticmethod
-    def faded(
-        picture: UInt8[np.ndarray, "rows columns"], pixels: Float[np.ndarray, "corners 2"]
-    ) -> UInt8[np.ndarray, "rows columns"]:
-        """Return a picture that fades to its mean outside of the hull of some pixels.
-
-        What lies around a region would be taken for objects, and compete with them. A sharp border
-        would be an edge itself. A picture that does not show all corners is left as it is.
-        """
-        if not np.isfinite(pixels).all():
-            return picture
-        # Far corners may be far outside, where OpenCV's integers would overflow.
-        hull = cv2.convexHull(pixels.clip(-1e4, 1e4).astype(np.float32)).astype(np.int32)
-        outside = cv2.fillConvexPoly(np.ones_like(picture), hull, 0)
-        distance = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        weight = np.clip(1.0 - distance / FADE, 0.0, 1.0)
-        mean = float(picture.mean())
-        return np.rint(mean + weight * (picture - mean)).astype(np.uint8)
 
 
 class Look(NamedTuple):
@@ -80,7 +47,6 @@ class Look(NamedTuple):
 
     Attributes:
         found: in all views together.
-        inside: the accepted ones in the region, the best first.
         pictures: of all views in their order.
         commands: what the robot reported in these views.
         verification: the view that was chosen to verify, the last one; None if there was none.
@@ -88,7 +54,6 @@ class Look(NamedTuple):
     """
 
     found: Localizations
-    inside: tuple[Localization, ...]
     pictures: tuple[UInt8[np.ndarray, "rows columns"], ...]
     commands: Command
     verification: NextView | None
@@ -135,31 +100,22 @@ def look_for(
         direction = np.asarray(viewing_direction(TILT, azimuth))
         commands.append(cell.move(_command(cell, calibration, middle, direction, arm)))
         pictures.append(cell.picture())
-    options = {"covariance": estimate, "noise": noise}
-
-    def evidence(taken: list[np.ndarray], where: Command) -> list[PictureEvidence]:
-        """Return what the pictures show of the region."""
-        corners = np.asarray(calibration.project(where, region.corners)[0])
-        return [
-            picture_evidence(region.faded(picture, pixels), calibration.camera)
-            for picture, pixels in zip(taken, corners, strict=True)
-        ]
-
+    workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
+    options = {"covariance": estimate, "noise": noise, "workspace": workspace}
     say("localising")
     first = stacked_commands(commands)
-    found = localize(evidence(pictures, first), first, calibration, models, **options)
+    found = localize(pictures, first, calibration, models, **options)
     verification = None
     # A further view only while it may change the verdict.
     while len(pictures) < max_views:
-        accepted = _inside(found.accepted, region)
-        open_ones = _inside(found.open, region)
-        enough = accepted and (not verify or verification is not None)
-        if enough or not (accepted or open_ones):
+        enough = found.accepted and (not verify or verification is not None)
+        if enough or not (found.accepted or found.open):
             break
         reachable = Reachable(distance=DISTANCE, arm=arm, near=_near(cell, arm))
         try:
             # What is accepted is verified first, or else what is open is told apart.
-            view = next_view(accepted[:1] or open_ones, calibration, reachable, models=models)
+            looked_at = found.accepted[:1] or found.open
+            view = next_view(looked_at, calibration, reachable, models=models)
             commands.append(cell.move(_view_command(view)))
         except (CellError, ValueError) as error:
             notes.append(f"no further view: {error}")
@@ -169,18 +125,8 @@ def look_for(
         verification = view
         pictures.append(cell.picture())
         latest = stacked_commands(commands[-1:])
-        # Earlier pictures are kept in what was found before.
-        newest = evidence(pictures[-1:], latest)
-        found = localize(newest, latest, calibration, models, previous=found, **options)
-    inside = tuple(_inside(found.accepted, region))
-    return Look(
-        found, inside, tuple(pictures), stacked_commands(commands), verification, tuple(notes)
-    )
-
-
-def _inside(found: Sequence[Localization], region: Region) -> list[Localization]:
-    """Return what is in the region."""
-    return [one for one in found if region.contains(one)]
+        found = localize(pictures[-1:], latest, calibration, models, previous=found, **options)
+    return Look(found, tuple(pictures), stacked_commands(commands), verification, tuple(notes))
 
 
 def _near(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
@@ -191,6 +137,7 @@ def _near(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
 
 def _view_command(view: NextView) -> Command:
     """Return the command of a chosen view."""
+    # Joints were solved with the view: the same branch of the arm is kept.
     joints = None if view.joints is None else to_device(np.asarray(view.joints))
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 

@@ -73,15 +73,15 @@ def pick(
         arm=arm, estimate=estimate, verify=verify, progress=progress,
     )  # fmt: skip
     # Nothing is grasped that the verdict did not accept.
-    if not look.inside:
+    if not look.found.accepted:
         reasons = "; ".join(look.found.messages) or "nothing was found"
         return Pick(look, None, None, None, float("nan"), f"not found: {reasons}")
     say("planning grasps")
     best: tuple[Localization, GraspPlan] | None = None
     plan: GraspPlan | None = None
-    for one in look.inside:
+    for one in look.found.accepted:
         # Objects are told apart by identity: two may be of one model.
-        others = [other for other in look.inside if other is not one]
+        others = [other for other in look.found.accepted if other is not one]
         try:
             plan = grasps_for(one, gripper, scene.with_objects(others), motion)
         except NoSafeGraspError:

@@ -7,8 +7,12 @@ from ..modeling import ObjectModel
 from ..report import Section, StoryFigure
 from ..robots import Command
 from .calibrating import CellCalibration
-from .drawing import edge_map, with_wireframes
+from .drawing import cropped, edge_map, with_wireframes
+from .looking import Region
 from .pick import Pick
+
+BORDER = 25.0
+"""Border of the pictures about the region that they show, px."""
 
 
 def model_section(
@@ -28,6 +32,7 @@ def model_section(
         )
         for k, picture in enumerate(pictures[:3])
     ]
+    # An exact model has no uncertainty to tell of.
     sigma = model.vertex_sigma
     known = "" if sigma is None else f", known to {1e3 * float(np.median(sigma)):.2f} mm (median)"
     text = (
@@ -38,31 +43,62 @@ def model_section(
     return Section("The model", text, figures)
 
 
-def localised_section(attempt: Pick, calibrated: CellCalibration) -> Section:
-    """Return the part of the page with Fig. 8 (a) to (e) of this run."""
+def localised_section(
+    attempt: Pick,
+    calibrated: CellCalibration,
+    region: Region,
+    strip: list[tuple[str, np.ndarray]],
+) -> Section:
+    """Return the part of the page with Fig. 8 (a) to (f) of this run.
+
+    Args:
+        attempt: with its pictures.
+        calibrated: the calibration.
+        region: the part of the pictures that is shown.
+        strip: pictures of a bystander by phase; the last one is Fig. 8 (f).
+    """
     look, calibration = attempt.look, calibrated.fit.calibration
-    views = host_matrices(calibration.camera_from_world(look.commands))
+    camera, views = (
+        calibration.camera,
+        host_matrices(calibration.camera_from_world(look.commands)),
+    )
+    corners = np.asarray(calibration.project(look.commands, region.corners)[0])
     figures = [
-        StoryFigure(f"({'ab'[k]})", f"edge map {1 + k} with the features found", edge_map(evidence))
+        StoryFigure(
+            f"({'ab'[k]})",
+            f"edges and features of view {1 + k}",
+            cropped(edge_map(evidence), corners[k], BORDER),
+        )
         for k, evidence in enumerate(look.found.pictures[:2])
     ]
     last = len(look.pictures) - 1
-    reason = look.verification.reason if look.verification is not None else "the last view"
-    figures.append(StoryFigure("(c)", f"the verification view: {reason}", look.pictures[last]))
-    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.inside]
-    camera = calibration.camera
-    drawn = with_wireframes(None, camera, views[last], objects)
-    over = with_wireframes(look.pictures[last], camera, views[last], objects)
-    figures.append(StoryFigure("(d)", "the wireframe at the pose that was found", drawn))
-    figures.append(StoryFigure("(e)", "the superposition of both", over))
-    text = "Two views, stereo-matched against the model; a third one verifies what they found."
-    return Section("Localised and verified (Fig. 8)", text, figures)
+    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.found.accepted]
+    # The last view is the one that verified, where there was one.
+    shown = {
+        "the verification view" if look.verification is not None else "the last view": (
+            look.pictures[last]
+        ),
+        "the wireframe where it was found": with_wireframes(None, camera, views[last], objects),
+        "both superimposed": with_wireframes(look.pictures[last], camera, views[last], objects),
+    }
+    figures += [
+        StoryFigure(f"({letter})", text, cropped(picture, corners[last], BORDER))
+        for letter, (text, picture) in zip("cde", shown.items(), strict=True)
+    ]
+    figures.append(StoryFigure("(f)", f"the grasp: {strip[-1][0]}", strip[-1][1]))
+    text = "Two views are searched for the model; a further one verifies what was found in them."
+    if look.verification is not None:
+        text += f" It was chosen because it {look.verification.reason}."
+    return Section("Localised, verified, grasped (Fig. 8)", text, figures)
 
 
 def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section:
-    """Return the part of the page with Fig. 8 (f): the grasp as a strip of pictures."""
-    figures = [StoryFigure("(f)", phase.replace("_", "-"), picture) for phase, picture in strip]
-    return Section("The grasp (Fig. 8 f)", attempt.outcome, figures)
+    """Return the part of the page with the grasp as a strip of pictures."""
+    figures = [
+        StoryFigure(f"{1 + k}", phase.replace("_", "-"), picture)
+        for k, (phase, picture) in enumerate(strip)
+    ]
+    return Section("The grasp, step by step", f"{attempt.outcome.capitalize()}.", figures)
 
 
 def numbers_section(

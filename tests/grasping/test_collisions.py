@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from smartview_jax.grasping import Obstacle
-from smartview_jax.grasping.collisions import CollisionChecker, arm_links, swept_gripper
+from smartview_jax.grasping.collisions import (
+    CollisionChecker,
+    arm_links,
+    closing_fingers,
+    swept_gripper,
+)
 from smartview_jax.robots import Gripper
 from smartview_jax.simulation import stepped_block
 
@@ -47,6 +52,18 @@ def test_a_thin_plate_between_the_two_ends_of_a_motion_is_not_missed():
     swept = nearest([plate], at(z=0.01, rotation=DOWN), (0.0, 0.0, 0.4))
     assert swept.clearance == 0.0
     assert str(swept).endswith("touches plate")
+
+
+def test_a_wall_between_an_open_finger_and_the_object_is_met_while_closing():
+    """As in a bin: the open finger comes down outside of the wall, and neither end touches it."""
+    gripper, wall = Gripper(), Obstacle.box("wall", (0.004, 0.2, 0.05), at(x=0.025, z=0.02))
+    checker = CollisionChecker([wall])
+    for opening in (0.08, 0.02):
+        fingers = swept_gripper(gripper, opening, at(z=0.01, rotation=DOWN), np.zeros(3))
+        assert checker.nearest(fingers).clearance > 0.0
+    contact = checker.nearest(closing_fingers(gripper, 0.08, 0.02, at(z=0.01, rotation=DOWN)))
+    assert contact.clearance == 0.0
+    assert contact.part == "right finger"
 
 
 def test_what_is_inside_an_obstacle_touches_it():
