@@ -161,11 +161,12 @@ def _resting(solid: Polyhedron, rng: np.random.Generator) -> np.ndarray:
     """Return a random pose on the table, the object resting on a side of its convex hull."""
     hull = ConvexHull(solid.vertices)
     centre = solid.vertices[hull.vertices].mean(axis=0)
+    turn, lowest = np.eye(3), 0.0
     for k in rng.permutation(len(hull.equations)):
         normal = hull.equations[k, :3]
         turn = Rotation.align_vectors([[0.0, 0.0, -1.0]], [normal])[0].as_matrix()
         turned = (solid.vertices - centre) @ turn.T
-        lowest = turned[:, 2].min()
+        lowest = float(turned[:, 2].min())
         foot = turned[turned[:, 2] < lowest + 1e-6]
         # It stands where the middle of its vertices is above the hull of its foot.
         if len(foot) >= 3 and (ConvexHull(foot[:, :2]).equations[:, 2] < -1e-3).all():
@@ -180,7 +181,7 @@ def _resting(solid: Polyhedron, rng: np.random.Generator) -> np.ndarray:
 def _tilted(solid: Polyhedron, rng: np.random.Generator) -> np.ndarray:
     """Return a random pose above the table, touching it with one vertex."""
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    pose[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     pose[2, 3] = 1e-3 - (solid.vertices @ pose[:3, :3].T)[:, 2].min()
     pose[:2, 3] = rng.uniform(-0.02, 0.02, 2)
     return pose
@@ -231,7 +232,7 @@ def _occluder(
     best, best_cost = None, np.inf
     for _ in range(60):
         pose = np.eye(4)
-        pose[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+        pose[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
         aside = np.cross(towards, rng.standard_normal(3))
         aside *= rng.uniform(0.0, 0.04) / np.linalg.norm(aside)
         pose[:3, 3] = centre + rng.uniform(0.1, 0.2) * towards + aside
