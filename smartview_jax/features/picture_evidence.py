@@ -114,6 +114,7 @@ def edge_maps(features: Features, camera: Camera) -> EdgeMaps:
         if len(own):
             nearest[k], gap = _nearest_points(cells[own], own, seen.shape)
             distances[k] = np.minimum(gap / DISTANCE_STEP, FAR).astype(np.uint8)
+    # Last, because edges reach into cells that the picture lacks.
     distances[:, ~seen] = UNSEEN
     return EdgeMaps(distances, nearest, points, normals, origin, cell_size, plane.focal_length)
 
@@ -123,6 +124,7 @@ def _grid(
 ) -> tuple[Float[np.ndarray, "2"], Bool[np.ndarray, "rows columns"], float]:
     """Return the first cell's centre, which cells are within the picture, and their size."""
     size = np.array(image_size)
+    # A whole number of pixels, rounded up.
     cell_size = float(-(-max(image_size) // MAX_CELLS))
     # The border of the picture, with its corners, where distorted pictures reach farthest.
     along = np.linspace(-0.5, 1.0, 65)[:, None].clip(0.0) * (size - 1.0)
@@ -151,6 +153,7 @@ def _points_on_segments(
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2"]]:
     """Return points along the segments, a pixel apart, and their normals, in ideal coordinates."""
     ends = plane.from_pixels(features.segments.reshape(-1, 2)).reshape(-1, 2, 2)
+    # Beside the ideal plane, where a wide lens still sees, nothing is looked for.
     ends = ends[np.isfinite(ends).all(axis=(1, 2))]
     starts, spans = ends[:, 0], ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(spans, axis=1)
@@ -171,6 +174,7 @@ def _nearest_points(
     own = np.zeros(shape, np.int32)
     is_free = np.ones(shape, np.uint8)
     column, row = cells.T
+    # Where several points share a cell, any of them will do: they are on one line.
     own[row, column], is_free[row, column] = index, 0
     gap, found = cv2.distanceTransformWithLabels(
         is_free, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL

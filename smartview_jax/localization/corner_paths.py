@@ -45,6 +45,7 @@ def picture_paths(features: Features, plane: IdealPlane, count: int) -> PictureP
         count: largest number of paths.
     """
     pixels, segments, corners, anchored = [], [], [], []
+    # Where another segment meets it, an end is a vertex more probably than where it fades out.
     is_junction = _ends_at_junctions(features)
     for k, joined in enumerate(features.corner_segments):
         arms = [arm for s in joined[joined >= 0] for arm in _arms(features, k, int(s))]
@@ -57,6 +58,7 @@ def picture_paths(features: Features, plane: IdealPlane, count: int) -> PictureP
                         features.segments[other, second_end],
                     ]
                 )
+                # Both ends of one segment that runs through the corner are no path.
                 if one != other and _is_bent(triple):
                     pixels.append(triple)
                     segments.append((one, other))
@@ -139,10 +141,12 @@ def poses_from_paths(
     chosen = model_paths(model)
     if not len(chosen) or not len(paths.rays):
         return np.zeros((0, 4, 4))
+    # Every path of the picture with every one of the model, in both orders of its ends.
     count = len(paths.rays)
     rays = np.repeat(paths.rays, len(chosen), axis=0)
     points = np.tile(model.vertices[chosen], (count, 1, 1))
     found, good = three_point_poses(rays, points)
+    # Half of the solutions see the path from its back.
     good &= _path_faces_camera(model, np.tile(chosen, (count, 1)), found)
     world_from_camera = np.linalg.inv(camera_from_world)
     return world_from_camera @ found[good]

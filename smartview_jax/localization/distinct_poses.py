@@ -47,6 +47,7 @@ def distinct_poses(
         indices, ascending.
     """
     limit = SAME_POSE_DISTANCE * float(np.linalg.norm(np.ptp(model.vertices, axis=0)))
+    # Each kept pose takes its neighbours away, so that few comparisons remain.
     left, kept = np.arange(len(poses)), []
     while len(left) and len(kept) < count:
         kept.append(int(left[0]))

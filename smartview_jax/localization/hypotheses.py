@@ -16,7 +16,7 @@ from ..features import IdealPlane, PictureEvidence
 from ..modeling import ObjectModel, SeenViews
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .distinct_poses import distinct_poses
-from .polishing import polished_poses
+from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
 from .scoring import PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
@@ -83,6 +83,7 @@ def find_hypotheses(
         raise ValueError("models: expected at least one, found none")
     box = None if workspace is None else _checked_box(workspace)
     maps = SceneMaps.of(evidence, views)
+    # What the pictures propose is the same for all models.
     paths, edges = _picture_proposals(evidence, views)
     found: list[Hypothesis] = []
     for index, model in enumerate(models):
@@ -93,6 +94,7 @@ def find_hypotheses(
         proposed += [poses_from_edges(pair, model) for pair in edges]
         best, scores = _best(maps, model, np.concatenate(proposed), count, box)
         found += [
+            # Scores of different models compare: both are lengths in the same pictures.
             Hypothesis(index, pose, float(score), float(share))
             for pose, score, share in zip(best, scores.surplus_px, scores.explained, strict=True)
         ]
@@ -113,6 +115,7 @@ def _picture_proposals(
     """Return the paths of each picture, and the edges in space of pairs of pictures."""
     plane, poses = IdealPlane(views.camera), views.camera_from_world
     features = [one.features for one in evidence]
+    # Of one picture paths are all there is; of two they help where edges in space fail.
     # So many that all pictures together propose about as much as two do.
     most = MAX_PATHS_ALONE if len(features) == 1 else 2 * MAX_PATHS // len(features)
     paths = [picture_paths(one, plane, most) for one in features]
@@ -133,13 +136,18 @@ def _best(
     """Return the best distinct poses after polishing, with their scores."""
     coarse, fine = Wireframe.of(model, COARSE_SAMPLES), Wireframe.of(model)
     poses = poses[_are_within(model, poses, box)]
+    # Ten thousand proposals and more: few samples, and no hidden lines but those of convex objects.
     scores = score_poses(maps, coarse, poses, COARSE_GATE, convex=True)
     poses = poses[np.argsort(-scores.surplus_px, kind="stable")[:COMPARED]]
+    # A clear object is proposed a hundred times, which would leave no place for the others.
     poses = poses[distinct_poses(model, poses, FINER_SCORED)]
     poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
-    poses = polished_poses(maps, fine, poses)
+    # A wide gate saves proposals that err by degrees, and loses some that were nearly right.
+    schedules = WIDE_GATES, NARROW_GATES
+    poses = np.concatenate([polished_poses(maps, fine, poses, gates) for gates in schedules])
     # Some are drawn out of the workspace.
     poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], FINE_GATE)
+    # Several proposals end in one place.
     kept = distinct_poses(model, poses, count)
     return poses[kept], PoseScores(*(part[kept] for part in scores))
 

@@ -20,15 +20,22 @@ from .wireframe import Wireframe
 POSES_PER_CALL = 64
 """Number of poses that one call of the compiled program takes."""
 
-GATES = (14.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0)
+WIDE_GATES = (14.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0)
 """Distances in px beyond which an edge does not draw, of the steps."""
+
+NARROW_GATES = (6.0, 5.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)
+"""The same for poses that are near already: wide gates let other edges draw, such as the two sides
+of a frame."""
 
 DAMPING = 1e-4
 """Damping of the normal equations, over the mean of their diagonal: what no edge holds stays."""
 
 
 def polished_poses(
-    maps: SceneMaps, wireframe: Wireframe, world_from_object: Float[np.ndarray, "poses 4 4"]
+    maps: SceneMaps,
+    wireframe: Wireframe,
+    world_from_object: Float[np.ndarray, "poses 4 4"],
+    gates: tuple[float, ...] = WIDE_GATES,
 ) -> Float[np.ndarray, "poses 4 4"]:
     """Return poses after they were drawn to the edges of the pictures.
 
@@ -36,14 +43,15 @@ def polished_poses(
         maps: of the pictures.
         wireframe: of the model.
         world_from_object: the poses.
+        gates: distances in px beyond which an edge does not draw, one for each step.
     """
     single, parts = in_single_precision(wireframe), [np.zeros((0, 4, 4))]
-    gates = to_device(np.array(GATES, np.float32))
+    steps = to_device(np.array(gates, np.float32))
     for start in range(0, len(world_from_object), POSES_PER_CALL):
         chunk = world_from_object[start : start + POSES_PER_CALL]
         part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
         part[: len(chunk)] = chunk
-        moved = np.asarray(_polish(maps, single, to_device(part), gates))[: len(chunk)]
+        moved = np.asarray(_polish(maps, single, to_device(part), steps))[: len(chunk)]
         # A pose that nothing holds may go anywhere, even where there are no numbers.
         kept = np.isfinite(moved).all(axis=(1, 2), keepdims=True)
         parts.append(_orthonormal(np.where(kept, moved, chunk).astype(float)))
@@ -83,6 +91,7 @@ def _step(
     hessian, gradient = jnp.zeros((6, 6), pose.dtype), jnp.zeros(6, pose.dtype)
     for view in range(len(maps.camera_from_world)):
         residual, J, weight = _residuals(maps, view, wireframe, pose, gate)
+        # Summed over the views: all of them see one rigid object.
         J = jnp.concatenate([J[:, :3] * radius, J[:, 3:]], axis=1)
         hessian = hessian + J.T @ (weight[:, None] * J)
         gradient = gradient + J.T @ (weight * residual)
@@ -126,6 +135,7 @@ def _residuals(
 def _solved(matrix: Float[Array, "6 6"], right: Float[Array, "6"]) -> Float[Array, "6"]:
     """Return the solution of a positive definite system, by elimination without pivots."""
     # Written out, because a call of LAPACK for each of many small systems costs far more.
+    # Without pivots: the matrix is damped, so that none of them is near zero.
     augmented = jnp.concatenate([matrix, right[:, None]], axis=1)
     for k in range(6):
         row = augmented[k] / augmented[k, k]

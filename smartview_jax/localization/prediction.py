@@ -67,7 +67,9 @@ def predict_view(
     directions = slopes / jnp.where(scale > 0.0, scale, 1.0)[:, None]
     vertex_visible = wireframe.vertex_mask & ~hidden_vertices(wireframe, centre)
     sample_visible = (wireframe.sample_lengths > 0.0) & ~hidden_samples(wireframe, centre)
+    # Beyond the lens there is no pixel, and at its limit no derivative.
     sample_visible = sample_visible & usable & _within(samples, camera)
+    # To first order in the part's length; the parts of an edge are short against its distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
     return PredictedView(

@@ -70,6 +70,7 @@ class SceneMaps(eqx.Module):
                 f"found {len(evidence)}"
             )
         maps = [one.maps for one in evidence]
+        # A power of two, or every new number of segments would compile all programs anew.
         size = MIN_POINTS
         while size < max(len(one.points) for one in maps):
             size *= 2
@@ -143,6 +144,7 @@ def score_poses(
     single = in_single_precision(wireframe)
     parts = []
     for start in range(0, count, POSES_PER_CALL):
+        # The last part is filled up with poses that nobody asks for.
         part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
         chunk = world_from_object[start : start + POSES_PER_CALL]
         part[: len(chunk)] = chunk
@@ -177,6 +179,7 @@ def _score_poses(
         lengths = [_score(maps, view, wireframe, pose, gate, convex) for view in views]
         return jnp.stack(lengths).sum(axis=0)
 
+    # A loop over chunks: all poses at once would write every intermediate result to memory.
     chunks = world_from_object.reshape(-1, POSES_PER_CHUNK, 4, 4)
     return jax.lax.map(jax.vmap(score), chunks).reshape(-1, 3).T
 
@@ -191,10 +194,12 @@ def _score(
 ) -> Float[Array, "3"]:
     """Return the three lengths of one pose in one view."""
     samples = seen_samples(maps, view, wireframe, world_from_object, convex)
+    # One flat index: a lookup with three of them takes half as long again.
     distance = maps.distances[view].reshape(-1)[samples.cell]
     inside = samples.inside & (distance != UNSEEN)
     squared = (distance.astype(jnp.float32) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
     weight = jnp.where(inside & (distance < FAR), jnp.maximum(1.0 - squared, 0.0), 0.0)
+    # A view that sees nothing of the object says nothing about it.
     px = jnp.where(samples.visible & (samples.visible & inside).any(), samples.px, 0.0)
     lengths = [px.sum(), jnp.where(weight > 0.0, px, 0.0).sum(), (px * weight).sum()]
     return jnp.stack(lengths)
@@ -232,6 +237,7 @@ def seen_samples(
     R, t = pose[:3, :3], pose[:3, 3]
     points, tangents = wireframe.samples @ R.T + t[None], wireframe.sample_tangents @ R.T
     x, y, z = points.T
+    # Near the camera's plane an edge would be endlessly long in the picture.
     in_front = z > 1e-3 * jnp.abs(t[2])
     z = jnp.where(in_front, z, 1.0)
     f = maps.focal_length
@@ -239,11 +245,13 @@ def seen_samples(
     # d(x / z) = (dx - x / z dz) / z
     slope = f * (tangents[:, :2] - ideal / f * tangents[:, 2:]) / z[:, None]
     scale = jnp.sqrt((slope**2).sum(axis=1))
+    # Rounded to the nearest map; an edge and its reverse are half a turn apart, and of one map.
     turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
     orientation = jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS
     cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
     rows, columns = maps.distances.shape[-2:]
     inside = in_front & (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+    # Any place will do for what is outside: its weight is zero.
     column, row = jnp.where(inside[:, None], cell, 0.0).astype(jnp.int32).T
     centre = -R.T @ t
     if convex:

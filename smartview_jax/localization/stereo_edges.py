@@ -85,6 +85,7 @@ def stereo_edges(
     centres = -np.einsum("vji,vj->vi", R, t)
     baseline = centres[1] - centres[0]
     length = float(np.linalg.norm(baseline))
+    # From one place two pictures tell no depth.
     if length == 0.0 or not len(first.segments) or not len(second.segments):
         return SpaceEdges(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     rays = [_end_rays(one, plane) @ R[k] for k, one in enumerate((first, second))]
@@ -101,6 +102,7 @@ def stereo_edges(
     # Comparisons with NaN, of segments along the epipolar lines, are false.
     with np.errstate(invalid="ignore"):
         i, j = np.nonzero((high - low > needed) & (senses[0] == senses[1]))
+    # Normals of the planes through the centres and the segments: the edge is in both planes.
     across = [np.cross(ray[:, 0], ray[:, 1]) for ray in rays]
     directions = np.cross(across[0][i], across[1][j])
     sines = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -114,6 +116,7 @@ def stereo_edges(
         depth = (baseline * across[1][j]).sum(axis=1) / np.where(towards == 0.0, np.nan, towards)
         ends.append(centres[0] + depth[:, None] * ray)
     in_front = [(((end @ R[k].T + t[k])[:, 2]) > 0.0) for end in ends for k in (0, 1)]
+    # Segments of different edges often meet behind a camera.
     good = np.all(in_front, axis=0) & (sines[:, 0] > 0.0)
     middle, half = 0.5 * (ends[0] + ends[1])[good], 0.5 * (ends[1] - ends[0])[good]
     return SpaceEdges(middle, directions[good], np.linalg.norm(half, axis=1))
@@ -189,12 +192,14 @@ def poses_from_edges(scene: SpaceEdges, model: ObjectModel) -> Float[np.ndarray,
     rotations = seen.frames[a] @ np.swapaxes(wanted.frames[b], -1, -2)
     poses = np.tile(np.eye(4), (len(a), 1, 1))
     poses[:, :3, :3] = rotations
+    # R takes frame to frame, and t foot to foot.
     poses[:, :3, 3] = seen.feet[a] - (rotations @ wanted.feet[b][..., None])[..., 0]
     return poses
 
 
 def _pairs_in_space(scene: SpaceEdges, extent: float, longest: float) -> EdgePairs:
     """Return the pairs of edges in space that may belong to one object of a given extent."""
+    # Longer than any edge of the model: the edge of a table, or two segments that do not belong.
     short = np.flatnonzero(2.0 * scene.half_lengths < longest + MAX_REACH_ERROR * extent)
     edges = SpaceEdges(*(part[short] for part in scene))
     if not len(short):
@@ -208,6 +213,7 @@ def _pairs_in_space(scene: SpaceEdges, extent: float, longest: float) -> EdgePai
 def _model_pairs(edges: SpaceEdges) -> EdgePairs:
     """Return all pairs of a model's edges in both orders and all four choices of direction."""
     count = len(edges.half_lengths)
+    # Nothing tells which end of an edge in space is the first one of the model's edge.
     both = SpaceEdges(
         np.tile(edges.points, (2, 1)),
         np.concatenate([edges.directions, -edges.directions]),

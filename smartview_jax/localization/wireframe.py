@@ -82,6 +82,7 @@ class Wireframe(eqx.Module):
             raise ValueError(f"model {model.name!r} has no edges, so it cannot be looked for")
         if samples < 1:
             raise ValueError(f"samples: expected a positive number, found {samples}")
+        # All on the host: nothing is compiled to prepare a model.
         faces = model.faces
         owners, lengths, parts = _sampled_edges(model, samples)
         starts, ends = model.vertices[model.edges[owners]].transpose(1, 0, 2)
@@ -152,6 +153,7 @@ def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:
 
 def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
     """Return whether each edge is on the border of each face."""
+    # Neighbouring faces run through their common edge in opposite directions.
     sides = [{frozenset(pair) for pair in face.directed_edges} for face in model.faces]
     edges = [frozenset(edge) for edge in model.edges.tolist()]
     on = [[edge in border for border in sides] for edge in edges]
