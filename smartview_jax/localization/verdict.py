@@ -12,6 +12,11 @@ The test has five parts, each with a threshold that is a constant below and a nu
 - contrast: the gradient along the explained edges, over that of the picture's edges;
 - rivals: the log-likelihood over that of the best other pose or model at the same place that is not
   the same by symmetry.
+
+The thresholds lie between what was measured on 24 rendered scenes of five solids: at the true pose
+0.83 to 0.99 of the visible edges are explained, 0.46 to 0.69 with 30 % of them hidden; other solids
+drawn to the same pictures from 2300 poses explain 0.57 at most. The false-accept rate is not yet
+known better than by some dozens of trials.
 """
 
 from collections.abc import Sequence
