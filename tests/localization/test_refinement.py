@@ -8,6 +8,7 @@ import pytest
 from drawn_edges import camera, drawn, seen_views
 from jaxlie import SE3
 from scipy.optimize import least_squares
+from scipy.spatial import KDTree
 from solids import box
 
 import smartview_jax as sv
@@ -230,9 +231,9 @@ def test_edges_that_are_off_as_a_whole_are_noticed(views, wireframe):
         errors.append(error_of(found.world_from_object))
         covariances.append(found.covariance)
         sigmas.append(found.edge_sigma)
-    # A shift moves one of an edge's two numbers, and the model has the error in both.
-    assert 0.25 < np.median(sigmas) < 0.55
-    assert mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 9.0
+    assert 0.35 < np.median(sigmas) < 0.65
+    # An estimated standard deviation has the tails of Student's t.
+    assert 4.0 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 9.0
 
 
 def test_the_robots_noise_is_in_the_covariance(views, wireframe):
@@ -252,7 +253,7 @@ def test_the_robots_noise_is_in_the_covariance(views, wireframe):
         np.testing.assert_allclose(
             found.covariance, found.pictures + found.calibration + found.model
         )
-    assert mean_nees(nees(np.array(errors), np.array(covariances)), 6).is_consistent
+    assert 4.0 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 7.5
     # Without it the pose would be called far better than it is.
     assert nees(np.array(errors), np.array(trusting)).mean() > 30.0
 
@@ -287,7 +288,7 @@ def test_a_wrong_edge_is_left_out(views, wireframe):
     )
     edge = int(np.argmax(view.found_px[0]))
     owners = np.asarray(wireframe.sample_edges) == edge
-    own = np.unique(view.points[0][owners & np.isfinite(view.distances[0])])
+    own = KDTree(view.samples[0][owners & (view.sample_px[0] > 0)]).query(moved)[0] < 2.0
     moved[own] += 2.5 * pictures[0].normals[own]
     pictures[0] = pictures[0]._replace(pixels=moved, cells=np.round(moved).astype(int))
     lookup = EdgeLookup.of(pictures, views.camera.image_size)
