@@ -58,11 +58,14 @@ def suggested_grasps(model: ObjectModel, gripper: Gripper) -> tuple[Grasp, ...]:
     The fingers touch the pair, and the gripper approaches along the inward normal of a face at a
     right angle to it. Faces marked as not graspable are not touched.
 
+    A face that the model lacks, as a clicked one often lacks its bottom, is neither touched nor
+    approached.
+
     Raises:
-        ValueError: the model has no closed surface, from which widths could be taken.
+        ValueError: the model has no faces at all, from which widths could be taken.
     """
-    # Of an open surface it is not known what the fingers would meet.
-    model.require_closed()
+    if not model.faces:
+        raise ValueError(f"model {model.name!r} has neither grasps nor faces to put any on")
     planes = [model.plane(k) for k in range(len(model.faces))]
     found = []
     for a, first in enumerate(planes):
@@ -134,7 +137,7 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
     Without grasps of its own, those of `suggested_grasps` are taken.
 
     Raises:
-        ValueError: the model has neither grasps nor a closed surface.
+        ValueError: the model has neither grasps nor faces.
     """
     # What a person placed is preferred to what is only possible.
     grasps = model.grasps or suggested_grasps(model, gripper)

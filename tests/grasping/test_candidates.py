@@ -71,7 +71,16 @@ def test_half_a_turn_mirrors_what_is_along_the_fingers():
     assert {round(1e3 * abs(end)) for end in first.along_finger} == {4, 16}
 
 
-def test_an_open_model_without_grasps_says_what_is_missing():
+def test_a_model_without_its_bottom_is_grasped_by_what_it_has():
     model = box(0.06, 0.04, 0.03)
-    with pytest.raises(ValueError, match="not closed"):
-        candidate_grasps(dataclasses.replace(model, faces=model.faces[:-1]), GRIPPER)
+    opened = dataclasses.replace(model, faces=model.faces[1:])
+    found = suggested_grasps(opened, GRIPPER)
+    # Across the box still; no longer over its height, nor from below.
+    assert {round(1e3 * width_between_fingers(model, g.object_from_tool)) for g in found} == {40}
+    assert all(one.approach[2] < 0.5 for one in found)
+
+
+def test_a_model_without_faces_says_what_is_missing():
+    model = dataclasses.replace(box(0.06, 0.04, 0.03), faces=(), name="wires")
+    with pytest.raises(ValueError, match="'wires' has neither grasps nor faces"):
+        candidate_grasps(model, GRIPPER)
