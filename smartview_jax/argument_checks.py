@@ -18,10 +18,10 @@ def require_instance(name: str, value: object, kind: type, hint: str = "") -> No
 
 
 def require_names(name: str, value: Sequence[str]) -> None:
-    """Raise a TypeError for a single text where a sequence of names is expected."""
+    """Raise a ValueError for a single text where a sequence of names is expected."""
     # A text is a sequence too: of its letters.
     if isinstance(value, str):
-        raise TypeError(f"{name}: expected a list of names such as [{value!r}], found {value!r}")
+        raise ValueError(f"{name}: expected a list of names such as [{value!r}], found {value!r}")
 
 
 def _described(value: object) -> str:

@@ -38,7 +38,7 @@ said = {}
 for case in json.loads(sys.argv[1]):
     try:
         eval(case)
-    except TypeError as error:
+    except (TypeError, ValueError) as error:
         said[case] = str(error)
 print(json.dumps(said))
 """

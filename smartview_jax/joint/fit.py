@@ -126,12 +126,12 @@ def fit_joint(
         )
     require_instance("data", data, Dataset)
     require_instance("start", start, Calibration, "a fit has its calibration as `.calibration`")
-    require_names("fixed", fixed)
-    require_names("free", free)
     if solver is not None:
         hint = "such as optimistix.LevenbergMarquardt(rtol, atol)"
         require_instance("solver", solver, optx.AbstractLeastSquaresSolver, hint)
     field, all_data = checked_field_choice(field), data
+    require_names("fixed", fixed)
+    require_names("free", free)
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     say, start = progress or (lambda _: None), with_lens(start, lens)
