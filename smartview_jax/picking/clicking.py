@@ -1,7 +1,7 @@
 """Make the model of an object by scripted clicks, which play the part of a person at the editor.
 
-The script "clicks" the detected corner that is nearest to where a person would look, or without one
-the pixel itself, in every picture that shows the vertex, through the same `ModelSession` as the editor's page.
+In every picture that shows a vertex the script "clicks" the nearest detected corner, or the pixel
+itself where there is none, through the same `ModelSession` as the page of the editor.
 """
 
 import dataclasses
