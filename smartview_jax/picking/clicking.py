@@ -1,7 +1,7 @@
 """Make the model of an object by scripted clicks, which play the part of a person at the editor.
 
-The script "clicks" the detected corner that is nearest to where a person would look, in every
-picture that shows the vertex, through the same `ModelSession` as the editor's page.
+In every picture that shows a vertex the script "clicks" the nearest detected corner, or the pixel
+itself where there is none, through the same `ModelSession` as the page of the editor.
 """
 
 import dataclasses
@@ -76,8 +76,13 @@ def model_by_clicks(
             clicks = []
             for view, one in enumerate(names):
                 distance = np.linalg.norm(corners[one] - seen_pixels[view, vertex], axis=1)
-                if visible[view, vertex] and distance.min(initial=np.inf) < SNAP_DISTANCE:
-                    clicks.append((one, corners[one][int(np.argmin(distance))].tolist()))
+                if not visible[view, vertex]:
+                    continue
+                # Where no corner was detected a person clicks by eye, on a whole pixel.
+                snaps = distance.min(initial=np.inf) < SNAP_DISTANCE
+                pixel = corners[one][int(np.argmin(distance))] if snaps else None
+                by_eye = np.rint(seen_pixels[view, vertex])
+                clicks.append((one, (by_eye if pixel is None else pixel).tolist()))
             point = None
             # Two clicks make a point in space, further ones improve it.
             for one, pixel in clicks if len(clicks) > 1 else ():

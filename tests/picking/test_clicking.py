@@ -21,7 +21,7 @@ def sample():
     return views, np.array(truth["vertices"]), truth["faces"]
 
 
-def clicked(sample, path, shift=0.0):
+def clicked(sample, path, sees=True):
     views, vertices, faces = sample
     calibration = paper_calibration()
     seen = np.asarray(calibration.project(views.base_from_tool, vertices)[0])
@@ -35,7 +35,7 @@ def clicked(sample, path, shift=0.0):
     pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in views.paths]
     command = Command(views.base_from_tool)
     return model_by_clicks(
-        calibration, None, command, pictures, seen + shift, visible, faces, path, "block"
+        calibration, None, command, pictures, seen, visible & sees, faces, path, "block"
     )
 
 
@@ -51,6 +51,6 @@ def test_the_clicked_model_has_the_true_dimensions(sample, tmp_path):
     assert (tmp_path / "block.json").is_file()
 
 
-def test_a_script_that_finds_no_corners_says_so(sample, tmp_path):
+def test_a_script_that_sees_nothing_says_so(sample, tmp_path):
     with pytest.raises(ValueError, match="0 vertices were clicked, no face is complete"):
-        clicked(sample, tmp_path / "none.json", shift=1e4)
+        clicked(sample, tmp_path / "none.json", sees=False)
