@@ -196,7 +196,7 @@ def test_names_from_the_data_are_escaped(result, tmp_path, monkeypatch):
     rows = page.tables.rejections
     monkeypatch.setattr(page.tables, "rejections", lambda *_: [("<script>", "&")])
     assert rows is not page.tables.rejections
-    text = page._get_template("page.html").render(rejections=[("<script>", "&")], title="<b>")
+    text = page.get_template("page.html").render(rejections=[("<script>", "&")], title="<b>")
     assert "<script>" not in text
     assert "&lt;script&gt;" in text
 
