@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from drawn_edges import seen_views
+from placed_box import MIDDLE, MODEL, POSE, corner_matches, error_of, placed, projected
 from scipy.stats import chi2
 from solids import box
-from test_refinement import MIDDLE, MODEL, POSE, corner_matches, error_of, placed, projected
 
 from smartview_jax.features import Features
 from smartview_jax.geometry import host_exponentials

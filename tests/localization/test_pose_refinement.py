@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 from drawn_edges import camera, drawn, seen_views
 from jaxlie import SE3
+from placed_box import (
+    MIDDLE,
+    MODEL,
+    POSE,
+    SIGMA,
+    corner_matches,
+    error_of,
+    placed,
+    projected,
+)
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
-from solids import box
 
 import smartview_jax as sv
 from smartview_jax.array_namespace import to_device
@@ -31,17 +40,6 @@ from smartview_jax.localization.edge_lookup import padded_poses
 from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
 
-MODEL = box()
-POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
-SIGMA = 0.3
-
-
-def placed(points, pose=POSE):
-    return points @ pose[:3, :3].T + pose[:3, 3]
-
-
-MIDDLE = placed(MODEL.vertices.mean(axis=0))
-
 
 @pytest.fixture(scope="module")
 def views():
@@ -51,23 +49,6 @@ def views():
 @pytest.fixture(scope="module")
 def wireframe():
     return Wireframe.of(MODEL, FIT_SAMPLES)
-
-
-def projected(views, points):
-    """Pixels of points in the world, in every view, by nothing but the camera."""
-    moved = [points @ m[:3, :3].T + m[:3, 3] for m in views.camera_from_world]
-    return np.asarray(jax.jit(lambda p: views.camera.project(p))(jnp.asarray(moved))[0])
-
-
-def corner_matches(pixels, sigma=SIGMA):
-    """All corners of all views."""
-    count = pixels.shape[1]
-    return Matches.none()._replace(
-        corner_view=np.repeat(np.arange(len(pixels)), count),
-        corner_vertex=np.tile(np.arange(count), len(pixels)),
-        corners=pixels.reshape(-1, 2),
-        corner_covariances=np.tile(sigma**2 * np.eye(2), (pixels.size // 2, 1, 1)),
-    )
 
 
 def segment_matches(pixels, sigma=SIGMA, part=(0.1, 0.8)):
@@ -87,10 +68,6 @@ def nearby(rng, size=1.0):
     return POSE @ host_exponentials(
         size * np.concatenate([0.002 * rng.standard_normal(3), 0.02 * rng.standard_normal(3)])
     )
-
-
-def error_of(pose):
-    return host_logarithms(np.linalg.inv(POSE) @ pose)
 
 
 def test_corners_give_the_optimum_that_scipy_finds(views):
