@@ -275,20 +275,25 @@ class _Gains:
 
     def reason(self, best: int, paper: NextView | None) -> str:
         """Return why a view was chosen, in words."""
-        told = (
-            f"tells {self.rivals} remaining rivals apart by {self.discrimination[best]:.1f} nats"
-            if self.rivals
-            else f"verifies the objects by {self.discrimination[best]:.1f} nats"
-        )
-        text = (
-            f"{told}; standard deviation of position from {1e3 * self.std_before:.3g} to "
-            f"{1e3 * self.std_after[best]:.3g} mm"
-        )
+        # A difference of log-likelihoods is easier read as odds: 2.3 makes ten to one.
+        odds = 10.0 ** round(float(self.discrimination[best]) / np.log(10.0), 1)
+        if self.rivals:
+            told = f"tells {self.rivals} remaining rivals apart, at expected odds of {odds:.2g} : 1"
+        elif odds > 1.0:
+            told = f"makes the objects more certain, at expected odds of {odds:.2g} : 1"
+        else:
+            told = "the objects are certain already"
+        after = 1e3 * self.std_after[best]
+        narrowed = f"position known to {after:.3g} mm, {1e3 * self.std_before:.3g} mm now"
         if paper is None:
-            return text + "; the view along the normal of the top surface is not reached"
-        return text + (
-            f"; the paper's view along the normal of the top surface gains {paper.gain:.1f} nats "
-            f"of {self.total[best]:.1f}"
+            return (
+                f"{told}; {narrowed}; the view along the normal of the top surface is not reached"
+            )
+        # Gains are information; their ratio says enough.
+        part = paper.gain / max(float(self.total[best]), 1e-12)
+        return (
+            f"{told}; {narrowed}; the paper's view, along the normal of the top surface, would "
+            f"tell {max(part, 0.0):.0%} as much"
         )
 
 
