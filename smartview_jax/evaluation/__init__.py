@@ -50,13 +50,17 @@ from .stylus import touching_pose as touching_pose
 from .uncertainty import CalibrationEstimate as CalibrationEstimate
 from .uncertainty import ConsistencyStatistic as ConsistencyStatistic
 from .uncertainty import CramerRaoBound as CramerRaoBound
+from .uncertainty import PictureUncertainty as PictureUncertainty
+from .uncertainty import WorkspaceUncertainty as WorkspaceUncertainty
 from .uncertainty import covariance_of as covariance_of
 from .uncertainty import covariance_root as covariance_root
 from .uncertainty import coverage as coverage
 from .uncertainty import cramer_rao as cramer_rao
 from .uncertainty import mean_nees as mean_nees
 from .uncertainty import nees as nees
+from .uncertainty import picture_uncertainty as picture_uncertainty
 from .uncertainty import std_of as std_of
 from .uncertainty import within_interval as within_interval
+from .uncertainty import workspace_uncertainty as workspace_uncertainty
 
 __getattr__ = _deprecated_names(__name__)

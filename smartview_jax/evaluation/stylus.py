@@ -13,14 +13,16 @@ from ..calibration import Calibration
 
 
 def touching_pose(
-    tip: Float[np.ndarray, "3"], world_from_tool: SO3, point: Float[np.ndarray, "3"] | None = None
+    tip: Float[np.ndarray, "3"],
+    world_from_tool: SO3,
+    point: Float[np.ndarray, "*#touches 3"] | None = None,
 ) -> SE3:
     """Return `world_from_tool` at which the tip of a stylus is at a point of the world.
 
     Args:
         tip: position in the tool's frame, m.
         world_from_tool: `(*touches)` orientations of the tool.
-        point: point to touch, m; by default the origin.
+        point: point to touch, or one for each orientation, m; by default the origin.
     """
     # touched_point = R tip + t, so t = touched_point - R tip.
     touched_point = jnp.zeros(3) if point is None else jnp.asarray(point)

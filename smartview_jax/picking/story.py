@@ -4,10 +4,10 @@ import numpy as np
 
 from ..geometry import host_matrices
 from ..modeling import ObjectModel
+from ..plots import cropped, edge_map, with_wireframes
 from ..report import Section, StoryFigure
 from ..robots import Command
 from .calibrating import CellCalibration
-from .drawing import cropped, edge_map, with_wireframes
 from .looking import Region
 from .pick import Pick
 

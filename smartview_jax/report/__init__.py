@@ -2,6 +2,7 @@
 
 from ..deprecation import deprecated_names as _deprecated_names
 from .evaluation_page import write_evaluation_page as write_evaluation_page
+from .page import Origin as Origin
 from .page import write_page as write_page
 from .story import Section as Section
 from .story import StoryFigure as StoryFigure

@@ -3,21 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
-import numpy as np
-from jaxtyping import UInt8
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
+from .. import plots
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..detection import read_picture
-from . import plots
+from .page import median_and_worst_views
 from .story import Section, StoryFigure, write_story
 from .tables import ErrorSummary
-
-DOTS_PER_INCH = 110
-"""Resolution of the figures."""
 
 
 def write_evaluation_page(
@@ -40,15 +32,16 @@ def write_evaluation_page(
         summaries: errors of every calibration.
         rows: the table, the names of the calibrations first.
     """
+    errors = {one.name: one.reprojection_errors for one in summaries}
     histogram = StoryFigure(
-        "Fig. 7",
+        "Fig. 7.",
         "Distances between measured and predicted points.",
-        _picture(plots.error_histogram(summaries)),
+        plots.error_histogram(errors),
     )
     by_view = StoryFigure(
         "RMS of each view.",
         "One that stands out is a wrong pose or a bad detection.",
-        _picture(plots.view_errors(data, summaries)),
+        plots.view_errors(data, errors),
     )
     sections = [
         Section("Errors", header=rows[0], rows=rows[1:]),
@@ -57,33 +50,13 @@ def write_evaluation_page(
     ]
     overlays = [
         StoryFigure(
-            f"Fig. 1, view {data.view_ids[view]}",
+            f"Fig. 1, view {data.view_ids[view]}.",
             "Crosses: where the calibration puts the points from the robot's pose alone. Dots: "
             "where they were measured.",
-            _picture(plots.prediction_overlay(data, view, picture, calibration)),
+            plots.prediction_overlay(data, view, read_picture(file), calibration),
         )
-        for view, picture in _median_and_worst_pictures(data, summaries[0])
+        for view, file in median_and_worst_views(data, summaries[0])
     ]
     if overlays:
         sections.append(Section("In the pictures", figures=overlays))
     write_story(path, title, verdict, sections)
-
-
-def _median_and_worst_pictures(
-    data: Dataset, summary: ErrorSummary
-) -> list[tuple[int, UInt8[np.ndarray, "rows columns"]]]:
-    """Return the views with the median and with the largest error, and their pictures."""
-    if data.pictures is None:
-        return []
-    errors = summary.reprojection_errors.rms_per_view
-    order = [int(view) for view in np.argsort(errors) if np.isfinite(errors[view])]
-    chosen = [order[len(order) // 2], order[-1]] if len(order) > 1 else order
-    return [(view, read_picture(data.pictures[view])) for view in chosen]
-
-
-def _picture(figure: Figure) -> UInt8[np.ndarray, "rows columns 3"]:
-    """Return a figure as a picture in OpenCV's order of colours."""
-    figure.set_dpi(DOTS_PER_INCH)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)

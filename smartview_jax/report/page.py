@@ -1,21 +1,32 @@
 """Write the report of a calibration as one HTML page that contains its pictures."""
 
-import base64
-import io
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 import jinja2
 import numpy as np
-from matplotlib.figure import Figure
 
+from .. import plots
 from ..calibration_pipeline import CalibrationFit
+from ..cameras import lens_name
 from ..dataset import Dataset
 from ..detection import read_picture
-from ..evaluation import ErrorBudget, HeldOutReport, SplitHalfDifference, without_rejected_views
+from ..evaluation import (
+    ErrorBudget,
+    HeldOutReport,
+    SplitHalfDifference,
+    picture_uncertainty,
+    without_rejected_views,
+)
 from ..files import write_atomically
-from . import plots, tables
+from ..joint import estimate_groups
+from ..version import __version__
+from . import tables
+from .next_steps import hand_eye_sentence, next_steps
+from .page_figures import PageFigure, page_figure
 
 # Text is escaped: names of views and folders come from the user's files.
 get_template = jinja2.Environment(
@@ -26,17 +37,30 @@ get_template = jinja2.Environment(
 ).get_template
 
 
+class Origin(NamedTuple):
+    """The data set and the command of a page, so that a reader can make it again.
+
+    Attributes:
+        source: name of the data set.
+        command: the command that was given; empty for a page written by a script.
+        run: name of the run, which its other files contain too; None without other files.
+    """
+
+    source: str
+    command: str = ""
+    run: str | None = None
+
+
 def write_page(
     path: Path,
     fit: CalibrationFit,
     data: Dataset,
     held_out_reports: dict[str, HeldOutReport] | None = None,
-    title: str = "Calibration",
+    origin: Origin | None = None,
     progress: Callable[[str], None] | None = None,
     repeatability: SplitHalfDifference | None = None,
     budget: ErrorBudget | None = None,
     notes: Sequence[str] = (),
-    run: str | None = None,
 ) -> None:
     """Write the report of a calibration as an HTML page.
 
@@ -46,12 +70,11 @@ def write_page(
         data: data set that the fit used.
         held_out_reports: result of `evaluation.held_out_reports`, the held-out errors by method;
             None if not computed.
-        title: title of the page.
+        origin: data set and command that the page is of; None for a script's own data.
         progress: called with a line of text before the plots are drawn.
         repeatability: result of `split_half_difference`; None if not computed.
         budget: result of `error_budget`; None if not computed.
         notes: notes to print, such as results that could not be computed, with the reason.
-        run: name of the run, which its other files contain too.
     """
     report_progress = progress or (lambda _: None)
     rows = tables.error_summaries(fit, data, held_out_reports)
@@ -60,8 +83,11 @@ def write_page(
     ]
     report_progress("drawing the report")
     page = get_template("page.html").render(
-        title=title,
-        verdict=tables.result_summary(rows, fit),
+        title="Calibration" if origin is None else f"Calibration of {origin.source}",
+        run_line=_run_line(origin),
+        verdict=[hand_eye_sentence(fit.joint), tables.result_summary(rows, fit)],
+        next_steps=next_steps(fit, data, rows),
+        estimate_groups=estimate_groups(fit.joint)[:3],
         names=[row.name for row in rows],
         table_rows=tables.table_rows(rows),
         budget=budget,
@@ -77,80 +103,106 @@ def write_page(
         parameters=tables.parameter_rows(fit),
         errors_estimated=fit.joint.noise_estimate is not None,
         # The first two rows: the staged and the joint fit, without the uncorrected one.
-        figures=[
-            (name, text, _png_data_url(figure))
-            for name, text, figure in _figures(fit, data, rows[:2])
-        ],
+        figures=_figures(fit, data, rows[:2]),
+        scene=plots.interactive_cameras(
+            data, fit.joint.calibration, rows[1].reprojection_errors.rms_per_view
+        ).html(),
         staged=fit.staged,
         joint=fit.joint,
-        facts=_fit_facts(fit, data, held_out_reports)
-        + tables.repeatability_rows(repeatability)
-        + ([] if run is None else [("run", run)]),
+        facts=_origin_facts(origin, fit, data)
+        + _fit_facts(fit, data, held_out_reports)
+        + tables.repeatability_rows(repeatability),
     )
     write_atomically(path, page)
 
 
+def _run_line(origin: Origin | None) -> str:
+    """Return when and by what the page was written, for the line under its title."""
+    parts = [f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"smartview-jax {__version__}"]
+    return " \u00b7 ".join(parts if origin is None or origin.run is None else [*parts, origin.run])
+
+
+def _origin_facts(
+    origin: Origin | None, fit: CalibrationFit, data: Dataset
+) -> list[tuple[str, str]]:
+    """Return what was calibrated, from what, and by which command."""
+    facts = []
+    if origin is not None:
+        facts = [("data set", origin.source), ("command", origin.command), ("run", origin.run)]
+    camera = fit.calibration.camera
+    width, height = camera.image_size
+    target = "points given as arrays" if data.target is None else type(data.target).__name__
+    facts += [
+        ("camera and lens", f"{width} x {height} px, {lens_name(camera.lens)}"),
+        ("target", f"{target}, {data.points.shape[-2]} points"),
+    ]
+    return [(name, text) for name, text in facts if text]
+
+
 def _figures(
     fit: CalibrationFit, data: Dataset, rows: list[tables.ErrorSummary]
-) -> list[tuple[str, str, Figure]]:
+) -> list[PageFigure]:
     """Draw the figures of the page, each with its heading and its caption."""
     calibration = fit.joint.calibration
-    figures = [
-        (
-            "Reprojection errors",
+    errors = {row.name: row.reprojection_errors for row in rows}
+    overlays = [
+        page_figure(
+            f"Predicted centres, view {data.view_ids[view]}.",
+            "Crosses: where the joint calibration puts the target's points from the robot's "
+            "pose alone. Rings: where they were measured.",
+            plots.prediction_overlay(data, view, read_picture(picture), calibration),
+        )
+        # The rows are those of the staged and the joint fit.
+        for view, picture in median_and_worst_views(data, rows[-1])
+    ]
+    return [
+        *overlays,
+        page_figure(
+            "Reprojection errors.",
             "Distances between measured and predicted points, over all views.",
-            plots.error_histogram(rows),
+            plots.error_histogram(errors),
         ),
-        (
-            "View by view",
+        *_uncertainty_figures(fit, data),
+        page_figure(
+            "View by view.",
             "One view that stands out is a wrong pose, a wrong pairing or a bad detection; views "
             "that grow worse together point at the robot.",
-            plots.view_errors(data, rows),
+            plots.view_errors(data, errors),
         ),
-        (
-            "Over the image",
+        page_figure(
+            "Over the image.",
             "Residuals of the joint fit. Arrows that agree with their neighbours in all views mean "
             "that the lens model is too simple; groups of parallel arrows are views whose robot "
             "pose is off.",
             plots.residual_vectors(data, np.asarray(fit.joint.residuals)),
         ),
-        (
-            "Where the camera stood",
-            "Cameras and target in the target's frame. Views that differ in direction and in roll "
-            "about the optical axis determine the hand-eye transform.",
-            plots.camera_poses_3d(data, calibration),
-        ),
     ]
-    overlays = [
-        (
-            f"Predicted centres, view {data.view_ids[view]}",
-            "Cross-bars: where the joint calibration puts the target's points from the robot's "
-            "pose alone. Dots: where they were measured.",
-            plots.prediction_overlay(data, view, read_picture(picture), calibration),
+
+
+def _uncertainty_figures(fit: CalibrationFit, data: Dataset) -> list[PageFigure]:
+    """Draw how well pixels are predicted over the picture; nothing if something is undetermined."""
+    # Views without any point that was used say nothing about a depth.
+    if fit.joint.observability.null_directions or not np.asarray(data.visible).any():
+        return []
+    return [
+        page_figure(
+            "How well pixels are predicted.",
+            "Standard deviation of predicted pixels through the whole chain, without the noise of "
+            "a single pose: small where targets were seen, large where the calibration "
+            "extrapolates.",
+            plots.picture_uncertainty(picture_uncertainty(fit.joint, data)),
         )
-        for view, picture in _median_and_worst_views(data, rows)
     ]
-    return overlays + figures
 
 
-def _median_and_worst_views(
-    data: Dataset, rows: list[tables.ErrorSummary]
-) -> list[tuple[int, Path]]:
+def median_and_worst_views(data: Dataset, summary: tables.ErrorSummary) -> list[tuple[int, Path]]:
     """Return the views with the median and the largest error, by index, with their pictures."""
     if data.pictures is None:
         return []
-    # The rows here are those of the staged and the joint fit, so the last one is the joint fit.
-    errors = rows[-1].reprojection_errors.rms_per_view
+    errors = summary.reprojection_errors.rms_per_view
     order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
     views = [order[len(order) // 2], order[-1]] if len(order) > 1 else order
     return [(view, data.pictures[view]) for view in views]
-
-
-def _png_data_url(figure: Figure) -> str:
-    """Return a figure as a data URL with a PNG, so that the page needs no other file."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
 def _fit_facts(

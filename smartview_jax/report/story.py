@@ -1,16 +1,16 @@
 """Write what happened in a run as one HTML page of pictures and tables."""
 
-import base64
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
 from ..files import write_atomically
+from ..plots import PlotFigure
 from .page import get_template
+from .page_figures import page_figure
 
 
 class StoryFigure(NamedTuple):
@@ -19,12 +19,12 @@ class StoryFigure(NamedTuple):
     Attributes:
         name: printed first, such as "(a)".
         text: what it shows.
-        picture: grey, or in colour as OpenCV has it: blue, green, red.
+        picture: a plot, or a picture: grey, or in colour as OpenCV has it: blue, green, red.
     """
 
     name: str
     text: str
-    picture: UInt8[np.ndarray, "rows columns *channels"]
+    picture: PlotFigure | UInt8[np.ndarray, "rows columns *channels"]
 
 
 class Section(NamedTuple):
@@ -58,7 +58,7 @@ def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section
         {
             "title": one.title,
             "text": one.text,
-            "figures": [(f.name, f.text, _data_url(f.picture)) for f in one.figures],
+            "figures": [page_figure(*figure) for figure in one.figures],
             "header": one.header,
             "rows": one.rows,
         }
@@ -66,10 +66,3 @@ def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section
     ]
     page = get_template("story.html").render(title=title, verdict=verdict, sections=shown)
     write_atomically(path, page)
-
-
-def _data_url(picture: np.ndarray) -> str:
-    """Return a picture as a data URL, which a page contains instead of a file."""
-    # Pictures with noise are several times smaller as JPEG; nothing is measured in them any more.
-    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")

@@ -1,10 +1,14 @@
+import itertools
+
+import cv2
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
+from smartview_jax import plots
 from smartview_jax.evaluation import reprojection_errors
-from smartview_jax.report import ErrorSummary, plots
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.targets import CircleGrid, StackedTarget
 
@@ -15,9 +19,9 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def rows(scene):
+def errors(scene):
     fitted = reprojection_errors(scene.calibration, scene.data)
-    return [ErrorSummary("staged", fitted, None), ErrorSummary("joint", fitted, None)]
+    return {"staged": fitted, "joint": fitted}
 
 
 def drawn(axes, label):
@@ -53,9 +57,9 @@ def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
     assert axes.get_xlim() == (-0.5, 639.5)
 
 
-def test_the_histogram_counts_every_point_below_its_limit(rows):
-    (axes,) = plots.error_histogram(rows).axes
-    values = rows[0].reprojection_errors.px[np.isfinite(rows[0].reprojection_errors.px)]
+def test_the_histogram_counts_every_point_below_its_limit(errors):
+    (axes,) = plots.error_histogram(errors).axes
+    values = errors["staged"].values
     bars = sum(bar.get_height() for bar in axes.containers[0])
     assert bars == np.sum(values <= np.percentile(values, 99.5))
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["staged", "joint"]
@@ -84,10 +88,10 @@ def test_one_point_far_off_leaves_the_others_their_colours(scene):
     assert arrows.get_clim() == pytest.approx((0.0, np.sqrt(2.0)))
 
 
-def test_bars_are_the_rms_of_each_view(scene, rows):
-    (axes,) = plots.view_errors(scene.data, rows).axes
+def test_bars_are_the_rms_of_each_view(scene, errors):
+    (axes,) = plots.view_errors(scene.data, errors).axes
     heights = [bar.get_height() for bar in axes.containers[1]]
-    np.testing.assert_allclose(heights, rows[1].reprojection_errors.rms_per_view)
+    np.testing.assert_allclose(heights, errors["joint"].rms_per_view)
     assert [tick.get_text() for tick in axes.get_xticklabels()] == list(scene.data.view_ids)
 
 
@@ -109,3 +113,52 @@ def test_the_band_is_that_of_the_draws_and_what_is_open_is_not_drawn():
     edge = axes.collections[0].get_paths()[0].vertices[:, 1]
     assert (edge.min(), edge.max()) == (4.0, 23.0)
     assert "mm" in axes.get_ylabel()
+
+
+def test_names_of_many_views_do_not_overlap():
+    scene = random_scene(1, views=130)
+    errors = {"joint": reprojection_errors(scene.calibration, scene.data)}
+    figure = plots.view_errors(scene.data, errors)
+    figure.canvas.draw()
+    boxes = [tick.get_window_extent() for tick in figure.axes[0].get_xticklabels()]
+    assert len(boxes) > 30
+    assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(boxes))
+
+
+def test_a_figure_shows_itself_in_a_notebook(errors):
+    picture = cv2.imdecode(
+        np.frombuffer(plots.error_histogram(errors)._repr_png_(), np.uint8), cv2.IMREAD_COLOR
+    )
+    assert picture.shape == (363, 517, 3)
+    assert np.unique(picture.reshape(-1, 3), axis=0).shape[0] > 50
+
+
+def test_nothing_to_draw_is_said(scene, errors):
+    nothing = reprojection_errors(scene.calibration, scene.data)
+    nothing = nothing._replace(px=np.full_like(nothing.px, np.inf))
+    with pytest.raises(ValueError, match="no point was predicted"):
+        plots.error_histogram({"joint": nothing})
+    with pytest.raises(ValueError, match="none is finite"):
+        plots.residual_vectors(scene.data, np.full(scene.data.pixels.shape, np.nan))
+
+
+def test_the_frames_stand_where_the_chain_puts_them(scene):
+    (axes,) = plots.frames_diagram(scene.data, scene.calibration, view=3).axes
+    places = {text.get_text().strip(): text.get_position_3d() for text in axes.texts}
+    pose = jax.tree.map(lambda leaf: leaf[3], scene.data.base_from_tool)
+    base_from_camera = pose @ scene.calibration.camera_from_tool.inverse()
+    for name, expected in (
+        ("base", np.zeros(3)),
+        ("tool", pose.translation()),
+        ("camera", base_from_camera.translation()),
+        ("world (target)", scene.calibration.base_from_world.translation()),
+    ):
+        np.testing.assert_allclose(places[name], 1e3 * np.asarray(expected), atol=1e-9)
+
+
+def test_the_steps_are_drawn_in_their_order():
+    (axes,) = plots.steps_diagram().axes
+    boxes = [text for text in axes.texts if text.get_text()]
+    heights = [text.get_position()[1] for text in boxes]
+    assert heights == sorted(heights, reverse=True)
+    assert [t.get_text()[:6] for t in boxes[1:4]] == ["Step 1", "Step 2", "Step 3"]

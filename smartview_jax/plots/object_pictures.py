@@ -66,6 +66,7 @@ def with_wireframes(
     for k, (model, pose) in enumerate(objects):
         seen = _predicted(Wireframe.of(model, SAMPLES), camera, to_device(camera_from_world @ pose))
         pixels, visible = np.asarray(seen.samples), np.asarray(seen.sample_visible)
+        # Half a step to either side, so that neighbours meet.
         steps = np.asarray(seen.directions) * 0.5 * np.asarray(seen.sample_px)[:, None]
         # Each sample stands for a short piece of its edge.
         for pixel, step in zip(pixels[visible], steps[visible], strict=True):

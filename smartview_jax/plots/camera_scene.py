@@ -1,0 +1,65 @@
+"""Place cameras and target in the target's frame, for every drawing of them in space."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..calibration import Calibration
+from ..dataset import Dataset
+
+FRUSTUM_DEPTH = 0.18
+"""Depth of a drawn camera over the cameras' median distance from the target."""
+
+
+class CameraScene(NamedTuple):
+    """Cameras as pyramids and the target's points, in the target's frame, m.
+
+    Attributes:
+        view_ids: names of the views.
+        centres: centre of each camera.
+        corners: corners of each picture, moved into space, in order around it.
+        used: whether a view has any point that was not rejected.
+        target: every point of the target that was seen, once.
+        axis_length: length at which to draw the axes of the frame.
+    """
+
+    view_ids: tuple[str, ...]
+    centres: Float[np.ndarray, "views 3"]
+    corners: Float[np.ndarray, "views 4 3"]
+    used: Bool[np.ndarray, "views"]
+    target: Float[np.ndarray, "points 3"]
+    axis_length: float
+
+    @property
+    def camera_side_is_below(self) -> bool:
+        """Whether the cameras are on the side of negative z, where the target's z points away."""
+        return bool(self.centres[:, 2].mean() < 0.0)
+
+
+def camera_scene(data: Dataset, calibration: Calibration) -> CameraScene:
+    """Return where a calibration puts the cameras of a data set.
+
+    Raises:
+        ValueError: no view shows any point.
+    """
+    visible = np.asarray(data.visible)
+    if not visible.any():
+        raise ValueError("data: no view shows any point, so there is nothing to draw")
+    world_from_camera = np.linalg.inv(calibration.camera_from_world_matrices(data.command))
+    centres, rotations = world_from_camera[:, :3, 3], world_from_camera[:, :3, :3]
+    target = np.asarray(data.points)[visible]
+    # Every target point once, although most views show it; equal to a micrometre is the same point.
+    target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
+    length = FRUSTUM_DEPTH * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
+    camera = calibration.camera
+    width, height = camera.image_size
+    # Corners at depth 1, without distortion: ((u - u0) / alpha_u, (v - v0) / alpha_v, 1).
+    x = (np.array([0.0, width, width, 0.0]) - float(camera.u0)) / float(camera.alpha_u)
+    y = (np.array([0.0, 0.0, height, height]) - float(camera.v0)) / float(camera.alpha_v)
+    corners = np.stack([x, y, np.ones(4)], axis=1)
+    # p_world = centre + depth * R_world_from_camera * ray
+    in_world = centres[:, None] + length * np.einsum("kj,vij->vki", corners, rotations)
+    return CameraScene(
+        data.view_ids, centres, in_world, np.asarray(visible.any(axis=1)), target, length
+    )

@@ -1,0 +1,132 @@
+"""Draw reprojection errors: how large, in which views, and in which direction."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..dataset import Dataset
+from ..evaluation import ReprojectionErrors
+from ..joint import Influence
+from .figures import BLUE, PlotFigure, method_colour, picture_axes, single_plot
+
+MAX_VIEW_LABELS = 60
+"""Largest number of views whose names stand beside each other under a plot."""
+
+MAX_LABEL_CHARACTERS = 90
+"""Largest number of characters that fit beside each other under a plot."""
+
+
+def error_histogram(errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
+    """Draw histograms of the reprojection errors, px, as in Fig. 7 of the paper.
+
+    Args:
+        errors: reprojection errors by the name of the calibration that made them.
+
+    Raises:
+        ValueError: no error is finite.
+    """
+    figure, axes = single_plot(4.7, 3.3)
+    if not any(one.values.size for one in errors.values()):
+        raise ValueError("errors: no point was predicted, so there is nothing to draw")
+    # The 99.5th percentile limits the axis, so that a few outliers do not compress the histogram.
+    limit = max(float(np.percentile(e.values, 99.5)) for e in errors.values() if e.values.size)
+    bins = np.linspace(0.0, limit, 40).tolist()
+    for k, (name, one) in enumerate(errors.items()):
+        colour = method_colour(name, k)
+        # A light area for the shape, and a line that stays visible where two overlap.
+        axes.hist(one.values, bins, alpha=0.35, color=colour)
+        axes.hist(one.values, bins, histtype="step", color=colour, label=name)
+        axes.axvline(one.mean, color=colour, linestyle="--", linewidth=1)
+    axes.set_xlabel("reprojection error (px); dashed: mean")
+    axes.set_ylabel("points")
+    axes.legend(frameon=False)
+    return figure
+
+
+def view_errors(data: Dataset, errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
+    """Draw the RMS reprojection error of every view as bars, px, which exposes outlying views.
+
+    Args:
+        data: the views.
+        errors: reprojection errors by the name of the calibration that made them.
+    """
+    figure, axes = single_plot(9.6, 3.2)
+    positions = np.arange(data.view_count)
+    width = 0.8 / max(len(errors), 1)
+    for k, (name, one) in enumerate(errors.items()):
+        # The bars of a view stand side by side, centred on its position.
+        offset = (k - 0.5 * (len(errors) - 1)) * width
+        heights = np.nan_to_num(one.rms_per_view)
+        axes.bar(
+            positions + offset, heights, 0.95 * width, color=method_colour(name, k), label=name
+        )
+    # Names that would overlap are left out: of many views every second, third, ... has its name.
+    step = -(-data.view_count // MAX_VIEW_LABELS)
+    longest = max(map(len, data.view_ids))
+    crowded = longest * data.view_count / step > MAX_LABEL_CHARACTERS
+    axes.set_xticks(
+        positions[::step], data.view_ids[::step], rotation=90 if crowded else 0, fontsize=9
+    )
+    axes.set_xlim(-0.7, data.view_count - 0.3)
+    axes.set_xlabel("view")
+    axes.set_ylabel("RMS (px)")
+    figure.legend(loc="outside upper right", ncols=max(len(errors), 1), frameon=False)
+    return figure
+
+
+def residual_vectors(data: Dataset, residuals: np.ndarray) -> PlotFigure:
+    """Draw the residuals over the image as arrows, magnified so that they are visible.
+
+    Args:
+        data: the data set.
+        residuals: measured minus predicted pixels, `(views, points, 2)`, as in
+            `JointFit.residuals`; those that are not finite are left out.
+
+    Raises:
+        ValueError: no residual is finite.
+    """
+    figure, axes = single_plot(9.6, 6.6)
+    visible = np.asarray(data.visible) & np.isfinite(residuals).all(axis=-1)
+    if not visible.any():
+        raise ValueError("residuals: none is finite, so there is nothing to draw")
+    positions, vectors = np.asarray(data.pixels)[visible], residuals[visible]
+    # An arrow of RMS length becomes 3 % of the picture's width.
+    rms_length = float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1)))) or 1.0
+    magnification = 0.03 * data.image_size[0] / rms_length
+    # At most 2500 arrows, drawn at random, remain distinguishable.
+    rng = np.random.default_rng(0)
+    sample = rng.permutation(len(positions))[:2500]
+    lengths = np.linalg.norm(vectors, axis=1)
+    # The residual is measured minus predicted: an arrow points away from the prediction.
+    arrows = axes.quiver(
+        *positions[sample].T,
+        *(magnification * vectors[sample]).T,
+        lengths[sample],
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        cmap="viridis",
+        width=0.0018,
+    )
+    # Without a limit, a few outliers would give all other arrows the same colour.
+    arrows.set_clim(0.0, float(np.percentile(lengths, 98)) or 1.0)
+    figure.colorbar(arrows, ax=axes, label="reprojection error (px)", shrink=0.85, extend="max")
+    picture_axes(axes, data.image_size)
+    axes.set_title(f"arrows enlarged {magnification:.0f} times", fontsize=10)
+    return figure
+
+
+def view_influence(influence: Influence, view_ids: Sequence[str], path: str) -> PlotFigure:
+    """Draw how much the estimate would change without each view, in standard deviations.
+
+    Args:
+        influence: result of `sv.view_influence`.
+        view_ids: names of the views.
+        path: of the parameters, such as `camera_from_tool`.
+    """
+    figure, axes = single_plot(9.6, 2.8)
+    axes.bar(view_ids, influence.max_standardised_change(path), color=BLUE)
+    axes.set(xlabel="view left out", ylabel="standard deviations")
+    axes.set_title(f"change of {path}", fontsize=10)
+    axes.tick_params(axis="x", labelrotation=90 if len(view_ids) > MAX_VIEW_LABELS / 2 else 0)
+    return figure
