@@ -102,15 +102,15 @@ def localization_scene(
         solids()[name],
         sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4)),
     )
-    world_from_object = _resting(solid, rng) if kind != "tilted" else _tilted(solid, rng)
+    world_from_object = resting(solid, rng) if kind != "tilted" else _tilted(solid, rng)
     placed = solid.moved(world_from_object)
     poses = _viewpoints(placed.vertices.mean(axis=0), rng, view_count)
     others = []
     if kind in ("clutter", "occluded"):
-        others += _clutter(placed, rng)
+        others += clutter(placed, rng)
     model = model_of(solid, name)
     if kind == "occluded":
-        others.append(_occluder(model, world_from_object, poses, calibration, rng, others))
+        others.append(occluder(model, world_from_object, poses, calibration, rng, others))
     grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed)
     table = speckled(rng.uniform(0.3, 0.5), 0.03, 0.004, seed=seed + 1)
     printed = labelled(table, 12 if kind in ("single", "tilted") else 30, 0.03, 0.15, seed=seed)
@@ -157,7 +157,7 @@ def hidden_shares(
     return np.array(shares)
 
 
-def _resting(solid: Polyhedron, rng: np.random.Generator) -> np.ndarray:
+def resting(solid: Polyhedron, rng: np.random.Generator) -> np.ndarray:
     """Return a random pose on the table, the object resting on a side of its convex hull."""
     hull = ConvexHull(solid.vertices)
     centre = solid.vertices[hull.vertices].mean(axis=0)
@@ -202,7 +202,7 @@ def _viewpoints(aim: np.ndarray, rng: np.random.Generator, count: int) -> np.nda
     return np.array(poses)
 
 
-def _clutter(placed: Polyhedron, rng: np.random.Generator) -> list[Polyhedron]:
+def clutter(placed: Polyhedron, rng: np.random.Generator) -> list[Polyhedron]:
     """Return five boxes and blocks around the object."""
     centre, radius = placed.vertices.mean(axis=0), np.ptp(placed.vertices[:, :2], axis=0).max() / 2
     others = []
@@ -218,7 +218,7 @@ def _clutter(placed: Polyhedron, rng: np.random.Generator) -> list[Polyhedron]:
     return others
 
 
-def _occluder(
+def occluder(
     model: ObjectModel,
     world_from_object: np.ndarray,
     poses: np.ndarray,

@@ -81,39 +81,41 @@ def find_edge_points(grey: Float[np.ndarray, "rows columns"]) -> EdgePoints:
     magnitude = np.hypot(slopes[..., 0], slopes[..., 1])
     # White noise of sigma_n gives the gradient sigma_n / (sqrt(8 pi) s^2) along each axis.
     gradient_noise = noise_of(grey) / (np.sqrt(8.0 * np.pi) * SMOOTHING**2)
-    offset, along_u, is_peak = _peaks(slopes, magnitude)
-    is_peak &= magnitude > LOW_GATE * gradient_noise
-    is_peak &= _connected_to(is_peak, magnitude > HIGH_GATE * gradient_noise)
-    row, column = np.nonzero(is_peak)
-    shift = offset[row, column]
+    is_strong = magnitude > LOW_GATE * gradient_noise
+    # At the picture's border there is no neighbour on one side.
+    is_strong[[0, -1], :] = is_strong[:, [0, -1]] = False
+    row, column = np.nonzero(is_strong)
+    shift, along_u, is_peak = _peaks(slopes, magnitude, row, column)
+    weak = np.zeros_like(is_strong)
+    weak[row[is_peak], column[is_peak]] = True
+    is_peak &= _connected_to(weak, magnitude > HIGH_GATE * gradient_noise)[row, column]
+    row, column, shift, along_u = row[is_peak], column[is_peak], shift[is_peak], along_u[is_peak]
     pixels = np.column_stack([column, row]).astype(float)
-    pixels[np.arange(len(row)), np.where(along_u[row, column], 0, 1)] += shift
+    pixels[np.arange(len(row)), np.where(along_u, 0, 1)] += shift
     strengths = magnitude[row, column]
     normals = slopes[row, column] / strengths[:, None]
     return EdgePoints(pixels, normals, strengths, np.column_stack([column, row]))
 
 
 def _peaks(
-    slopes: Float[np.ndarray, "rows columns 2"], magnitude: Float[np.ndarray, "rows columns"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    slopes: Float[np.ndarray, "rows columns 2"],
+    magnitude: Float[np.ndarray, "rows columns"],
+    row: Int[np.ndarray, "pixels"],
+    column: Int[np.ndarray, "pixels"],
+) -> tuple[Float[np.ndarray, "pixels"], Bool[np.ndarray, "pixels"], Bool[np.ndarray, "pixels"]]:
     """Return where between pixels the gradient peaks, along which axis, and whether it does."""
-    along_u = np.abs(slopes[..., 0]) >= np.abs(slopes[..., 1])
-    unit = slopes / np.where(magnitude > 0.0, magnitude, 1.0)[..., None]
-
-    def neighbour(step: int) -> np.ndarray:
-        # The neighbour's gradient along this pixel's own direction: opposite edges do not mix.
-        across, down = (np.roll(slopes, -step, axis=axis) for axis in (1, 0))
-        return np.einsum("rck,rck->rc", unit, np.where(along_u[..., None], across, down))
-
-    before, after = neighbour(-1), neighbour(1)
-    is_peak = (magnitude > before) & (magnitude >= after)
-    # At the picture's border there is no neighbour on one side.
-    is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
+    own, size = slopes[row, column], magnitude[row, column]
+    along_u = np.abs(own[:, 0]) >= np.abs(own[:, 1])
+    unit = own / size[:, None]
+    # The neighbour's gradient along this pixel's own direction: opposite edges do not mix.
+    before, after = (
+        (unit * slopes[row + step * ~along_u, column + step * along_u]).sum(axis=1)
+        for step in (-1, 1)
+    )
     # A Gaussian's logarithm is a parabola: shift = (l- - l+) / (2 (l- - 2 l0 + l+)).
-    floor = 1e-3 * np.where(magnitude > 0.0, magnitude, 1.0)
-    low, middle, high = (np.log(np.maximum(x, floor)) for x in (before, magnitude, after))
+    low, middle, high = (np.log(np.maximum(x, 1e-3 * size)) for x in (before, size, after))
     curvature = low - 2.0 * middle + high
-    is_peak &= curvature < 0.0
+    is_peak = (size > before) & (size >= after) & (curvature < 0.0)
     shift = 0.5 * (low - high) / np.where(curvature < 0.0, curvature, -1.0)
     return np.clip(shift, -0.5, 0.5), along_u, is_peak
 

@@ -7,9 +7,11 @@ Liu et al., "Fast directional chamfer matching", 2010). They are made in the ide
 straight edges are straight and no lens is needed to project.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
@@ -100,7 +102,7 @@ def edge_maps(features: Features, camera: Camera) -> EdgeMaps:
     """Return the distance maps of the segments of a picture."""
     plane = IdealPlane(camera)
     points, normals = _points_on_segments(features, plane)
-    origin, seen, cell_size = _grid(plane, camera.image_size)
+    origin, seen, cell_size = _grid(_ByValue(camera))
     # Direction modulo half a turn, at a right angle to the normal.
     angles = np.arctan2(normals[:, 0], -normals[:, 1])
     cells = np.rint((points - origin) / cell_size).astype(int)
@@ -119,10 +121,30 @@ def edge_maps(features: Features, camera: Camera) -> EdgeMaps:
     return EdgeMaps(distances, nearest, points, normals, origin, cell_size, plane.focal_length)
 
 
+class _ByValue:
+    """A camera that is equal to another one of the same numbers, so that it is a key."""
+
+    def __init__(self, camera: Camera):
+        self.camera = camera
+        leaves, structure = jax.tree.flatten(camera)
+        self._key = structure, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ByValue) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=4)
 def _grid(
-    plane: IdealPlane, image_size: tuple[int, int]
+    key: _ByValue,
 ) -> tuple[Float[np.ndarray, "2"], Bool[np.ndarray, "rows columns"], float]:
-    """Return the first cell's centre, which cells are within the picture, and their size."""
+    """Return the first cell's centre, which cells are within the picture, and their size.
+
+    All pictures of a camera have one grid, which takes its lens a while.
+    """
+    plane, image_size = IdealPlane(key.camera), key.camera.image_size
     size = np.array(image_size)
     # A whole number of pixels, rounded up.
     cell_size = float(-(-max(image_size) // MAX_CELLS))

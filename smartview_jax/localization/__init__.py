@@ -36,9 +36,11 @@ from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps
 from .scoring import score_poses as score_poses
 from .verdict import Chance as Chance
+from .verdict import ChancePoses as ChancePoses
 from .verdict import Evidence as Evidence
 from .verdict import Verdict as Verdict
 from .verdict import chance_of as chance_of
+from .verdict import chance_poses as chance_poses
 from .verdict import evidence_of as evidence_of
 from .verdict import judge as judge
 from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES

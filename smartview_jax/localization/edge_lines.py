@@ -7,8 +7,10 @@ the mean of its points, and its slope times their spread. Their errors are indep
 covariance of neighbouring edge points, which share a smoothed pixel, is that of the line.
 """
 
+import os
 from collections.abc import Callable
-from typing import NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ from ..cameras import Camera
 from ..compilation import compiled_optimised
 from ..modeling import SeenViews
 from .edge_lookup import EdgeLookup, padded_poses
-from .prediction import predict_view
+from .prediction import predict_view, within_picture
 from .wireframe import Wireframe
 
 EXPLAINED_DISTANCE = 2.0
@@ -60,10 +62,13 @@ MIN_SHARE = 0.25
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
 """Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
 
+THREADS = min(4, os.cpu_count() or 1)
+"""Number of batches of poses that are computed at the same time."""
+
 POSES_PER_BATCH = 8
 """Number of poses that are drawn to the edges by one call of a compiled program."""
 
-RADII = (12.0, 10.0, 8.0, 6.5, 5.0, 4.0, 3.0, 3.0, 3.0, 3.0)
+RADII = (12.0, 9.0, 6.5, 4.5, 3.0, 3.0)
 """Search radius of each step towards a pose, px."""
 
 TOLERANCE_OF_RADIUS = 0.25
@@ -99,6 +104,7 @@ class EdgeLines(NamedTuple):
         combination: the two numbers of an edge are the sums, over its samples, of these times the
             samples' distances.
         points: index of the edge point of each sample.
+        in_picture: part of the vertices that are within the picture, hidden or not.
     """
 
     offsets: Float[AnyArray, "*views E 2"]
@@ -116,6 +122,7 @@ class EdgeLines(NamedTuple):
     distances: Float[AnyArray, "*views S"]
     combination: Float[AnyArray, "*views 2 S"]
     points: Int[AnyArray, "*views S"]
+    in_picture: Float[AnyArray, "*views"]
 
 
 def edge_lines(
@@ -180,6 +187,7 @@ def edge_lines(
     measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px) & (W >= 4.0)
     keep = measured[:, None]
     strengths = lookup.strengths[point]
+    in_picture = (wireframe.vertex_mask & within_picture(view.vertices, camera)).sum()
     return EdgeLines(
         jnp.where(keep, numbers, 0.0),
         jnp.where(keep, variances, 1.0),
@@ -196,6 +204,7 @@ def edge_lines(
         jnp.where(found, r, jnp.nan),
         jnp.where(measured[edges][None], combination, 0.0),
         point,
+        in_picture / wireframe.vertex_mask.sum(),
     )
 
 
@@ -325,31 +334,52 @@ def converged_poses(
     lookup: EdgeLookup,
     camera_from_world: Float[Array, "views 4 4"],
     world_from_object: Float[Array, "poses 4 4"],
-) -> tuple[Float[Array, "poses 4 4"], Float[Array, "poses"]]:
-    """Return poses after the steps of `RADII`, and the share of visible edge length they explain.
+) -> tuple[Float[Array, "poses 4 4"], Float[Array, "poses 2"]]:
+    """Return poses after the steps of `RADII`, and their visible and explained edge lengths, px.
 
     Each step weights every edge of every view by Geman and McClure's function of its distance, with
     a standard deviation that shrinks with the search radius (graduated non-convexity).
     """
 
-    def lines_at(pose: Float[Array, "4 4"], radius: Float[Array, ""]) -> EdgeLines:
-        def in_view(own: EdgeLookup, matrix: Float[Array, "4 4"]) -> EdgeLines:
-            return edge_lines(wireframe, camera, own, matrix @ pose, radius)
-
-        return jax.vmap(in_view)(lookup, camera_from_world)
-
     def step(pose: Float[Array, "4 4"], radius: Float[Array, ""]):
-        lines = lines_at(pose, radius)
+        lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
         return pose @ SE3.exp(_robust_step(lines, TOLERANCE_OF_RADIUS * radius)).as_matrix(), None
 
-    def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, ""]]:
+    def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, "2"]]:
         pose, _ = jax.lax.scan(step, pose, jnp.asarray(RADII))
-        lines = lines_at(pose, jnp.asarray(EXPLAINED_DISTANCE))
-        share = lines.explained_px.sum() / jnp.maximum(lines.visible_px.sum(), 1.0)
-        return pose, share
+        lengths = _lengths(wireframe, camera, lookup, camera_from_world, pose)
+        return pose, lengths
 
     # One pose after the other: their arrays stay in the processor's cache.
     return jax.lax.map(converge, world_from_object)
+
+
+@compiled_optimised
+def _lengths_at(
+    wireframe: Wireframe,
+    camera: Camera,
+    lookup: EdgeLookup,
+    camera_from_world: Float[Array, "views 4 4"],
+    world_from_object: Float[Array, "poses 4 4"],
+) -> Float[Array, "poses 2"]:
+    """Return the visible and the explained edge length of poses, px."""
+    return jax.lax.map(
+        lambda pose: _lengths(wireframe, camera, lookup, camera_from_world, pose),
+        world_from_object,
+    )
+
+
+def _lengths(
+    wireframe: Wireframe,
+    camera: Camera,
+    lookup: EdgeLookup,
+    camera_from_world: Float[Array, "views 4 4"],
+    pose: Float[Array, "4 4"],
+) -> Float[Array, "2"]:
+    """Return the visible and the explained edge length at a pose, all views together, px."""
+    radius = jnp.asarray(EXPLAINED_DISTANCE)
+    lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
+    return jnp.stack([lines.visible_px.sum(), lines.explained_px.sum()])
 
 
 def poses_on_edges(
@@ -357,22 +387,49 @@ def poses_on_edges(
     views: SeenViews,
     lookup: EdgeLookup,
     world_from_object: Float[np.ndarray, "poses 4 4"],
-) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses"]]:
+) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses 2"]]:
     """Return what `converged_poses` does for any number of poses, by one compiled program."""
-    poses, shares = [np.zeros((0, 4, 4))], [np.zeros(0)]
-    for start in range(0, len(world_from_object), POSES_PER_BATCH):
-        own = world_from_object[start : start + POSES_PER_BATCH]
+    found = _in_batches(converged_poses, wireframe, views, lookup, world_from_object)
+    poses = [np.zeros((0, 4, 4)), *(np.asarray(one[0]) for one in found)]
+    lengths = [np.zeros((0, 2)), *(np.asarray(one[1]) for one in found)]
+    count = len(world_from_object)
+    return np.concatenate(poses)[:count], np.concatenate(lengths)[:count]
+
+
+def lengths_of_poses(
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    world_from_object: Float[np.ndarray, "poses 4 4"],
+) -> Float[np.ndarray, "poses 2"]:
+    """Return the visible edge length of any number of poses, and that which is explained, px."""
+    found = _in_batches(_lengths_at, wireframe, views, lookup, world_from_object)
+    lengths = [np.zeros((0, 2)), *(np.asarray(one) for one in found)]
+    return np.concatenate(lengths)[: len(world_from_object)]
+
+
+def _in_batches(
+    program: Callable[..., Any],
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    world_from_object: Float[np.ndarray, "poses 4 4"],
+) -> list[Any]:
+    """Return what a program makes of batches of poses, the last one padded with its last pose."""
+    camera_from_world = to_device(padded_poses(views.camera_from_world))
+
+    def of_batch(own: Float[np.ndarray, "poses 4 4"]) -> Any:
         padding = np.repeat(own[-1:], POSES_PER_BATCH - len(own), axis=0)
-        found = converged_poses(
-            wireframe,
-            views.camera,
-            lookup,
-            to_device(padded_poses(views.camera_from_world)),
-            to_device(np.concatenate([own, padding])),
-        )
-        poses.append(np.asarray(found[0])[: len(own)])
-        shares.append(np.asarray(found[1])[: len(own)])
-    return np.concatenate(poses), np.concatenate(shares)
+        batch = to_device(np.concatenate([own, padding]))
+        found = program(wireframe, views.camera, lookup, camera_from_world, batch)
+        return jax.block_until_ready(found)
+
+    starts = range(0, len(world_from_object), POSES_PER_BATCH)
+    batches = [world_from_object[start : start + POSES_PER_BATCH] for start in starts]
+    # The first one compiles the program, if need be; a program of a few poses uses one core.
+    first, rest = batches[:1], batches[1:]
+    with ThreadPoolExecutor(THREADS) as pool:
+        return [*map(of_batch, first), *pool.map(of_batch, rest)]
 
 
 def _robust_step(lines: EdgeLines, tolerance: Float[Array, ""]) -> Float[Array, "6"]:

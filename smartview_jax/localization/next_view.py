@@ -19,7 +19,7 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled_optimised
 from ..engine import Noise
-from ..geometry import host_matrices, look_at
+from ..geometry import host_adjoints, host_cross_matrices, host_matrices, look_at
 from ..modeling import ObjectModel, face_plane
 from ..robots import JointsLike, SerialArm
 from ..viewpoints import Limits, viewpoint_commands
@@ -324,13 +324,8 @@ def _grasp_covariances(
     point = grasps[0].object_from_tool[:3, 3] if grasps else vertices.mean(axis=0)
     shift = np.eye(6)
     # A tangent (v, w) moves the point by v + w x p.
-    shift[:3, 3:] = -_skew(point)
+    shift[:3, 3:] = -host_cross_matrices(point)
     return shift @ refined.covariance @ shift.T, shift @ after @ shift.T
-
-
-def _skew(p: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the matrix of the cross product p x."""
-    return np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
 
 
 def _with_view_noise(
@@ -345,11 +340,7 @@ def _with_view_noise(
     """
     # A twist of the camera is one of the object: Q = Ad S Ad^T, and (I^-1 + Q)^-1 = I (1 + Q I)^-1.
     sigmas = np.repeat([noise.translation, noise.rotation], 3)
-    object_from_camera = np.linalg.inv(candidates @ pose)
-    R, t = object_from_camera[:, :3, :3], object_from_camera[:, :3, 3]
-    adjoint = np.zeros((len(candidates), 6, 6))
-    adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = R
-    adjoint[:, :3, 3:] = np.stack([_skew(one) for one in t]) @ R
+    adjoint = host_adjoints(np.linalg.inv(candidates @ pose))
     Q = adjoint @ np.diag(sigmas**2) @ adjoint.swapaxes(1, 2)
     return information @ np.linalg.inv(np.eye(6) + Q @ information)
 

@@ -204,9 +204,24 @@ def consistent_blocks(
     by_calibration, by_model = errors.covariances(equations)
     total = equations.noise + by_calibration + by_model
     rest = equations.residuals - equations.by_pose @ step.tangent
-    keep = np.ones(len(rest), dtype=bool)
-    for block in np.unique(equations.block):
-        own = equations.block == block
-        squared = rest[own] @ np.linalg.solve(total[np.ix_(own, own)], rest[own])
-        keep[own] = squared <= chi2.ppf(gate, int(own.sum()))
-    return keep
+    squared, sizes = squared_blocks(rest, total, equations.block)
+    limits = chi2.ppf(gate, np.arange(1, sizes.max(initial=0) + 1))
+    return squared <= limits[sizes - 1]
+
+
+def squared_blocks(
+    residuals: Float[np.ndarray, "n"],
+    covariance: Float[np.ndarray, "n n"],
+    block: Int[np.ndarray, "n"],
+) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Return, for each equation, the whitened square and the size of the block that it is in."""
+    order = np.argsort(block, kind="stable")
+    _, starts, counts = np.unique(block[order], return_index=True, return_counts=True)
+    squared, sizes = np.zeros(len(block)), np.zeros(len(block), dtype=int)
+    # Blocks of one size together: there are few sizes, and many blocks.
+    for size in np.unique(counts):
+        own = order[starts[counts == size][:, None] + np.arange(size)]
+        r = residuals[own][..., None]
+        whitened = np.linalg.solve(covariance[own[:, :, None], own[:, None, :]], r)
+        squared[own], sizes[own] = (r * whitened).sum(axis=(1, 2))[:, None], size
+    return squared, sizes

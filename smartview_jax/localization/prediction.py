@@ -68,13 +68,13 @@ def predict_view(
     vertex_visible = wireframe.vertex_mask & ~hidden_vertices(wireframe, centre)
     sample_visible = (wireframe.sample_lengths > 0.0) & ~hidden_samples(wireframe, centre)
     # Beyond the lens there is no pixel, and at its limit no derivative.
-    sample_visible = sample_visible & usable & _within(samples, camera)
+    sample_visible = sample_visible & usable & within_picture(samples, camera)
     # To first order in the part's length; the parts of an edge are short against its distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
     return PredictedView(
         vertices,
-        vertex_visible & _within(vertices, camera),
+        vertex_visible & within_picture(vertices, camera),
         samples,
         directions,
         sample_visible,
@@ -217,7 +217,7 @@ def _norm(vectors: Float[Array, "n k"]) -> Float[Array, "n"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
 
-def _within(pixels: Float[Array, "n 2"], camera: Camera) -> Bool[Array, "n"]:
+def within_picture(pixels: Float[Array, "n 2"], camera: Camera) -> Bool[Array, "n"]:
     """Return which pixels are within the picture; NaN is not."""
     size = jnp.asarray(camera.image_size, dtype=pixels.dtype)[None]
     return ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)

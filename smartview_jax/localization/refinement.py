@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
 from ..array_namespace import to_device
@@ -27,6 +26,7 @@ from .pose_equations import (
     consistent_blocks,
     joined,
     solve_pose,
+    squared_blocks,
 )
 from .wireframe import Wireframe
 
@@ -128,13 +128,10 @@ def _has_converged(step: PoseStep) -> bool:
 def _weighted(equations: PoseEquations, errors: CommonErrors, scale: float) -> PoseEquations:
     """Return equations whose noise is larger where blocks are far off (Geman and McClure)."""
     by_calibration, by_model = errors.covariances(equations)
-    total, r = equations.noise + by_calibration + by_model, equations.residuals
-    inflation = np.ones(len(r))
-    for block in np.unique(equations.block):
-        own = equations.block == block
-        squared = r[own] @ np.linalg.solve(total[np.ix_(own, own)], r[own])
-        # The weight 1 / (1 + s / c^2)^2 of the loss s / (1 + s / c^2), as a larger noise.
-        inflation[own] = 1.0 + squared / scale**2
+    total = equations.noise + by_calibration + by_model
+    squared = squared_blocks(equations.residuals, total, equations.block)[0]
+    # The weight 1 / (1 + s / c^2)^2 of the loss s / (1 + s / c^2), as a larger noise.
+    inflation = 1.0 + squared / scale**2
     return equations._replace(noise=equations.noise * np.outer(inflation, inflation))
 
 
@@ -325,28 +322,30 @@ def _likeliest_edge_sigmas(
     rows = int(keep[:edge_rows].sum())
     common = sum(errors.covariances(own))
     for which in (0, 1, 0):
-        best = (np.inf, sigmas[which])
-        for sigma in EDGE_SIGMAS:
-            sigmas[which] = float(sigma)
-            noise = _with_edge_sigmas(own, (sigmas[0], sigmas[1]), rows).noise
-            best = min(best, (_restricted_deviance(own, noise + common), float(sigma)))
-        sigmas[which] = best[1]
+        choices = np.tile(sigmas, (len(EDGE_SIGMAS), 1))
+        choices[:, which] = EDGE_SIGMAS
+        noises = [_with_edge_sigmas(own, (a, b), rows).noise for a, b in choices]
+        deviances = _restricted_deviances(own, np.stack(noises) + common)
+        sigmas[which] = float(EDGE_SIGMAS[int(np.argmin(deviances))])
     return sigmas[0], sigmas[1]
 
 
-def _restricted_deviance(equations: PoseEquations, total: Float[np.ndarray, "n n"]) -> float:
-    """Return minus twice the restricted log-likelihood of a covariance, up to a constant."""
+def _restricted_deviances(
+    equations: PoseEquations, totals: Float[np.ndarray, "choices n n"]
+) -> Float[np.ndarray, "choices"]:
+    """Return minus twice the restricted log-likelihoods of covariances, up to a constant."""
     # l = log|C| + log|J^T W J| + r^T W r - (r^T W J) (J^T W J)^-1 (J^T W r),  W = C^-1
-    factor = cho_factor(total)
-    WJ, Wr = cho_solve(factor, equations.by_pose), cho_solve(factor, equations.residuals)
-    information, gradient = equations.by_pose.T @ WJ, equations.by_pose.T @ Wr
-    sign, determinant = np.linalg.slogdet(information)
-    if sign <= 0.0:
-        return np.inf
-    value = 2.0 * np.log(np.diagonal(factor[0])).sum() + determinant
-    return float(
-        value + equations.residuals @ Wr - gradient @ np.linalg.solve(information, gradient)
-    )
+    J, r = equations.by_pose, equations.residuals
+    both = np.linalg.solve(totals, np.column_stack([J, r])[None])
+    WJ, Wr = both[..., :-1], both[..., -1]
+    information, gradient = J.T @ WJ, Wr @ J
+    signs, determinants = np.linalg.slogdet(information)
+    fine = signs > 0.0
+    values = np.full(len(totals), np.inf)
+    explained = np.linalg.solve(information[fine], gradient[fine][..., None])[..., 0]
+    values[fine] = np.linalg.slogdet(totals[fine])[1] + determinants[fine] + Wr[fine] @ r
+    values[fine] -= (gradient[fine] * explained).sum(axis=1)
+    return values
 
 
 def explained_edge_points(

@@ -24,11 +24,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import betainc
+from scipy.special import betainc, gammaln
 
 from ..geometry import host_exponentials
-from ..modeling import ObjectModel, SeenViews, project_points
-from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, poses_on_edges
+from ..modeling import ObjectModel, SeenViews
+from .edge_lines import EXPLAINED_DISTANCE, MIN_POINT_SIGMA, EdgeLines, poses_on_edges
 from .edge_lookup import EdgeLookup
 from .refinement import measured_lines
 from .wireframe import Wireframe
@@ -51,7 +51,10 @@ PARTLY_SHARES = (0.1, 0.92)
 """Explained shares between which a part of an edge is there."""
 
 HIDDEN_EDGE_RMS, HIDDEN_LOG_FALSE_ALARMS = 0.5, -5.0
-"""Largest RMS distance of edges, px, and logarithm of false alarms of such a pose."""
+"""Largest RMS distance of edges, px, and logarithm of false alarms of such a pose.
+
+Its exactness counts: that chance explains so much, and by edges that fit so well.
+"""
 
 ACCEPTED_VIEW_SHARE = 0.45
 """Smallest explained share in each view in which enough of the object is seen."""
@@ -165,22 +168,33 @@ class Verdict(NamedTuple):
     margin: float
 
 
-def chance_of(
+class ChancePoses(NamedTuple):
+    """The poses to which a displaced wireframe is drawn by what the pictures show.
+
+    Attributes:
+        world_from_object: the poses.
+        lengths: visible edge length of each, and the part of it that is explained, px.
+    """
+
+    world_from_object: Float[np.ndarray, "poses 4 4"]
+    lengths: Float[np.ndarray, "poses 2"]
+
+
+def chance_poses(
     pose: Float[np.ndarray, "4 4"],
     model: ObjectModel,
     wireframe: Wireframe,
     views: SeenViews,
     lookup: EdgeLookup,
     seed: int = 0,
-) -> Chance:
-    """Return how much of a wireframe's visible length other places of the pictures explain.
+) -> ChancePoses:
+    """Return poses at which a model is looked for in vain, drawn to the edges of the pictures.
 
     The wireframe is displaced by half its size to three times its size, turned by up to 40 degrees
-    and drawn to the best place near by, as a hypothesis is. Poses that return to the object itself
-    are left out, and so are those of which the pictures show little.
+    and drawn to the best place near by, as a hypothesis is.
 
     Args:
-        pose: of the object that is judged.
+        pose: of the object about which it is displaced.
         model: of the object.
         wireframe: of the model; few samples are enough.
         views: camera and poses.
@@ -197,17 +211,39 @@ def chance_of(
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     tangents[:, 3:] = rng.uniform(0.0, np.deg2rad(40.0), (CHANCE_POSES, 1)) * axes
     # Displaced about the object's middle, not about the origin of its frame.
-    middle = np.eye(4)
-    middle[:3, 3] = model.vertices.mean(axis=0)
+    middle = _middle_frame(model)
     displaced = pose @ middle @ host_exponentials(tangents) @ np.linalg.inv(middle)
-    found, shares = poses_on_edges(wireframe, views, lookup, displaced)
-    moved = found @ middle - (pose @ middle)
+    return ChancePoses(*poses_on_edges(wireframe, views, lookup, displaced))
+
+
+def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChancePoses) -> Chance:
+    """Return how much of a wireframe's visible length other places of the pictures explain.
+
+    Poses that returned to the object itself are left out, and so are those of which the pictures
+    show nothing.
+
+    Args:
+        pose: of the object that is judged.
+        model: of the object.
+        tried: where its wireframe was drawn to, displaced from this pose or from another one.
+    """
+    middle = _middle_frame(model)
+    moved = tried.world_from_object @ middle - pose @ middle
+    extent = float(np.ptp(model.vertices, axis=0).max())
     elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
+    shares = tried.lengths[:, 1] / np.maximum(tried.lengths[:, 0], 1.0)
     values = shares[elsewhere & (shares > 0.0)]
     if len(values) < 5:
         # Nothing else is in the pictures: chance explains next to nothing.
         return Chance(0.05, 0.05)
     return Chance(float(values.mean()), float(values.std(ddof=1)))
+
+
+def _middle_frame(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
+    """Return object_from_middle, with the middle of the vertices as the origin."""
+    middle = np.eye(4)
+    middle[:3, 3] = model.vertices.mean(axis=0)
+    return middle
 
 
 def evidence_of(
@@ -242,8 +278,8 @@ def evidence_of(
         # The two numbers are distances at the mean and at the spread: their squares add up.
         float(np.sqrt((numbers**2).sum(axis=1).mean())) if len(numbers) else np.inf,
         _contrast(lines, strengths),
-        _part_in_picture(pose, wireframe, views),
-        _log_likelihood(share, total, chance),
+        float(lines.in_picture.max()),
+        log_likelihood_of(share, total, chance),
     )
 
 
@@ -255,16 +291,7 @@ def _partly_hidden(lines: EdgeLines) -> float:
     return float(missing[partly].sum() / max(missing.sum(), 1.0))
 
 
-def _part_in_picture(
-    pose: Float[np.ndarray, "4 4"], wireframe: Wireframe, views: SeenViews
-) -> float:
-    """Return the part of the vertices within the picture, in the view that has most of them."""
-    vertices = np.asarray(wireframe.vertices)[np.asarray(wireframe.vertex_mask)]
-    pixels = project_points(views, vertices @ pose[:3, :3].T + pose[:3, 3])
-    return float(np.isfinite(pixels).all(axis=2).mean(axis=1).max())
-
-
-def _log_likelihood(share: float, visible_px: float, chance: float) -> float:
+def log_likelihood_of(share: float, visible_px: float, chance: float) -> float:
     """Return the log-likelihood of found and missing edge length over that of clutter."""
     # Each piece is found with probability q if the object is there, and with p if clutter is:
     #   l = n (x log(q / p) + (1 - x) log((1 - q) / (1 - p)))
@@ -329,7 +356,8 @@ def judge(
     if against:
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
     doubts = []
-    is_exact = rms <= HIDDEN_EDGE_RMS and log_false_alarms <= HIDDEN_LOG_FALSE_ALARMS
+    exactness = log_chance_of_exactness(rms, evidence.edges)
+    is_exact = rms <= HIDDEN_EDGE_RMS and log_false_alarms + exactness <= HIDDEN_LOG_FALSE_ALARMS
     is_hidden = is_exact and evidence.partly_hidden >= PARTLY_HIDDEN
     if share < (HIDDEN_SHARE if is_hidden else ACCEPTED_SHARE):
         doubts.append(f"only {share:.0%} of its visible edges are in the pictures")
@@ -358,3 +386,19 @@ def judge(
     return Verdict(
         "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
     )
+
+
+def log_chance_of_exactness(rms: float, edges: int) -> float:
+    """Return the decimal logarithm of the probability that edges of clutter fit so well.
+
+    Two numbers of each edge, less the six of the pose, are anywhere within `EXPLAINED_DISTANCE` by
+    chance (Moisan and Stival, "A probabilistic criterion to detect rigid point matches", 2004).
+    """
+    # The ball sum x^2 <= n r^2 has the part pi^(n/2) (r sqrt(n))^n / Gamma(n/2 + 1) of the cube
+    # (2 d)^n.
+    n = 2 * edges - 6
+    if n <= 0:
+        return 0.0
+    radius = max(rms, MIN_POINT_SIGMA) / np.sqrt(2.0) * np.sqrt(n)
+    part = 0.5 * n * np.log(np.pi) + n * np.log(radius / (2.0 * EXPLAINED_DISTANCE))
+    return min(float((part - gammaln(0.5 * n + 1.0)) / np.log(10.0)), 0.0)

@@ -1,7 +1,6 @@
 """From hypotheses to verdicts, and the next view, on drawn edges with known truth."""
 
 import dataclasses
-import importlib
 
 import numpy as np
 import pytest
@@ -28,9 +27,7 @@ def few_samples():
     """Enough for wireframes among drawn edges; chance costs most of the time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 8)
-        # The function of that name hides the module.
-        module = importlib.import_module("smartview_jax.localization.localize")
-        patch.setattr(module, "FIT_SAMPLES", 256)
+        patch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
         yield
 
 

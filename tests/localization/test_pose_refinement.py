@@ -177,12 +177,13 @@ def test_rough_poses_converge(views):
     coarse, rng = Wireframe.of(MODEL), np.random.default_rng(4)
     lookup = EdgeLookup.of(drawn(MODEL, views, POSE, 0.1), views.camera.image_size)
     matrices = to_device(padded_poses(views.camera_from_world))
-    poses, shares = converged_poses(
+    poses, lengths = converged_poses(
         coarse, views.camera, lookup, matrices, to_device(starts(rng, 8))
     )
     errors = host_logarithms(np.linalg.inv(POSE) @ np.asarray(poses))
     assert (np.linalg.norm(errors[:, :3], axis=1) < 1e-4).all()
-    assert np.asarray(shares).min() > 0.97
+    visible, explained = np.asarray(lengths).T
+    assert (explained / visible).min() > 0.97
 
 
 def test_the_pictures_covariance_is_true(views, wireframe):

@@ -1,0 +1,294 @@
+"""Fit many straight lines to edge points at once, each along a proposal and beyond its ends.
+
+All proposals go through the same steps together, as flat arrays of members: pairs of a proposal and
+a point. A textured picture has thousands of proposals.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+BAND_HALF_WIDTHS = (2.5, 1.5, 1.2)
+"""Largest distances of edge points from the line, px, in the fits that follow one another."""
+
+MAX_EXTENSION = 30.0
+"""Length beyond twice its own by which a segment may grow in each of these fits, px."""
+
+MAX_GAP = 4.0
+"""Largest distance between neighbouring points of one segment, px."""
+
+MIN_POINTS = 5
+"""Smallest number of points of a line."""
+
+MIN_ALIGNMENT = float(np.cos(np.deg2rad(22.5)))
+"""Smallest cosine between an edge point's gradient and the line's normal."""
+
+END_MARGIN = 3.0
+"""Length at either end of a segment that is not fitted, px: other edges bend it there."""
+
+POINTS_PER_CELL = 3
+"""Largest number of points that are looked up in one cell of a pixel's size; few have two."""
+
+LOOKUPS_PER_BATCH = 2_000_000
+"""Number of cells that are looked up at once, which bounds memory."""
+
+
+class Members(NamedTuple):
+    """Points near lines, those of each line together.
+
+    Attributes:
+        line: index of the line, ascending.
+        point: index of the point.
+    """
+
+    line: Int[np.ndarray, "members"]
+    point: Int[np.ndarray, "members"]
+
+    def of(self, keep: Bool[np.ndarray, "members"]) -> "Members":
+        """Return some of the members."""
+        return Members(self.line[keep], self.point[keep])
+
+
+class LineFits(NamedTuple):
+    """Lines, and the points that each of them runs through.
+
+    Attributes:
+        centres: the middle of each line.
+        normals: unit normals, from dark to light.
+        half_lengths: px.
+        members: points of the lines, none of a line that was given up.
+    """
+
+    centres: Float[np.ndarray, "lines 2"]
+    normals: Float[np.ndarray, "lines 2"]
+    half_lengths: Float[np.ndarray, "lines"]
+    members: Members
+
+
+class PointGrid:
+    """Edge points in cells of a pixel's size, of which those near a line are found."""
+
+    def __init__(
+        self, points: Float[np.ndarray, "points 2"], normals: Float[np.ndarray, "points 2"]
+    ):
+        self.points, self.normals = points, normals
+        cells = np.rint(points).astype(int)
+        self._origin = cells.min(axis=0, initial=0)
+        self._size = cells.max(axis=0, initial=0) - self._origin + 1
+        flat = self._flat(cells)
+        order = np.argsort(flat, kind="stable")
+        first = np.searchsorted(flat[order], flat[order])
+        self._layers = np.full((POINTS_PER_CELL, int(self._size.prod())), -1, dtype=np.int32)
+        for layer in range(POINTS_PER_CELL):
+            own = order[np.arange(len(order)) - first == layer]
+            self._layers[layer, flat[own]] = own
+
+    def _flat(self, cells: Int[np.ndarray, "*cells 2"]) -> Int[np.ndarray, "*cells"]:
+        """Return the place of cells in a layer."""
+        place = cells - self._origin
+        return place[..., 1] * self._size[0] + place[..., 0]
+
+    def near(
+        self,
+        centres: Float[np.ndarray, "lines 2"],
+        normals: Float[np.ndarray, "lines 2"],
+        reaches: Float[np.ndarray, "lines"],
+        half_width: float,
+    ) -> Members:
+        """Return the points within a distance of lines, and within a reach of their centres."""
+        directions = directions_of(normals)
+        # Along the axis to which a line is nearer it has one cell in each row or column.
+        major = np.argmax(np.abs(directions), axis=1)
+        own = np.arange(len(centres))
+        # What is beside an end may be farther along the axis than the end itself.
+        spans = reaches * np.abs(directions[own, major]) + half_width
+        lows = np.rint(centres[own, major] - spans).astype(int)
+        counts = np.rint(centres[own, major] + spans).astype(int) - lows + 1
+        # Across by sqrt(2) more than the distance at most, and a cell for rounding.
+        beside = np.arange(-1, 2 * int(np.ceil(np.sqrt(2.0) * half_width)) + 2)
+        beside = beside - int(np.ceil(np.sqrt(2.0) * half_width))
+        batches = np.cumsum(counts) * len(beside) // LOOKUPS_PER_BATCH
+        parts = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
+        for batch in np.unique(batches):
+            some = np.flatnonzero(batches == batch)
+            line = np.repeat(some, counts[some])
+            starts = np.cumsum(counts[some]) - counts[some]
+            step = lows[line] + np.arange(len(line)) - np.repeat(starts, counts[some])
+            slope = directions[own, 1 - major] / directions[own, major]
+            across = centres[line, 1 - major[line]]
+            across = across + slope[line] * (step - centres[line, major[line]])
+            minor = np.rint(across).astype(int)[:, None] + beside
+            parts.append(self._in_cells(line, step, minor, major))
+        members = Members(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        gaps = self.points[members.point] - centres[members.line]
+        close = np.abs((gaps * normals[members.line]).sum(axis=1)) < half_width
+        close &= np.abs((gaps * directions[members.line]).sum(axis=1)) <= reaches[members.line]
+        return members.of(close)
+
+    def _in_cells(
+        self,
+        line: Int[np.ndarray, "steps"],
+        step: Int[np.ndarray, "steps"],
+        minor: Int[np.ndarray, "steps beside"],
+        major: Int[np.ndarray, "lines"],
+    ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
+        """Return the lines and points of cells, of which one coordinate is along the line."""
+        along = np.broadcast_to(step[:, None], minor.shape)
+        is_u = (major[line] == 0)[:, None]
+        cells = np.stack([np.where(is_u, along, minor), np.where(is_u, minor, along)], axis=-1)
+        inside = ((cells >= self._origin) & (cells < self._origin + self._size)).all(axis=-1)
+        row, _ = np.nonzero(inside)
+        found = self._layers[:, self._flat(cells[inside])]
+        layer, place = np.nonzero(found >= 0)
+        order = np.argsort(row[place], kind="stable")
+        return line[row[place][order]], found[layer, place][order]
+
+
+def directions_of(normals: Float[np.ndarray, "lines 2"]) -> Float[np.ndarray, "lines 2"]:
+    """Return the unit directions of lines, a quarter turn from their normals."""
+    return np.column_stack([-normals[:, 1], normals[:, 0]])
+
+
+def fit_lines(grid: PointGrid, proposals: Float[np.ndarray, "lines 2 2"]) -> LineFits:
+    """Return the lines of edge points along proposals and beyond their ends."""
+    spans = proposals[:, 1] - proposals[:, 0]
+    lengths = np.linalg.norm(spans, axis=1)
+    centres, half_lengths = proposals.mean(axis=1), 0.5 * lengths
+    normals = np.column_stack([-spans[:, 1], spans[:, 0]]) / lengths[:, None]
+    normals = _towards_light(grid, centres, normals, half_lengths)
+    members, alive = Members(np.zeros(0, int), np.zeros(0, int)), np.arange(len(proposals))
+    for half_width in BAND_HALF_WIDTHS:
+        # Looked up anew, because the lines may have grown.
+        reaches = 2.0 * half_lengths[alive] + MAX_EXTENSION
+        near = grid.near(centres[alive], normals[alive], reaches, half_width)
+        near = Members(alive[near.line], near.point)
+        runs = _runs(grid, near, centres, normals, half_lengths)
+        counts = np.bincount(runs.line, minlength=len(centres))
+        alive = np.flatnonzero(counts >= MIN_POINTS)
+        members = runs.of(counts[runs.line] >= MIN_POINTS)
+        if not len(alive):
+            break
+        centres, normals, half_lengths = _refitted(grid, members, centres, normals, half_lengths)
+    return LineFits(centres, normals, half_lengths, members)
+
+
+def _towards_light(
+    grid: PointGrid,
+    centres: Float[np.ndarray, "lines 2"],
+    normals: Float[np.ndarray, "lines 2"],
+    half_lengths: Float[np.ndarray, "lines"],
+) -> Float[np.ndarray, "lines 2"]:
+    """Return the normals with the sign that most of the gradients along the lines agree with."""
+    line, point = grid.near(centres, normals, half_lengths, BAND_HALF_WIDTHS[0])
+    alignment = (grid.normals[point] * normals[line]).sum(axis=1)
+    # Where two edges run side by side, both polarities are near: the more frequent one wins.
+    votes = (alignment > MIN_ALIGNMENT).astype(int) - (alignment < -MIN_ALIGNMENT)
+    darker = np.bincount(line, votes, minlength=len(centres)) < 0.0
+    return np.where(darker[:, None], -normals, normals)
+
+
+def _runs(
+    grid: PointGrid,
+    near: Members,
+    centres: Float[np.ndarray, "lines 2"],
+    normals: Float[np.ndarray, "lines 2"],
+    half_lengths: Float[np.ndarray, "lines"],
+) -> Members:
+    """Return the points of each line without gaps that cover most of its interval so far."""
+    near = near.of((grid.normals[near.point] * normals[near.line]).sum(axis=1) > MIN_ALIGNMENT)
+    along = along_lines(grid, near, centres, normals)
+    order = np.lexsort((along, near.line))
+    near, along = Members(near.line[order], near.point[order]), along[order]
+    if not len(along):
+        return near
+    # Cut into pieces at the gaps; the piece over the proposal goes on.
+    is_new = np.r_[True, (np.diff(near.line) > 0) | (np.diff(along) > MAX_GAP)]
+    piece = np.cumsum(is_new) - 1
+    inside = np.bincount(piece, np.abs(along) <= half_lengths[near.line])
+    owners = near.line[is_new]
+    best = np.lexsort((np.arange(len(inside)), -inside, owners))
+    first = np.r_[True, np.diff(owners[best]) > 0]
+    chosen = np.zeros(len(inside), dtype=bool)
+    chosen[best[first]] = True
+    return near.of(chosen[piece])
+
+
+def along_lines(
+    grid: PointGrid,
+    members: Members,
+    centres: Float[np.ndarray, "lines 2"],
+    normals: Float[np.ndarray, "lines 2"],
+) -> Float[np.ndarray, "members"]:
+    """Return where points are along their lines, from the centres, px."""
+    gaps = grid.points[members.point] - centres[members.line]
+    return (gaps * directions_of(normals)[members.line]).sum(axis=1)
+
+
+def _refitted(
+    grid: PointGrid,
+    members: Members,
+    centres: Float[np.ndarray, "lines 2"],
+    normals: Float[np.ndarray, "lines 2"],
+    half_lengths: Float[np.ndarray, "lines"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return centres, normals and half the lengths of lines of least squared distances."""
+    middle = middles(members, along_lines(grid, members, centres, normals))
+    means, fitted, _ = total_least_squares(grid, middle, normals)
+    low, high = ranges(members, along_lines(grid, members, means, fitted), len(centres))
+    moved = means + 0.5 * (low + high)[:, None] * directions_of(fitted)
+    # Lines without points stay as they are.
+    has = np.isfinite(low)
+    return (
+        np.where(has[:, None], moved, centres),
+        np.where(has[:, None], fitted, normals),
+        np.where(has, 0.5 * (high - low), half_lengths),
+    )
+
+
+def ranges(
+    members: Members, values: Float[np.ndarray, "members"], lines: int
+) -> tuple[Float[np.ndarray, "lines"], Float[np.ndarray, "lines"]]:
+    """Return the smallest and the largest value of each line; NaN without any."""
+    low, high = np.full(lines, np.nan), np.full(lines, np.nan)
+    np.fmin.at(low, members.line, values)
+    np.fmax.at(high, members.line, values)
+    return low, high
+
+
+def middles(members: Members, along: Float[np.ndarray, "members"]) -> Members:
+    """Return the points that are fitted: those away from the ends of a long line."""
+    count = int(members.line.max(initial=-1)) + 1
+    low, high = ranges(members, along, count)
+    margin = np.minimum(END_MARGIN, 0.25 * (high - low))
+    line = members.line
+    middle = (along >= (low + margin)[line]) & (along <= (high - margin)[line])
+    # A short one may have points at its ends only.
+    few = np.bincount(line, middle, minlength=count) < 2
+    return members.of(middle | few[line])
+
+
+def total_least_squares(
+    grid: PointGrid, members: Members, normals: Float[np.ndarray, "lines 2"]
+) -> tuple[Float[np.ndarray, "lines 2"], Float[np.ndarray, "lines 2"], Float[np.ndarray, "lines"]]:
+    """Return means, unit normals and variances across the lines of least squared distances.
+
+    The normals point to the side of the given ones.
+    """
+    line, points = members.line, grid.points[members.point]
+
+    def sums(values: Float[np.ndarray, "members"]) -> Float[np.ndarray, "lines"]:
+        # Without any members it would count in whole numbers.
+        return np.bincount(line, values, minlength=len(normals)).astype(float)
+
+    counts = sums(np.ones(len(line)))
+    means = np.column_stack([sums(x) for x in points.T]) / np.maximum(counts, 1.0)[:, None]
+    gaps = points - means[line]
+    uu, uv, vv = (sums(gaps[:, i] * gaps[:, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    # The eigenvector of the smaller eigenvalue of the scatter matrix is the normal.
+    scatter = np.stack([np.stack([uu, uv], axis=-1), np.stack([uv, vv], axis=-1)], axis=-1)
+    values, vectors = np.linalg.eigh(scatter)
+    fitted = vectors[:, :, 0]
+    fitted = np.where(((fitted * normals).sum(axis=1) > 0.0)[:, None], fitted, -fitted)
+    # Two numbers of a line are fitted.
+    return means, fitted, np.maximum(values[:, 0], 0.0) / np.maximum(counts - 2.0, 1.0)

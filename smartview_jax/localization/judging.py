@@ -1,0 +1,318 @@
+"""Judge poses one after the other, the likeliest first.
+
+What an object explains is no evidence for the next: its edge points are taken away from all others.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..features import PictureEvidence
+from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
+from .distinct_poses import pose_distances
+from .edge_lines import EdgeLines, lengths_of_poses, poses_on_edges
+from .edge_lookup import EdgeLookup
+from .hypotheses import Hypothesis
+from .localization import Localization, Rival
+from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
+from .verdict import (
+    REJECTED_SHARE,
+    Chance,
+    ChancePoses,
+    Evidence,
+    chance_of,
+    chance_poses,
+    evidence_of,
+    judge,
+    log_likelihood_of,
+    relative_std,
+)
+from .wireframe import EDGE_SAMPLES, Wireframe
+
+MAX_HYPOTHESES = 24
+"""Largest number of hypotheses of each model that are drawn to the pictures' edges."""
+
+MAX_JUDGED = 12
+"""Largest number of poses that are judged, all models together."""
+
+SAME_POSE = 0.04
+"""Largest RMS distance between the vertices of poses that count as one, over the model's extent."""
+
+SAME_PLACE = 0.5
+"""Distance between the middles of two objects, over the smaller extent, that cannot both be there.
+"""
+
+TYPICAL_CHANCE = 0.25
+"""The share of an edge that clutter is taken to explain until it is measured, to rank poses."""
+
+CLOSE_RIVAL = 30.0
+"""Log-likelihood below that of the best rival within which others are measured with all samples."""
+
+
+class Prepared(NamedTuple):
+    """A model with its wireframes, of few samples and of many."""
+
+    model: ObjectModel
+    coarse: Wireframe
+    fine: Wireframe
+
+    @classmethod
+    def of(cls, model: ObjectModel) -> "Prepared":
+        """Return a model with its wireframes."""
+        return cls(model, Wireframe.of(model, EDGE_SAMPLES), Wireframe.of(model, FIT_SAMPLES))
+
+    @property
+    def extent(self) -> float:
+        """The largest size of the model along an axis, m."""
+        return float(np.ptp(self.model.vertices, axis=0).max())
+
+    @property
+    def same(self) -> float:
+        """The distance between the vertices of poses that count as one, m."""
+        return SAME_POSE * self.extent
+
+    def middle_at(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
+        """Return the middle of the vertices in the world, m."""
+        return pose[:3, :3] @ self.model.vertices.mean(axis=0) + pose[:3, 3]
+
+
+class Candidate(NamedTuple):
+    """A pose that was drawn to the edges of the pictures.
+
+    Attributes:
+        model: index of the model.
+        pose: world_from_object.
+        visible_px, explained_px: visible edge length, and the part of it that is explained.
+    """
+
+    model: int
+    pose: Float[np.ndarray, "4 4"]
+    visible_px: float
+    explained_px: float
+
+    @property
+    def explained(self) -> float:
+        """The explained share of the visible edge length."""
+        return self.explained_px / max(self.visible_px, 1.0)
+
+    def log_likelihood(self, chance: float = TYPICAL_CHANCE) -> float:
+        """Return the log-likelihood over that of clutter."""
+        return log_likelihood_of(self.explained, self.visible_px, chance)
+
+
+class Scene:
+    """The pictures of one scene, and which of their edge points no object explains yet."""
+
+    def __init__(self, views: SeenViews, pictures: Sequence[PictureEvidence]):
+        self.views = views
+        self._points = [one.edge_points for one in pictures]
+        self._free = [np.ones(len(points.pixels), dtype=bool) for points in self._points]
+        self._strengths = [points.strengths for points in self._points]
+        self.lookup = self._lookup()
+
+    def _lookup(self) -> EdgeLookup:
+        return EdgeLookup.of(self._points, self.views.camera.image_size, self._free)
+
+    def take(self, lines: EdgeLines) -> None:
+        """Take edge points that an object explains away from all others."""
+        for view, (free, points) in enumerate(zip(self._free, self._points, strict=True)):
+            free[explained_edge_points(lines, view, points)] = False
+        self.lookup = self._lookup()
+
+    def evidence(
+        self, pose: Float[np.ndarray, "4 4"], wireframe: Wireframe, chance: float
+    ) -> Evidence:
+        """Return what the free edge points say of a pose."""
+        return evidence_of(pose, wireframe, self.views, self.lookup, self._strengths, chance)
+
+    def measured(
+        self, prepared: Sequence[Prepared], candidates: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """Return candidates with their lengths among the free edge points, the likeliest first."""
+        found = []
+        for index, one in enumerate(prepared):
+            poses = [c.pose for c in candidates if c.model == index]
+            if poses:
+                lengths = lengths_of_poses(one.coarse, self.views, self.lookup, np.stack(poses))
+                found += [
+                    Candidate(index, pose, *map(float, own))
+                    for pose, own in zip(poses, lengths, strict=True)
+                ]
+        return sorted(found, key=lambda one: -one.log_likelihood())
+
+
+def converged_candidates(
+    scene: Scene, prepared: Sequence[Prepared], hypotheses: Sequence[Hypothesis]
+) -> list[Candidate]:
+    """Return hypotheses drawn to the edges of the pictures, each once, the likeliest first."""
+    candidates = []
+    for index, one in enumerate(prepared):
+        starts = [h.world_from_object for h in hypotheses if h.model == index][:MAX_HYPOTHESES]
+        if not starts:
+            continue
+        poses, lengths = poses_on_edges(one.coarse, scene.views, scene.lookup, np.stack(starts))
+        own = [
+            Candidate(index, pose, *map(float, of_pose))
+            for pose, of_pose in zip(poses, lengths, strict=True)
+        ]
+        kept: list[Candidate] = []
+        for each in sorted(own, key=lambda one: -one.explained):
+            others = [other.pose for other in kept]
+            if not kept or pose_distances(one.model, each.pose, np.stack(others)).min() > one.same:
+                kept.append(each)
+        candidates += kept
+    return sorted(candidates, key=lambda one: -one.log_likelihood())
+
+
+def judged(
+    scene: Scene,
+    prepared: Sequence[Prepared],
+    candidates: Sequence[Candidate],
+    uncertainty: CalibrationUncertainty,
+    tested: int,
+) -> list[Localization]:
+    """Return the verdicts on candidates, one after the other, the likeliest first.
+
+    Of a model of which there is one already, candidates that are rejected anyway are left out.
+
+    Args:
+        scene: edge points of the pictures; what is found is taken away from them.
+        prepared: the models.
+        candidates: the likeliest first.
+        uncertainty: of the calibration in these views.
+        tested: number of poses that were looked at.
+    """
+    found: list[Localization] = []
+    judging, waiting = _Judging(scene, prepared, uncertainty, tested), list(candidates)
+    for _ in range(MAX_JUDGED):
+        if not waiting:
+            break
+        best, waiting = waiting[0], waiting[1:]
+        if found and best.explained < REJECTED_SHARE:
+            break
+        is_known = any(one.model_index == best.model for one in found)
+        if is_known and judging.is_rejected_unrefined(best):
+            continue
+        one = judging.localization(best, waiting)
+        if one is None:
+            continue
+        found.append(one)
+        if one.accepted:
+            # Two solids are not in one place.
+            own, pose = prepared[best.model], one.world_from_object
+            waiting = [c for c in waiting if not _overlap(own, pose, prepared[c.model], c.pose)]
+        if one.verdict.decision != "rejected":
+            # What is explained already is no evidence: the others are looked at anew.
+            judging.take(one)
+            waiting = scene.measured(prepared, waiting)
+    return found
+
+
+class _Judging:
+    """The verdicts on poses in a scene; chance is measured once for each model and each taking."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        prepared: Sequence[Prepared],
+        uncertainty: CalibrationUncertainty,
+        tested: int,
+    ):
+        self._scene, self._prepared = scene, prepared
+        self._uncertainty, self._tested = uncertainty, tested
+        self._tried: dict[int, ChancePoses] = {}
+        self._tried_before: dict[int, ChancePoses] = {}
+
+    def take(self, one: Localization) -> None:
+        """Take the edge points that an object explains away from all others."""
+        self._scene.take(one.refined.lines)
+        self._tried_before |= self._tried
+        self._tried.clear()
+
+    def _chance(self, candidate: Candidate) -> Chance:
+        """Return how much of a model other places explain."""
+        one, index = self._prepared[candidate.model], candidate.model
+        if index not in self._tried:
+            self._tried[index] = chance_poses(
+                candidate.pose, one.model, one.coarse, self._scene.views, self._scene.lookup
+            )
+        return chance_of(candidate.pose, one.model, self._tried[index])
+
+    def is_rejected_unrefined(self, candidate: Candidate) -> bool:
+        """Return whether a pose is rejected as it is, whatever its rivals."""
+        one, scene = self._prepared[candidate.model], self._scene
+        before = self._tried_before.get(candidate.model)
+        if before is not None and candidate.model not in self._tried:
+            # Drawn to what has been taken since, they explain less than if they were drawn anew:
+            # what such a chance rejects is rejected.
+            poses = before.world_from_object
+            lengths = lengths_of_poses(one.coarse, scene.views, scene.lookup, poses)
+            least = chance_of(candidate.pose, one.model, ChancePoses(poses, lengths))
+            if self._is_rejected_by(candidate, least):
+                return True
+        return self._is_rejected_by(candidate, self._chance(candidate))
+
+    def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
+        """Return whether a pose is rejected, given what other places explain."""
+        wireframe = self._prepared[candidate.model].coarse
+        evidence = self._scene.evidence(candidate.pose, wireframe, chance.mean)
+        return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
+
+    def localization(self, best: Candidate, others: Sequence[Candidate]) -> Localization | None:
+        """Return the verdict on a candidate; None if too few edges determine its pose."""
+        one, scene = self._prepared[best.model], self._scene
+        try:
+            refined = refine_pose(
+                best.pose, one.model, one.fine, scene.views, scene.lookup, self._uncertainty
+            )
+        except ValueError:
+            return None
+        pose, chance = refined.world_from_object, self._chance(best)
+        evidence = scene.evidence(pose, one.fine, chance.mean)
+        rivals = self._rivals(best, pose, others, chance)
+        margin = evidence.log_likelihood - rivals[0].log_likelihood if rivals else np.inf
+        name = ""
+        if rivals:
+            other = self._prepared[rivals[0].model].model.name
+            name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
+        uncertain = relative_std(one.model, refined.covariance)
+        verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+        return Localization(one.model, best.model, refined, verdict, tuple(rivals))
+
+    def _rivals(
+        self,
+        best: Candidate,
+        pose: Float[np.ndarray, "4 4"],
+        others: Sequence[Candidate],
+        chance: Chance,
+    ) -> list[Rival]:
+        """Return the other explanations of what is at one place, the best first."""
+        one = self._prepared[best.model]
+        there = [c for c in others if _overlap(one, pose, self._prepared[c.model], c.pose)]
+        there = [
+            c
+            for c in there
+            if c.model != best.model or pose_distances(one.model, pose, c.pose[None])[0] >= one.same
+        ]
+        likelihoods = [c.log_likelihood(chance.mean) for c in there]
+        rivals = []
+        for other, likelihood in zip(there, likelihoods, strict=True):
+            # The verdict rests on the best ones: few samples would not do for their difference.
+            if likelihood > max(likelihoods) - CLOSE_RIVAL:
+                fine = self._prepared[other.model].fine
+                likelihood = self._scene.evidence(other.pose, fine, chance.mean).log_likelihood
+            rivals.append(Rival(other.model, other.pose, likelihood))
+        return sorted(rivals, key=lambda rival: -rival.log_likelihood)
+
+
+def _overlap(
+    one: Prepared,
+    pose: Float[np.ndarray, "4 4"],
+    other: Prepared,
+    its_pose: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Return whether two objects would be in one place."""
+    apart = np.linalg.norm(one.middle_at(pose) - other.middle_at(its_pose))
+    return bool(apart < SAME_PLACE * min(one.extent, other.extent))
