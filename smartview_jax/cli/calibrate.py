@@ -1,5 +1,7 @@
 """Define `smartview calibrate`, the main job: fit, judge, print, write the results."""
 
+import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -49,7 +51,7 @@ def calibrate(
     with errors_reported(debug):
         from ..calibration_pipeline import calibrate as fit_both
         from ..evaluation import without_rejected_views
-        from ..report import error_summaries, repeatability_rows, write_page
+        from ..report import Origin, error_summaries, repeatability_rows, write_page
         from .calibrate_tables import print_budget, print_result
 
         # Checked first, so that minutes of fitting are not lost to a folder that is read-only.
@@ -80,18 +82,16 @@ def calibrate(
         with progress_line() as progress, file_transaction(out, tuple(_RESULT_FILES)) as folder:
             # All files appear together, so that the report always belongs to the calibration.
             _save_calibrations(fit, data, name, folder, run, warnings)
-            title, page_path = f"Calibration of {name}", folder / "report.html"
             write_page(
-                page_path,
+                folder / "report.html",
                 fit,
                 data,
                 held_out_reports,
-                title,
+                Origin(name, shlex.join(["smartview", *sys.argv[1:]]), run),
                 progress,
                 split_half,
                 budget,
                 notes,
-                run,
             )
         for file, description in _RESULT_FILES.items():
             if (out / file).is_file():
@@ -129,12 +129,8 @@ def _save_calibrations(
 ) -> None:
     """Write the calibrations of a fit to a folder, by the names in `_RESULT_FILES`."""
     from ..calibration_pipeline import refit_uncorrected
-    from ..joint import uncertainty_to_dict
 
-    uncertainty = uncertainty_to_dict(fit.joint)
-    fit.calibration.save(
-        folder / "calibration.yaml", run, warnings, source=name, uncertainty=uncertainty
-    )
+    fit.joint.save(folder / "calibration.yaml", run, name, warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
         uncorrected = refit_uncorrected(data, fit)

@@ -18,7 +18,7 @@ MIN_TURN = 30.0
 """Largest rotation between two views, degrees, below which more different ones are asked for."""
 
 MIN_FILLED = 0.25
-"""Share of the picture that all points together cover, below which more is asked for."""
+"""Smallest share of the picture that all points together should cover."""
 
 
 def check(

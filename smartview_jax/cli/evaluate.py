@@ -42,13 +42,14 @@ def evaluate(
     with errors_reported(debug):
         from ..evaluation import reprojection_errors
         from ..files import refuse_unwritable
+        from ..joint import load_with_uncertainty
         from ..report import ErrorSummary, write_evaluation_page
 
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         paths = [calibration, *(beside or [])]
         with progress_line() as progress:
-            loaded = [_loaded(path) for path in paths]
+            loaded = [load_with_uncertainty(path) for path in paths]
             data, name = load_named(dataset, bad_views, progress)
             if moved:
                 loaded = [(_with_target_found(one, data), None) for one, _ in loaded]
@@ -67,13 +68,6 @@ def evaluate(
             title = f"{calibration.name} on {name}"
             write_evaluation_page(out, title, verdict, loaded[0][0], data, summaries, rows)
             typer.echo(f"{out}: the figures")
-
-
-def _loaded(path: Path) -> "tuple[Calibration, SavedEstimate | None]":
-    """Return a calibration, and its covariance where the file has one."""
-    from ..joint import load_with_uncertainty
-
-    return load_with_uncertainty(path)
 
 
 def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":

@@ -10,10 +10,12 @@ from .compare import compare
 from .demo import demo
 from .evaluate import evaluate
 from .export import export
+from .grasp import grasp
 from .model import model
 from .new import new
 from .schema import schema
 from .simulate import simulate
+from .stylus import stylus
 from .viewpoint import viewpoint
 
 app = typer.Typer(
@@ -51,10 +53,12 @@ for _subcommand in (
     demo,
     evaluate,
     export,
+    grasp,
     model,
     new,
     schema,
     simulate,
+    stylus,
     viewpoint,
 ):
     app.command()(_subcommand)

@@ -41,4 +41,37 @@ BaseFromWorldOption = Annotated[
         "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world if the camera stands)."
     ),
 ]
+PoseFormatOption = Annotated[
+    str,
+    typer.Option(
+        "--format",
+        help="How the robot's maker writes poses: val_oat, kawasaki_oat, kuka_abc, ur, "
+        "fanuc_wpr, abb, quaternion_xyzw, ...; .val files have VAL's.",
+    ),
+]
+ArmOption = Annotated[
+    str | None,
+    typer.Option(help="Joint readings too: an arm's name (puma_560, ...) or a .urdf file."),
+]
+NearOption = Annotated[
+    str | None,
+    typer.Option(help="Readings to set out from, degrees (m where a joint slides): 0,-10,40."),
+]
+CommandsOutOption = Annotated[
+    Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
+]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Also what lies outside of what the calibration knows.")
+]
+BelowOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--below/--above",
+        help="Seen from where the world's z is negative, or positive; by default from the side "
+        "from which the calibration saw the target.",
+    ),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document for programs, instead of tables.")
+]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import DebugOption
+from .options import DebugOption, PoseFormatOption
 from .terminal import errors_reported, progress_line
 
 TRUTH_FILE = "truth.yaml"
@@ -29,6 +29,7 @@ def simulate(
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Render pictures; their noise is a sensor's.")
     ] = False,
+    pose_format: PoseFormatOption = "matrix",
     seed: Annotated[int, typer.Option(help="The same seed gives the same data.")] = 0,
     debug: DebugOption = False,
 ) -> None:
@@ -38,12 +39,14 @@ def simulate(
     calibration.yaml with truth.yaml.
     """
     with errors_reported(debug):
+        from ..geometry import pose_codec
         from ..io import DESCRIPTION_FILE, save_dataset
         from ..simulation import random_target_scene, write_pictures
         from ..targets import Chessboard
 
         if (folder / DESCRIPTION_FILE).exists():
             raise FileExistsError(f"{folder / DESCRIPTION_FILE}: exists already")
+        pose_codec(pose_format)
         board = Chessboard(9, 6, 0.004)
         scene = random_target_scene(
             seed,
@@ -63,8 +66,9 @@ def simulate(
                     scene.base_from_tool,
                     board,
                     reported_poses=scene.data.base_from_tool,
+                    pose_format=pose_format,
                 )
             else:
-                save_dataset(scene.data, folder)
+                save_dataset(scene.data, folder, pose_format)
         scene.calibration.save(folder / TRUTH_FILE, source="simulated")
         typer.echo(f"{folder}: {views} views; {folder / TRUTH_FILE}: the truth")

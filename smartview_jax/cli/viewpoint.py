@@ -6,7 +6,23 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import refuse_unwritable
-from .options import DebugOption
+from .json_document import print_document
+from .options import (
+    ArmOption,
+    BelowOption,
+    CommandsOutOption,
+    DebugOption,
+    ForceOption,
+    JsonOption,
+    NearOption,
+    PoseFormatOption,
+)
+from .robot_commands import (
+    CommandSheet,
+    arm_from_option,
+    numbered_names,
+    parse_joint_readings,
+)
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
@@ -14,7 +30,6 @@ if TYPE_CHECKING:
     from jaxlie import SE3
 
     from ..calibration import Calibration
-    from ..robots import SerialArm
 
 
 def viewpoint(
@@ -34,37 +49,13 @@ def viewpoint(
     five: Annotated[
         bool, typer.Option("--five", help="The paper's five viewpoints; tilt is their step.")
     ] = False,
-    below: Annotated[
-        bool | None,
-        typer.Option(
-            "--below/--above",
-            help="The camera stands where the world's z is negative, or positive; by default on "
-            "the side from which the calibration saw the target.",
-        ),
-    ] = None,
-    arm: Annotated[
-        str | None,
-        typer.Option(help="Joint readings too: an arm's name (puma_560, ...) or a .urdf file."),
-    ] = None,
-    near: Annotated[
-        str | None,
-        typer.Option(help="Readings to set out from, degrees (m where a joint slides): 0,-10,40."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
-    ] = None,
-    pose_format: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            help="How the robot's maker writes poses: val_oat, kawasaki_oat, kuka_abc, ur, "
-            "fanuc_wpr, abb, quaternion_xyzw, ...; .val files have VAL's.",
-        ),
-    ] = "val_oat",
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Also what lies outside of what the calibration knows."),
-    ] = False,
+    below: BelowOption = None,
+    arm: ArmOption = None,
+    near: NearOption = None,
+    out: CommandsOutOption = None,
+    pose_format: PoseFormatOption = "val_oat",
+    force: ForceOption = False,
+    json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Print commands by which the camera looks at a point, and write them for the robot.
@@ -77,39 +68,33 @@ def viewpoint(
 
         from ..calibration import Calibration
         from ..geometry import pose_codec
-        from ..io import write_viewpoints
-        from ..viewpoints import viewpoint_commands
-        from .viewpoint_tables import print_joints, print_viewpoints
+        from ..viewpoints import SAFETY_CHECKS, viewpoint_commands
 
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         loaded_calibration, codec = Calibration.load(calibration), pose_codec(pose_format)
         point = np.array(at)
-        camera_from_world = _requested_camera_poses(
+        camera_from_world = requested_camera_poses(
             loaded_calibration, point, distance, (tilt, azimuth, roll), five, below
         )
-        serial_arm = _arm_from_option(arm, loaded_calibration)
+        serial_arm = arm_from_option(arm, loaded_calibration)
         commands = viewpoint_commands(
             loaded_calibration,
             camera_from_world,
             point[None],
             serial_arm,
-            _parse_joint_readings(near, serial_arm),
+            parse_joint_readings(near, serial_arm),
         )
-        # Printed before any refusal, which refers to the views by the names in the table.
-        print_viewpoints(commands, codec)
-        joints = None if commands.joints is None else np.asarray(commands.joints)
-        if serial_arm is not None and joints is not None:
-            print_joints(joints, serial_arm)
-        for text in _view_messages(commands.checks.reasons()):
-            typer.echo(text)
-        violations = _view_messages(commands.checks.safety_violations())
-        if violations and not force:
-            raise ValueError(
-                f"refused, and nothing is written: {'; '.join(violations)}. --force if it is meant"
-            )
+        names = numbered_names(len(commands.xyzoat))
+        sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
+        if not json:
+            sheet.print()
+        sheet.refuse_unsafe(force)
         if out is not None:
-            write_viewpoints(out, commands.base_from_tool, None, joints, pose_format)
+            sheet.write(out)
+        if json:
+            print_document("viewpoint", {"commands": sheet.document(), "file": out})
+        elif out is not None:
             typer.echo(out)
 
 
@@ -120,7 +105,7 @@ It is used where a calibration has no region of viewpoints.
 """
 
 
-def _requested_camera_poses(
+def requested_camera_poses(
     calibration: "Calibration",
     point: "np.ndarray",
     distance: float | None,
@@ -155,41 +140,3 @@ def _requested_camera_poses(
         )
     directions = viewing_direction(tilt, np.array([azimuth]), above)
     return look_at(point, directions, distance, float(roll))
-
-
-def _view_messages(texts: tuple[str, ...]) -> list[str]:
-    """Return the texts that are not empty, each with its view's name as in the table."""
-    return [f"v{1 + k}: {text}" for k, text in enumerate(texts) if text]
-
-
-def _arm_from_option(text: str | None, calibration: "Calibration") -> "SerialArm | None":
-    """Return the named arm, or else the arm whose errors the calibration corrects, or None."""
-    from ..io import load_urdf
-    from ..robot_errors import nominal_arm
-    from ..robots import arm_by_name
-
-    if text is not None:
-        return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
-    return nominal_arm(calibration.field)
-
-
-def _parse_joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
-    """Return joint readings (rad, m) from text in degrees and metres; None without an arm."""
-    import numpy as np
-
-    if arm is None:
-        if text is not None:
-            raise ValueError("--near: no arm to read; name one by --arm")
-        return None
-    if text is None:
-        # Inverse kinematics has several solutions; the one nearest to given readings is chosen.
-        raise ValueError("an arm reaches a pose in several ways: say --near which readings")
-    try:
-        readings = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        readings = np.array([])
-    if len(readings) != arm.joint_count or not np.isfinite(readings).all():
-        raise ValueError(
-            f"--near: expected {arm.joint_count} numbers between commas, found {text!r}"
-        )
-    return np.where(arm.prismatic, readings, np.deg2rad(readings))

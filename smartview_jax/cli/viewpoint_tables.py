@@ -1,5 +1,6 @@
-"""Print the tables of `smartview viewpoint`: commanded poses and joint readings."""
+"""Print the tables of commands: poses and joint readings."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,15 +16,16 @@ if TYPE_CHECKING:
     from ..viewpoints import ViewpointCommands
 
 
-def print_viewpoints(commands: "ViewpointCommands", codec: "PoseCodec") -> None:
+def print_viewpoints(
+    names: Sequence[str], commands: "ViewpointCommands", codec: "PoseCodec"
+) -> None:
     """Print the commanded poses in a manufacturer's format."""
     table = Table("view", box=box.SIMPLE)
     for name in pose_columns(codec):
         table.add_column(name.replace("_", " "), justify="right", no_wrap=True)
-    for k, row in enumerate(codec.encode(commands.base_from_tool, *codec.units)):
-        table.add_row(
-            f"v{1 + k}", *(_format_number(value, codec, n) for n, value in enumerate(row))
-        )
+    rows = codec.encode(commands.base_from_tool, *codec.units)
+    for view, row in zip(names, rows, strict=True):
+        table.add_row(view, *(_format_number(value, codec, n) for n, value in enumerate(row)))
     Console().print(table)
 
 
@@ -34,11 +36,12 @@ def _format_number(value: float, codec: "PoseCodec", column: int) -> str:
     return f"{value:.3f}" if millimetres or degrees else f"{value:.6f}"
 
 
-def print_joints(joints: np.ndarray, arm: "SerialArm") -> None:
+def print_joints(names: Sequence[str], joints: np.ndarray, arm: "SerialArm") -> None:
     """Print joint readings, in degrees (mm for a prismatic joint)."""
     units = ["mm" if is_prismatic else "deg" for is_prismatic in arm.prismatic]
-    names = (f"q{1 + k} {unit}" for k, unit in enumerate(units))
-    table = Table("view", *names, box=box.SIMPLE)
-    for k, row in enumerate(joints * np.where(arm.prismatic, 1e3, 180.0 / np.pi)):
-        table.add_row(f"v{1 + k}", *(f"{value:.3f}" for value in row))
+    columns = (f"q{1 + k} {unit}" for k, unit in enumerate(units))
+    table = Table("view", *columns, box=box.SIMPLE)
+    shown = joints * np.where(arm.prismatic, 1e3, 180.0 / np.pi)
+    for view, row in zip(names, shown, strict=True):
+        table.add_row(view, *(f"{value:.3f}" for value in row))
     Console().print(table)

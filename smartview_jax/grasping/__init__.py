@@ -13,5 +13,13 @@ from .planning import Motion as Motion
 from .planning import grasps_for as grasps_for
 from .scene import GraspScene as GraspScene
 from .scene import Obstacle as Obstacle
+from .stylus_touches import MissComparison as MissComparison
+from .stylus_touches import compare_misses as compare_misses
+from .stylus_touches import ellipse_axes as ellipse_axes
+from .stylus_touches import stylus_orientations as stylus_orientations
+from .stylus_touches import tip_error_factor as tip_error_factor
 from .success import Conditions as Conditions
 from .success import success_probability as success_probability
+from .tool_commands import TOOL_CHECKS as TOOL_CHECKS
+from .tool_commands import ToolCommands as ToolCommands
+from .tool_commands import tool_commands as tool_commands

@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import host_matrices, host_transforms
 from ..robots import Gripper
-from ..viewpoints import ViewpointCommands, viewpoint_commands
+from ..viewpoints import ViewpointCommands
 from .scene import GraspScene
+from .tool_commands import padded_tool_commands
 
 MOTION_CHECKS = ("reach", "tool_distance", "singular")
 """Checks of `viewpoint_commands` that a pose of the gripper has to pass.
@@ -35,9 +35,8 @@ def gripper_commands(
 
         base_from_tool = base_from_world @ world_from_object @ object_from_tool        (Eq. 20)
 
-    with world_from_object @ object_from_tool = world_from_gripper @ gripper_from_tool. It is
-    commanded as the pose of the camera that goes with it (Eq. 19), so that a fitted robot error is
-    compensated in the one place that does so.
+    with world_from_object @ object_from_tool = world_from_gripper @ gripper_from_tool; see
+    `tool_commands`.
 
     Args:
         scene: with the calibration, and the arm if it is known.
@@ -47,15 +46,8 @@ def gripper_commands(
     """
     # The robot moves its tool, not the gripper's frame.
     world_from_tool = world_from_gripper @ np.linalg.inv(gripper.tool_from_gripper)
-    camera_from_world = host_matrices(scene.calibration.camera_from_tool) @ np.linalg.inv(
-        world_from_tool
-    )
-    # The last pose is repeated: every program can compute with it.
-    extra = -len(camera_from_world) % PADDED_POSES
-    wanted = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, axis=0)])
     if scene.arm is not None:
         near = np.asarray(scene.near) if near is None else near
         # Every pose has joints of its own to be solved near.
-        near = np.broadcast_to(near, (len(camera_from_world), near.shape[-1]))
-        near = np.concatenate([near, np.repeat(near[-1:], extra, axis=0)])
-    return viewpoint_commands(scene.calibration, host_transforms(wanted), arm=scene.arm, near=near)
+        near = np.broadcast_to(near, (len(world_from_tool), near.shape[-1]))
+    return padded_tool_commands(scene.calibration, world_from_tool, scene.arm, near, PADDED_POSES)

@@ -22,7 +22,7 @@ from .localized import LocalizedObject, checked_object
 from .scene import GraspScene
 
 HAND_EYE = "camera_from_tool."
-"""How the names of the hand-eye transform's parameters begin."""
+"""The beginning of the names of the hand-eye transform's parameters."""
 
 
 class GripperErrors(NamedTuple):

@@ -22,6 +22,7 @@ from .meshes import model_from_triangles as model_from_triangles
 from .meshes import read_mesh as read_mesh
 from .meshes import to_trimesh as to_trimesh
 from .meshes import write_mesh as write_mesh
+from .misses import read_misses as read_misses
 from .new_dataset import write_new_dataset as write_new_dataset
 from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
@@ -33,6 +34,7 @@ from .object_views import load_object_views as load_object_views
 from .object_views import write_object_views as write_object_views
 from .opencv_camera import read_opencv_camera as read_opencv_camera
 from .pictures import dataset_from_pictures as dataset_from_pictures
+from .pose_format import pose_columns as pose_columns
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .rough_pose import parse_rough_pose as parse_rough_pose
@@ -42,7 +44,6 @@ from .urdf import load_urdf as load_urdf
 from .view_pictures import ViewPictures as ViewPictures
 from .view_pictures import load_view_pictures as load_view_pictures
 from .viewpoints import Viewpoints as Viewpoints
-from .viewpoints import pose_columns as pose_columns
 from .viewpoints import read_viewpoints as read_viewpoints
 from .viewpoints import val_program as val_program
 from .viewpoints import write_viewpoints as write_viewpoints

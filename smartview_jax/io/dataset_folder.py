@@ -8,13 +8,14 @@
             direction: base_from_tool}
     pictures: {pattern: "images/{view}.png"}
 
-`poses.csv` has a column `view` and the codec's columns. In the pattern, `{view}` stands for the
-view's name and `{height}` for the index of the height, for a board at several heights. Instead of
-poses, or in addition to them, the folder may have joint readings (see `joints.py`). Pictures, poses
-and joint readings are matched by the view's name, never by their order. Where the target's pattern
-looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that stands beside
-the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the file is in
-`schemas.dataset`; an unknown key is an error.
+`poses.csv` has a column `view` and the codec's columns; a file of viewpoints, which says its format
+and units itself, is named without them: `poses: {file: views.csv}`. In the pattern, `{view}` stands
+for the view's name and `{height}` for the index of the height, for a board at several heights.
+Instead of poses, or in addition to them, the folder may have joint readings (see `joints.py`).
+Pictures, poses and joint readings are matched by the view's name, never by their order. Where the
+target's pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that
+stands beside the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the
+file is in `schemas.dataset`; an unknown key is an error.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -127,11 +128,17 @@ def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path)
         raise ValueError(f"{description_path}: joints: {error}") from error
 
 
-def save_dataset(data: Dataset, folder: str | Path) -> None:
+def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix") -> None:
     """Write poses, target, detections and joint readings as a folder that `load_dataset` reads.
 
+    Args:
+        data: the data set, whose points are those of its target.
+        folder: folder to create.
+        pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
+
     Raises:
-        ValueError: the data set has no target description, or its points are not the target's.
+        ValueError: an unknown pose format, no target description, or points that are not the
+            target's.
     """
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
@@ -150,6 +157,7 @@ def save_dataset(data: Dataset, folder: str | Path) -> None:
         target,
         data.mount,
         extra_entries,
+        pose_format,
     )
 
 
@@ -161,6 +169,7 @@ def write_dataset_folder(
     target: AbstractTarget,
     mount: str,
     extra_entries: dict[str, Any] | None = None,
+    pose_format: str = "matrix",
 ) -> None:
     """Write `poses.csv` and then `dataset.yaml`, the file by which a data set is recognised.
 
@@ -172,6 +181,10 @@ def write_dataset_folder(
         target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         extra_entries: further entries of the description, such as `pictures` or `joints`.
+        pose_format: one of `POSE_CODECS`.
+
+    Raises:
+        ValueError: an unknown pose format.
     """
     description = {
         "smartview_dataset": FORMAT_VERSION,
@@ -181,7 +194,7 @@ def write_dataset_folder(
         "camera": {"image_size": list(image_size)},
         "target": target_to_dict(target),
         "mount": mount,
-        "poses": write_poses(folder, view_ids, base_from_tool),
+        "poses": write_poses(folder, view_ids, base_from_tool, pose_format),
         **(extra_entries or {}),
         "end": "smartview_dataset",
     }

@@ -13,27 +13,23 @@ class RobotFormat(NamedTuple):
     """The way in which a maker's robots report poses.
 
     Attributes:
-        codec: name of the pose format.
-        length_unit: unit of lengths.
-        angle_unit: unit of angles.
+        codec: name of the pose format, which knows its units.
         source: where the numbers are read.
     """
 
     codec: str
-    length_unit: str
-    angle_unit: str
     source: str
 
 
 ROBOTS = {
-    "abb": RobotFormat("abb", "mm", "rad", "the robtarget: pos and orient"),
-    "fanuc": RobotFormat("fanuc_wpr", "mm", "deg", "the position screen: X Y Z W P R"),
-    "kawasaki": RobotFormat("kawasaki_oat", "mm", "deg", "the pendant: X Y Z O A T"),
-    "kuka": RobotFormat("kuka_abc", "mm", "deg", "$POS_ACT: X Y Z A B C"),
-    "puma": RobotFormat("val_oat", "mm", "deg", "VAL's WHERE: X Y Z O A T"),
-    "ros": RobotFormat("quaternion_xyzw", "m", "rad", "tf2_echo base tool: translation, rotation"),
-    "ur": RobotFormat("ur", "m", "rad", "get_actual_tcp_pose(): x y z rx ry rz"),
-    "matrix": RobotFormat("matrix", "m", "rad", "4 x 4 matrices, row by row"),
+    "abb": RobotFormat("abb", "the robtarget: pos and orient"),
+    "fanuc": RobotFormat("fanuc_wpr", "the position screen: X Y Z W P R"),
+    "kawasaki": RobotFormat("kawasaki_oat", "the pendant: X Y Z O A T"),
+    "kuka": RobotFormat("kuka_abc", "$POS_ACT: X Y Z A B C"),
+    "puma": RobotFormat("val_oat", "VAL's WHERE: X Y Z O A T"),
+    "ros": RobotFormat("quaternion_xyzw", "tf2_echo base tool: translation, rotation"),
+    "ur": RobotFormat("ur", "get_actual_tcp_pose(): x y z rx ry rz"),
+    "matrix": RobotFormat("matrix", "4 x 4 matrices, row by row"),
 }
 """The makers whose formats are known, by the name that a user gives."""
 
@@ -78,9 +74,9 @@ mount: {mount}
 # One row for each picture: its name, then {source}.
 poses:
   file: {poses_file}
-  codec: {robot.codec}
-  length_unit: {robot.length_unit}
-  angle_unit: {robot.angle_unit}
+  codec: {codec.name}
+  length_unit: {length_unit}
+  angle_unit: {angle_unit}
   direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse
 # {{view}} stands for the name in the first column of {poses_file}.
 pictures: {{pattern: "images/{{view}}.png"}}
@@ -117,18 +113,21 @@ def write_new_dataset(
     for path in (description, table):
         if path.exists():
             raise FileExistsError(f"{path}: exists already; nothing is overwritten")
-    form = ROBOTS[robot]
+    codec = pose_codec(ROBOTS[robot].codec)
+    length_unit, angle_unit = codec.units
     text = _DESCRIPTION.format(
         width=image_size[0],
         height=image_size[1],
         target=TARGETS[target],
         mount=mount,
-        source=form.source,
+        source=ROBOTS[robot].source,
         poses_file=POSES_FILE,
-        robot=form,
+        codec=codec,
+        length_unit=length_unit,
+        angle_unit=angle_unit,
     )
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    write_atomically(table, ",".join(("view", *pose_codec(form.codec).columns)) + "\n")
+    write_atomically(table, ",".join(("view", *codec.columns)) + "\n")
     # Written last: a folder without a description is none that was begun.
     write_atomically(description, text)
     return description

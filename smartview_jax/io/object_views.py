@@ -78,6 +78,7 @@ def write_object_views(
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     base_from_tool: PoseLike,
     suffix: str = ".png",
+    pose_format: str = "matrix",
 ) -> Path:
     """Write pictures of an object and their poses as a folder that `load_object_views` reads.
 
@@ -87,6 +88,7 @@ def write_object_views(
         pictures: one for each view, all of one size.
         base_from_tool: `(views)` poses that the robot reported.
         suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
+        pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
 
     Raises:
         ValueError: numbers of views, pictures and poses differ, or the pictures' sizes do.
@@ -108,7 +110,7 @@ def write_object_views(
     description = {
         "smartview_object_views": 1,
         "camera": {"image_size": [width, height]},
-        "poses": write_poses(folder, view_ids, poses),
+        "poses": write_poses(folder, view_ids, poses, pose_format),
         "pictures": {"pattern": f"images/{{view}}{suffix}"},
         "end": "smartview_object_views",
     }

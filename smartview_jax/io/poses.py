@@ -3,7 +3,8 @@
     poses: {file: poses.csv, codec: matrix, length_unit: m, angle_unit: rad,
             direction: base_from_tool}
 
-The file has a column `view` and the columns of the codec.
+The file has a column `view` and the columns of the codec. A file that `write_viewpoints` wrote, CSV
+or JSON, states its own format and units: `poses: {file: views.csv}` is then enough.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..geometry import LENGTH_UNITS, PoseCodec, as_se3, host_matrices, pose_codec
+from ..geometry import LENGTH_UNITS, as_se3, host_matrices, pose_codec
 from .csv_tables import (
     duplicates,
     parse_numbers,
@@ -22,6 +23,8 @@ from .csv_tables import (
     refuse_truncated,
     write_table,
 )
+from .pose_format import PoseFormat, stated_format, table_format
+from .viewpoints import read_viewpoints
 
 POSES_FILE = "poses.csv"
 """The name of the file that `write_poses` writes."""
@@ -41,21 +44,25 @@ def read_poses(
         ValueError: naming the file and the view that is wrong.
         FileNotFoundError: the table is missing.
     """
-    path, codec = folder / content["file"], pose_codec(content["codec"])
-    table = read_table(path, ("view", *codec.columns))
+    path = folder / content["file"]
+    if path.suffix == ".json":
+        return _read_commands(path, content)
+    table = read_table(path, ("view",))
     refuse_truncated(path, table, content.get("rows"))
     view_ids = [row["view"] for row in table]
     if duplicates(view_ids):
         raise ValueError(f"{path}: view {', '.join(duplicates(view_ids))} has more than one row")
     if not view_ids:
         raise ValueError(f"{path}: no poses")
+    # The header may say the format, so that the table is read twice.
+    form = table_format(path, table, content)
+    table, codec = read_table(path, ("view", *form.columns)), form.codec
     # NaN passes here: `bad_views` decides below whether it is an error or a masked view.
-    rows = np.stack([parse_numbers(path, row, codec.columns, row["view"], False) for row in table])
-    positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[content["length_unit"]]
+    rows = np.stack([parse_numbers(path, row, form.columns, row["view"], False) for row in table])
+    positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[form.length_unit]
     # Infinity becomes NaN, which passes: the message about units would be misleading for it.
     refuse_out_of_range(path, np.where(np.isfinite(positions), positions, np.nan), view_ids)
-    units = (content["length_unit"], content["angle_unit"])
-    masked_views = _decoding_errors(codec, rows, units, view_ids) if bad_views == "mask" else {}
+    masked_views = _decoding_errors(form, rows, view_ids) if bad_views == "mask" else {}
     is_valid = [view not in masked_views for view in view_ids]
     # Decoding needs a valid row for every view. A masked view's pose is never used, so the first
     # valid row takes its place.
@@ -63,19 +70,31 @@ def read_poses(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
     try:
-        poses = codec.decode(rows, *units, labels=view_ids)
+        poses = codec.decode(rows, *form.units, labels=view_ids)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    if content["direction"] != "base_from_tool":
+    if form.direction != "base_from_tool":
         poses = as_se3(np.linalg.inv(host_matrices(poses)))
     return view_ids, poses, masked_views
 
 
-def write_poses(folder: Path, view_ids: Sequence[str], base_from_tool: SE3) -> dict[str, Any]:
-    """Write `poses.csv`, and return the entry `poses` of the description."""
-    # Matrices need no convention of angles, whatever the robot reports.
-    codec = pose_codec("matrix")
-    rows = codec.encode(base_from_tool)
+def write_poses(
+    folder: Path, view_ids: Sequence[str], base_from_tool: SE3, pose_format: str = "matrix"
+) -> dict[str, Any]:
+    """Write `poses.csv`, and return the entry `poses` of the description.
+
+    Args:
+        folder: of the data set.
+        view_ids: one id for each pose.
+        base_from_tool: reported poses, `(views)`.
+        pose_format: one of `POSE_CODECS`, written in its manufacturer's units; matrices need no
+            convention of angles, whatever the robot reports.
+
+    Raises:
+        ValueError: an unknown format.
+    """
+    codec = pose_codec(pose_format)
+    rows = codec.encode(base_from_tool, *codec.units)
     write_table(
         folder / POSES_FILE,
         ("view", *codec.columns),
@@ -84,22 +103,30 @@ def write_poses(folder: Path, view_ids: Sequence[str], base_from_tool: SE3) -> d
     return {
         "file": POSES_FILE,
         "codec": codec.name,
-        "length_unit": "m",
-        "angle_unit": "rad",
+        "length_unit": codec.units[0],
+        "angle_unit": codec.units[1],
         "direction": "base_from_tool",
         "rows": len(rows),
     }
 
 
-def _decoding_errors(
-    codec: PoseCodec, rows: np.ndarray, units: tuple[str, str], view_ids: list[str]
-) -> dict[str, str]:
+def _read_commands(path: Path, content: dict[str, Any]) -> tuple[list[str], SE3, dict[str, str]]:
+    """Read view ids and poses from a JSON file of commands; none of them is masked."""
+    # Read and checked as a robot's commands are: none of them can be invalid.
+    commands = read_viewpoints(path)
+    codec = pose_codec(commands.pose_format)
+    stated_format(PoseFormat(codec, *codec.units, codec.columns), content, path)
+    refuse_truncated(path, commands.names, content.get("rows"))
+    return list(commands.names), commands.base_from_tool, {}
+
+
+def _decoding_errors(form: PoseFormat, rows: np.ndarray, view_ids: list[str]) -> dict[str, str]:
     """Return the decoding error of every view whose row is not a valid pose, by view id."""
     # Row by row, since decoding a whole table stops at the first invalid row.
     errors = {}
     for view, row in zip(view_ids, rows, strict=True):
         try:
-            codec.decode(row[None], *units, labels=[view])
+            form.codec.decode(row[None], *form.units, labels=[view])
         except ValueError as error:
             errors[view] = str(error)
     return errors

@@ -20,6 +20,7 @@ from ..files import read_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
 from .csv_tables import duplicates, parse_numbers, read_table, write_table
+from .pose_format import FORMAT_COLUMN, codec_of_rows, pose_columns
 
 FORMAT_VERSION = 1
 """Version of the JSON format."""
@@ -38,11 +39,13 @@ class Viewpoints(NamedTuple):
         base_from_tool: commanded poses, `(views)`.
         names: one name for each view.
         joints: joint readings, rad (m for a prismatic joint); None where the file has none.
+        pose_format: name of the pose format, in its manufacturer's units.
     """
 
     base_from_tool: SE3
     names: tuple[str, ...]
     joints: Float[np.ndarray, "views joints"] | None = None
+    pose_format: str = VAL_CODEC
 
 
 def write_viewpoints(
@@ -75,20 +78,12 @@ def write_viewpoints(
             np.zeros((len(viewpoints.names), 0)) if viewpoints.joints is None else viewpoints.joints
         )
         joint_columns = (f"joint_{1 + k}" for k in range(readings.shape[1]))
-        # A column `format` is only written for other formats than VAL's: VAL is the default, and
-        # its files have been without that column from the first version on.
-        format_cell = [] if pose_format == VAL_CODEC else [codec.name]
-        header = [
-            "view",
-            *(["format"] if format_cell else []),
-            *pose_columns(codec),
-            *joint_columns,
-        ]
+        header = ["view", FORMAT_COLUMN, *pose_columns(codec), *joint_columns]
         rows = np.concatenate([_encoded_poses(viewpoints, codec), readings], axis=1).tolist()
         write_table(
             path,
             header,
-            [[n, *format_cell, *row] for n, row in zip(viewpoints.names, rows, strict=True)],
+            [[n, codec.name, *row] for n, row in zip(viewpoints.names, rows, strict=True)],
         )
     elif path.suffix == ".json":
         write_atomically(
@@ -100,19 +95,6 @@ def write_viewpoints(
         )
     else:
         write_atomically(path, val_program(base_from_tool, names))
-
-
-def pose_columns(codec: PoseCodec) -> tuple[str, ...]:
-    """Return the names of a pose format's columns, with the manufacturer's units appended."""
-    length, angle = codec.units
-    return tuple(
-        f"{name}_{length}".lower()
-        if k in codec.length_columns
-        else f"{name}_{angle}".lower()
-        if k in codec.angle_columns
-        else name
-        for k, name in enumerate(codec.columns)
-    )
 
 
 def read_viewpoints(path: str | Path) -> Viewpoints:
@@ -234,14 +216,7 @@ def _json_text(viewpoints: Viewpoints, codec: PoseCodec) -> str:
 
 def _read_csv(path: Path) -> Viewpoints:
     """Read commands from a CSV file; without a column `format` the poses are VAL's."""
-    rows = read_table(path, ("view",))
-    formats = sorted({row.get("format", VAL_CODEC) for row in rows})
-    if len(formats) > 1:
-        raise ValueError(f"{path}: format: expected one for all views, found {', '.join(formats)}")
-    try:
-        codec = pose_codec(formats[0] if formats else VAL_CODEC)
-    except ValueError as error:
-        raise ValueError(f"{path}: format: {error}") from error
+    codec = codec_of_rows(path, read_table(path, ("view",))) or pose_codec(VAL_CODEC)
     columns = pose_columns(codec)
     # Read again, because the required columns are known only now that the format is.
     rows = read_table(path, ("view", *columns))
@@ -295,6 +270,6 @@ def _decode_viewpoints(
         raise ValueError(f"{path}: no viewpoints")
     try:
         poses = codec.decode(rows, *codec.units, labels=names)
-        return _validated_viewpoints(poses, names, joints)
+        return _validated_viewpoints(poses, names, joints)._replace(pose_format=codec.name)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error

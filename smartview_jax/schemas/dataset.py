@@ -42,13 +42,16 @@ class CameraSizeEntry(Entry):
 
 
 class PosesEntry(Entry):
-    """A table of poses, one row per view: format, units and direction; none of them is guessed."""
+    """A table of poses, one row per view: format, units and direction; none of them is guessed.
+
+    What the table's own header says, as that of a file of viewpoints does, need not be repeated.
+    """
 
     file: Name
-    codec: CodecName
-    length_unit: LengthUnit
-    angle_unit: AngleUnit
-    direction: Literal["base_from_tool", "tool_from_base"]
+    codec: CodecName | None = None
+    length_unit: LengthUnit | None = None
+    angle_unit: AngleUnit | None = None
+    direction: Literal["base_from_tool", "tool_from_base"] | None = None
     rows: _RowCount | None = None
 
 

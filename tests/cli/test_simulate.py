@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from smartview_jax import Calibration, load_dataset
 from smartview_jax.cli import app
 from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.io import read_viewpoints
 
 
 def simulated(folder, *options):
@@ -49,3 +50,41 @@ def test_nothing_is_overwritten(tmp_path):
     assert again.exit_code == 2
     assert "exists already" in again.output
     assert simulated(tmp_path / "other", "--pixel-noise", "-1").exit_code == 2
+
+
+def test_poses_are_written_as_the_robots_maker_does(tmp_path):
+    assert simulated(tmp_path / "kuka", "--format", "kuka_abc").exit_code == 0
+    assert simulated(tmp_path / "plain").exit_code == 0
+    header = (tmp_path / "kuka" / "poses.csv").read_text().splitlines()[0]
+    assert header == "view,x,y,z,A,B,C"
+    kuka, plain = (load_dataset(tmp_path / name).base_from_tool for name in ("kuka", "plain"))
+    np.testing.assert_allclose(kuka.as_matrix(), plain.as_matrix(), atol=1e-9)
+    wrong = simulated(tmp_path / "wrong", "--format", "kuka")
+    assert wrong.exit_code == 2
+    assert "pose format is one of matrix" in wrong.stderr
+    assert not (tmp_path / "wrong").exists()
+
+
+@pytest.mark.parametrize("ending", ["csv", "json"])
+def test_viewpoints_that_were_commanded_are_the_poses_of_the_pictures(tmp_path, ending):
+    """The way of a person: commands from one calibration, a data set from their file."""
+    simulated(tmp_path / "data")
+    views = tmp_path / "data" / f"views.{ending}"
+    words = ["viewpoint", str(tmp_path / "data" / "truth.yaml"), "--five", "--tilt", "9.5"]
+    run = CliRunner().invoke(app, [*words, "--below", "--out", str(views)])
+    assert run.exit_code == 0, run.output
+    text = (tmp_path / "data" / "dataset.yaml").read_text()
+    begin, end = text.index("poses:"), text.index("detections:")
+    entry = f"poses: {{file: {views.name}}}\n"
+    (tmp_path / "data" / "dataset.yaml").write_text(text[:begin] + entry + text[end:])
+    detections = tmp_path / "data" / "detections.csv"
+    rows = [line.split(",", 1) for line in detections.read_text().splitlines()]
+    renamed = [
+        f"v{int(row[0]) + 1},{row[1]}" if row[0].isdigit() else ",".join(row) for row in rows
+    ]
+    detections.write_text("\n".join(renamed) + "\n")
+    data = load_dataset(tmp_path / "data")
+    assert data.view_ids == ("v1", "v2", "v3", "v4", "v5")
+    np.testing.assert_allclose(
+        data.base_from_tool.as_matrix(), read_viewpoints(views).base_from_tool.as_matrix()
+    )

@@ -66,8 +66,8 @@ def test_a_makers_format_stands_in_the_file(tmp_path):
 def test_units_and_version_stand_in_the_files(tmp_path):
     write_viewpoints(tmp_path / "v.csv", POSES)
     header, first = (tmp_path / "v.csv").read_text().splitlines()[:2]
-    assert header == "view,x_mm,y_mm,z_mm,o_deg,a_deg,t_deg"
-    assert float(first.split(",")[1]) == pytest.approx(1e3 * float(POSES.translation()[0, 0]))
+    assert header == "view,format,x_mm,y_mm,z_mm,o_deg,a_deg,t_deg"
+    assert float(first.split(",")[2]) == pytest.approx(1e3 * float(POSES.translation()[0, 0]))
     write_viewpoints(tmp_path / "v.json", POSES)
     content = json.loads((tmp_path / "v.json").read_text())
     assert content["smartview_viewpoints"] == 1

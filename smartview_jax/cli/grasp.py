@@ -1,0 +1,176 @@
+"""Define `smartview grasp`, which prints the commands that bring the gripper to an object."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..files import refuse_unwritable
+from .json_document import print_document
+from .options import (
+    ArmOption,
+    CommandsOutOption,
+    DebugOption,
+    ForceOption,
+    JsonOption,
+    NearOption,
+    PoseFormatOption,
+)
+from .robot_commands import CommandSheet, arm_from_option, parse_joint_readings
+from .terminal import errors_reported
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..grasping import ToolCommands
+
+COMMAND_NAMES = ("approach", "grasp")
+"""The names of the two commands, in the order in which the robot takes them."""
+
+_POSE = "x,y,z in m and yaw,pitch,roll in degrees"
+
+
+def grasp(
+    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    object_pose: Annotated[
+        str, typer.Option(help=f"world_from_object: where the object is, {_POSE}.")
+    ] = "0,0,0,0,0,0",
+    grasp_pose: Annotated[
+        str | None,
+        typer.Option(help=f"object_from_gripper: the grasp at the object, {_POSE}."),
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="An object model with grasps (smartview model), instead.")
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Which of the model's grasps; by default its first.")
+    ] = None,
+    gripper: Annotated[
+        str,
+        typer.Option(
+            help=f"tool_from_gripper: where the gripper's frame is on the tool, {_POSE}; by "
+            "default the robot's tool frame is between the fingertips."
+        ),
+    ] = "0,0,0,0,0,0",
+    approach: Annotated[
+        float, typer.Option(min=0.0, help="How far before the grasp the way in begins, mm.")
+    ] = 100.0,
+    arm: ArmOption = None,
+    near: NearOption = None,
+    out: CommandsOutOption = None,
+    pose_format: PoseFormatOption = "val_oat",
+    force: ForceOption = False,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Print the commands that bring the gripper to a grasp of an object (the paper's Eq. 20).
+
+    The gripper's z axis points from the palm to the object. Refused, with nothing written, are
+    commands out of reach, behind the target's plane, or where the robot's error is not known.
+    """
+    with errors_reported(debug):
+        from ..geometry import pose_codec
+        from ..grasping import TOOL_CHECKS, tool_commands
+        from ..joint import load_with_uncertainty
+
+        if out is not None:
+            refuse_unwritable(out.parent, "--out")
+        codec = pose_codec(pose_format)
+        loaded_calibration, estimate = load_with_uncertainty(calibration)
+        world_from_gripper = _pose("--object-pose", object_pose) @ _grasp(grasp_pose, model, name)
+        serial_arm = arm_from_option(arm, loaded_calibration)
+        tool = tool_commands(
+            loaded_calibration,
+            # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
+            _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", gripper)),
+            estimate=estimate,
+            arm=serial_arm,
+            near=parse_joint_readings(near, serial_arm),
+        )
+        sheet = CommandSheet(COMMAND_NAMES, tool.commands, codec, serial_arm, TOOL_CHECKS)
+        if not json:
+            sheet.print()
+            typer.echo(_error_text(tool, calibration))
+        sheet.refuse_unsafe(force)
+        if out is not None:
+            sheet.write(out)
+        if json:
+            content = {"commands": sheet.document(), "error": _error_document(tool), "file": out}
+            print_document("grasp", content)
+        elif out is not None:
+            typer.echo(out)
+
+
+def _pose(option: str, text: str) -> "np.ndarray":
+    """Return the 4x4 transform of an option."""
+    from ..geometry import host_matrices
+    from ..io import parse_rough_pose
+
+    return host_matrices(parse_rough_pose(option, text))
+
+
+def _grasp(pose: str | None, model: Path | None, name: str | None) -> "np.ndarray":
+    """Return object_from_gripper of the options, or of the named or first grasp of a model.
+
+    Raises:
+        ValueError: neither or both are given, or the model has no such grasp.
+    """
+    from ..io import load_object_model
+
+    if (pose is None) == (model is None):
+        raise ValueError("the grasp at the object: give one of --grasp-pose and --model")
+    if model is None:
+        if name is not None:
+            raise ValueError("--name: of a model's grasps; there is no --model")
+        # Given, as was checked above.
+        return _pose("--grasp-pose", str(pose))
+    grasps = load_object_model(model).grasps
+    if not grasps:
+        raise ValueError(f"{model}: no grasps in it; place one with smartview model")
+    # Without a name the first one, which a person placed first.
+    chosen = [one for one in grasps if name in (None, one.name)]
+    if not chosen:
+        names = ", ".join(repr(one.name) for one in grasps)
+        raise ValueError(f"--name: {model} has the grasps {names}; found {name!r}")
+    return chosen[0].object_from_tool
+
+
+def _with_approach(
+    world_from_gripper: "np.ndarray", distance: float, tool_from_gripper: "np.ndarray"
+) -> "np.ndarray":
+    """Return `world_from_tool` before the grasp and at it, `(2, 4, 4)`."""
+    import numpy as np
+
+    back = np.eye(4)
+    # Back along the gripper's own z axis.
+    back[2, 3] = -distance
+    gripper_from_tool = np.linalg.inv(tool_from_gripper)
+    return np.stack([world_from_gripper @ back, world_from_gripper]) @ gripper_from_tool
+
+
+def _error_document(tool: "ToolCommands") -> dict[str, Any] | None:
+    """Return the standard deviations of the tool's error at the grasp, m and rad."""
+    import numpy as np
+
+    if tool.covariance is None:
+        return None
+    # The last pose is the grasp itself.
+    std = np.sqrt(np.diagonal(tool.covariance[-1]))
+    return {"axes": "of the tool, x y z", "std_m": std[:3], "std_rad": std[3:]}
+
+
+def _error_text(tool: "ToolCommands", path: Path) -> str:
+    """Return how well the tool arrives, in words: 95 % intervals in mm and degrees."""
+    import numpy as np
+
+    found = _error_document(tool)
+    if found is None:
+        return f"{path} says nothing of its uncertainty: how well the tool arrives is not known"
+    # 1.96 standard deviations are 95 % of a Gaussian.
+    millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * found["std_m"])
+    degrees = ", ".join(f"{x:.3f}" for x in 1.96 * np.rad2deg(found["std_rad"]))
+    return (
+        f"the tool arrives within +- {millimetres} mm and +- {degrees} degrees (95 %) along and "
+        "about its own x, y, z,\nby the calibration's uncertainty and the robot's noise; that of "
+        "the object's pose comes on top"
+    )

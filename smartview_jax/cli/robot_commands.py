@@ -1,0 +1,132 @@
+"""Print, check and write the robot's commands, for all subcommands that compute some."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..calibration import Calibration
+    from ..geometry import PoseCodec
+    from ..robots import SerialArm
+    from ..viewpoints import ViewpointCommands
+
+
+class CommandSheet(NamedTuple):
+    """The commands of a subcommand, and the way in which they are written.
+
+    Attributes:
+        names: one name for each command.
+        commands: poses, joint readings and checks.
+        codec: pose format of the robot's manufacturer.
+        arm: the arm of the joint readings; None where none is known.
+        refused_for: names of the checks without which no command is given.
+    """
+
+    names: tuple[str, ...]
+    commands: "ViewpointCommands"
+    codec: "PoseCodec"
+    arm: "SerialArm | None"
+    refused_for: tuple[str, ...]
+
+    def print(self) -> None:
+        """Print poses and joint readings, and what the checks say."""
+        from .viewpoint_tables import print_joints, print_viewpoints
+
+        # Printed before any refusal, which refers to the views by the names in the table.
+        print_viewpoints(self.names, self.commands, self.codec)
+        joints = self._joints()
+        if self.arm is not None and joints is not None:
+            print_joints(self.names, joints, self.arm)
+        # Every remark is printed, also one for which nothing is refused.
+        for text in self._named(self.commands.checks.reasons()):
+            typer.echo(text)
+
+    def document(self) -> list[dict[str, Any]]:
+        """Return the commands as entries for programs: pose, joint readings (rad, m), reasons."""
+        from ..io import pose_columns
+
+        # In the manufacturer's own units, which the names of the columns state.
+        rows = self.codec.encode(self.commands.base_from_tool, *self.codec.units)
+        columns, reasons = pose_columns(self.codec), self.commands.checks.reasons()
+        refusals = self.commands.checks.reasons(self.refused_for)
+        joints = self._joints()
+        return [
+            {
+                "name": name,
+                "format": self.codec.name,
+                "pose": dict(zip(columns, rows[k].tolist(), strict=True)),
+                "joints": None if joints is None else joints[k].tolist(),
+                "remarks": reasons[k],
+                "refused": bool(refusals[k]),
+            }
+            for k, name in enumerate(self.names)
+        ]
+
+    def refuse_unsafe(self, force: bool) -> None:
+        """Raise a ValueError that names every command that must not be given, unless forced."""
+        violations = self._named(self.commands.checks.reasons(self.refused_for))
+        if violations and not force:
+            raise ValueError(
+                f"refused, and nothing is written: {'; '.join(violations)}. --force if it is meant"
+            )
+
+    def write(self, path: Path) -> None:
+        """Write the commands for the robot: a .val, .csv or .json file."""
+        from ..io import write_viewpoints
+
+        write_viewpoints(
+            path, self.commands.base_from_tool, self.names, self._joints(), self.codec.name
+        )
+
+    def _joints(self) -> "np.ndarray | None":
+        """Return the joint readings on the host."""
+        import numpy as np
+
+        return None if self.commands.joints is None else np.asarray(self.commands.joints)
+
+    def _named(self, texts: Sequence[str]) -> list[str]:
+        """Return the texts that are not empty, each with its command's name."""
+        return [f"{name}: {text}" for name, text in zip(self.names, texts, strict=True) if text]
+
+
+def numbered_names(count: int) -> tuple[str, ...]:
+    """Return the names that commands have where nobody named them: v1, v2, ..."""
+    return tuple(f"v{1 + k}" for k in range(count))
+
+
+def arm_from_option(text: str | None, calibration: "Calibration") -> "SerialArm | None":
+    """Return the named arm, or else the arm whose errors the calibration corrects, or None."""
+    from ..io import load_urdf
+    from ..robot_errors import nominal_arm
+    from ..robots import arm_by_name
+
+    # A calibration of an arm by its joints knows the arm already.
+    if text is not None:
+        return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
+    return nominal_arm(calibration.field)
+
+
+def parse_joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
+    """Return joint readings (rad, m) from text in degrees and metres; None without an arm."""
+    import numpy as np
+
+    if arm is None:
+        if text is not None:
+            raise ValueError("--near: no arm to read; name one by --arm")
+        return None
+    if text is None:
+        # Inverse kinematics has several solutions; the one nearest to given readings is chosen.
+        raise ValueError("an arm reaches a pose in several ways: say --near which readings")
+    try:
+        readings = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        readings = np.array([])
+    if len(readings) != arm.joint_count or not np.isfinite(readings).all():
+        raise ValueError(
+            f"--near: expected {arm.joint_count} numbers between commas, found {text!r}"
+        )
+    return np.where(arm.prismatic, readings, np.deg2rad(readings))

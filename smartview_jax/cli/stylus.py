@@ -1,0 +1,230 @@
+"""Define `smartview stylus`, the paper's touch test (Fig. 2) on a real robot."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..files import refuse_unwritable
+from .json_document import print_document
+from .options import (
+    ArmOption,
+    BelowOption,
+    CommandsOutOption,
+    DebugOption,
+    ForceOption,
+    JsonOption,
+    NearOption,
+    PoseFormatOption,
+)
+from .robot_commands import CommandSheet, arm_from_option, numbered_names, parse_joint_readings
+from .terminal import errors_reported
+from .viewpoint import requested_camera_poses
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..calibration import Calibration
+
+SURPRISING_P_VALUE = 0.01
+"""Probability below which misses are called larger than the calibration expects."""
+
+
+def stylus(
+    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    tip: Annotated[
+        tuple[float, float, float], typer.Option(help="Of the stylus, in the tool's frame, m.")
+    ],
+    at: Annotated[
+        tuple[float, float, float], typer.Option(help="Point to touch, in the world's frame, m.")
+    ] = (0.0, 0.0, 0.0),
+    gap: Annotated[
+        float, typer.Option(min=0.0, help="Stop so far before the point, along the stylus, mm.")
+    ] = 0.0,
+    tilt: Annotated[float, typer.Option(help="Of the stylus from upright, degrees.")] = 0.0,
+    azimuth: Annotated[float, typer.Option(help="To where it leans, about z, degrees.")] = 0.0,
+    turn: Annotated[float, typer.Option(help="About the stylus, degrees.")] = 0.0,
+    five: Annotated[
+        bool, typer.Option("--five", help="Upright, and leaning to four sides by the tilt.")
+    ] = False,
+    below: BelowOption = None,
+    misses: Annotated[
+        Path | None,
+        typer.Option(help="Measured misses: .csv (view,x_mm,y_mm,z_mm) or .yaml, world's axes."),
+    ] = None,
+    arm: ArmOption = None,
+    near: NearOption = None,
+    out: CommandsOutOption = None,
+    pose_format: PoseFormatOption = "val_oat",
+    force: ForceOption = False,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Print the commands that put the tip of a stylus on a point of the target, and judge misses.
+
+    Touch, measure how far the tip is from the point, write that down, and give it by --misses with
+    the same other options: the misses are then compared with those that the calibration expects.
+    """
+    with errors_reported(debug):
+        import numpy as np
+
+        from ..geometry import pose_codec
+        from ..grasping import TOOL_CHECKS, tip_error_factor, tool_commands
+        from ..io import read_misses
+        from ..joint import load_with_uncertainty
+
+        if out is not None:
+            refuse_unwritable(out.parent, "--out")
+        codec = pose_codec(pose_format)
+        loaded_calibration, estimate = load_with_uncertainty(calibration)
+        serial_arm = arm_from_option(arm, loaded_calibration)
+        poses = _touching_poses(
+            loaded_calibration,
+            np.array(tip),
+            np.array(at),
+            1e-3 * gap,
+            (tilt, azimuth, turn),
+            five,
+            below,
+        )
+        touches = tool_commands(
+            loaded_calibration,
+            poses,
+            estimate=estimate,
+            arm=serial_arm,
+            near=parse_joint_readings(near, serial_arm),
+        )
+        names = numbered_names(len(poses))
+        factor = tip_error_factor(touches, np.array(tip))
+        measured = None if misses is None else read_misses(misses, names)
+        sheet = CommandSheet(names, touches.commands, codec, serial_arm, TOOL_CHECKS)
+        judged = _judgement(names, factor, measured)
+        if not json:
+            sheet.print()
+            _print_judgement(judged, calibration)
+        sheet.refuse_unsafe(force)
+        if out is not None:
+            sheet.write(out)
+        if json:
+            print_document("stylus", {"commands": sheet.document(), **judged, "file": out})
+        elif out is not None:
+            typer.echo(out)
+
+
+def _touching_poses(
+    calibration: "Calibration",
+    tip: "np.ndarray",
+    point: "np.ndarray",
+    gap: float,
+    angles_deg: tuple[float, float, float],
+    five: bool,
+    below: bool | None,
+) -> "np.ndarray":
+    """Return `world_from_tool` with the tip at the point, or the gap before it, `(n, 4, 4)`."""
+    import numpy as np
+
+    from ..evaluation import touching_pose
+    from ..geometry import host_matrices, host_transforms
+    from ..grasping import stylus_orientations
+
+    # A stylus points as a camera looks, so that the same options say from where.
+    views = requested_camera_poses(calibration, point, 1.0, angles_deg, five, below)
+    world_from_stylus = host_matrices(views).reshape(-1, 4, 4)[:, :3, :3].swapaxes(1, 2)
+    poses = np.tile(np.eye(4), (len(world_from_stylus), 1, 1))
+    poses[:, :3, :3] = stylus_orientations(tip, world_from_stylus)
+    # The gap is along the stylus, before the point.
+    points = point - gap * world_from_stylus[:, :, 2]
+    return host_matrices(touching_pose(tip, host_transforms(poses).rotation(), points))
+
+
+def _judgement(
+    names: tuple[str, ...], factor: "np.ndarray | None", misses: "np.ndarray | None"
+) -> dict[str, Any]:
+    """Return what was expected of every touch and what was measured, m, and their comparison."""
+    import numpy as np
+
+    from ..grasping import compare_misses, ellipse_axes
+
+    size = 3 if misses is None else misses.shape[1]
+    touches = []
+    for k, name in enumerate(names):
+        entry: dict[str, Any] = {"name": name, "expected": None}
+        if factor is not None:
+            part = factor[k, :size]
+            axes, directions = ellipse_axes(part @ part.T)
+            # In the target's plane the direction of the longest axis is one angle.
+            expected = {"std": np.sqrt(np.sum(part**2, axis=1)), "ellipse_half_axes_95": axes}
+            entry["expected"] = expected | {"ellipse_directions": directions.T}
+        if misses is not None:
+            entry |= {"miss": misses[k], "distance": float(np.linalg.norm(misses[k]))}
+        touches.append(entry)
+    content: dict[str, Any] = {"unit": "m", "touches": touches, "comparison": None}
+    if misses is not None:
+        content["rms"] = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
+        if factor is not None:
+            comparison = compare_misses(factor, misses)
+            content["comparison"] = comparison._asdict()
+            for entry, inside in zip(touches, comparison.inside, strict=True):
+                entry["inside_ellipse"] = bool(inside)
+    return content
+
+
+def _print_judgement(judged: dict[str, Any], path: Path) -> None:
+    """Print the table of touches in mm, and the comparison in a sentence."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    measured = "rms" in judged
+    columns = ["touch", *(["miss x, y, z mm", "distance mm"] if measured else [])]
+    table = Table(
+        *columns, "its 95 % ellipse mm", *(["inside"] if measured else []), box=box.SIMPLE
+    )
+    for entry in judged["touches"]:
+        expected = entry["expected"]
+        ellipse = "not known" if expected is None else _semi(expected["ellipse_half_axes_95"])
+        row = [entry["name"]]
+        if measured:
+            row += [_millimetres(entry["miss"]), f"{1e3 * entry['distance']:.2f}"]
+        row.append(ellipse)
+        if measured:
+            row.append({None: "-", True: "yes", False: "no"}[entry.get("inside_ellipse")])
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    if judged["touches"][0]["expected"] is None:
+        typer.echo(f"{path} says nothing of its uncertainty: what to expect is not known")
+    if not measured:
+        return
+    typer.echo(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms']:.2f} mm RMS")
+    if judged["comparison"] is not None:
+        typer.echo(_verdict(judged["comparison"]))
+
+
+def _semi(half_axes: "np.ndarray") -> str:
+    """Return half axes of an ellipse as text, mm."""
+    return " x ".join(f"{1e3 * axis:.2f}" for axis in half_axes)
+
+
+def _millimetres(numbers: "np.ndarray") -> str:
+    """Return lengths as text, mm."""
+    return ", ".join(f"{1e3 * x:.2f}" for x in numbers)
+
+
+def _verdict(comparison: dict[str, Any]) -> str:
+    """Return in words whether the misses are what the calibration expects."""
+    inside, expected = comparison["inside"], 1e3 * comparison["expected_rms"]
+    # The touches share most of their error, so that one test of all is the fair one.
+    surprising = comparison["p_value"] < SURPRISING_P_VALUE
+    words = "more than the calibration expects" if surprising else "as the calibration expects"
+    return (
+        f"expected were {expected:.2f} mm; {int(inside.sum())} of {len(inside)} are inside their "
+        f"ellipse\nall together (chi-square {comparison['chi_square']:.1f} for "
+        f"{comparison['degrees_of_freedom']} numbers, p {comparison['p_value']:.2g}): {words}"
+        + (
+            "\n  look at the tip's position in the tool frame, the target's size, and whether the "
+            "target was moved"
+            if surprising
+            else ""
+        )
+    )

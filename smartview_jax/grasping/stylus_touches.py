@@ -1,0 +1,133 @@
+"""Compare where a stylus touched with where it was to touch, on a real robot (Fig. 2).
+
+The calibration says how far the tip may miss: by the error of the target's pose in the base, by
+that of the robot's correction, and by the robot's own noise. Misses far beyond that show an error
+that no pixel shows. `evaluation.stylus_error` is the same test where the truth is known.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from ..geometry import host_cross_matrices
+from .tool_commands import ToolCommands
+
+ELLIPSE_PROBABILITY = 0.95
+"""Probability with which a miss is inside its error ellipse."""
+
+MIN_TIP_DISTANCE = 1e-6
+"""Distance of the tip from the tool's origin, m, below which the stylus is the tool's z axis."""
+
+
+class MissComparison(NamedTuple):
+    """Misses beside what was expected of them; of one touch and of all together.
+
+    Attributes:
+        expected_rms: expected root mean square distance, m.
+        inside: whether each miss is inside its error ellipse.
+        chi_square: squared misses over their covariance, with what all touches have in common.
+        degrees_of_freedom: number of components of all misses, which is the chi-square's mean.
+        p_value: probability of a larger chi-square, if the calibration's uncertainty is true.
+    """
+
+    expected_rms: float
+    inside: Bool[np.ndarray, "touches"]
+    chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+
+
+def stylus_orientations(
+    tip: Float[np.ndarray, "3"], world_from_stylus: Float[np.ndarray, "n 3 3"]
+) -> Float[np.ndarray, "n 3 3"]:
+    """Return `world_from_tool` rotations for a stylus along the line from the tool to its tip.
+
+    Args:
+        tip: position of the tip in the tool's frame, m; at the origin the stylus is the z axis.
+        world_from_stylus: rotations whose z axis is the direction in which the stylus points.
+    """
+    axis = np.array([0.0, 0.0, 1.0]) if np.linalg.norm(tip) < MIN_TIP_DISTANCE else tip
+    # The smallest rotation that takes z to the stylus's direction in the tool.
+    tool_from_stylus = Rotation.align_vectors(axis[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    return world_from_stylus @ tool_from_stylus.as_matrix().T
+
+
+def tip_error_factor(
+    touches: ToolCommands, tip: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 3 errors"] | None:
+    """Return how independent errors of unit variance move the tip, in the world's axes, m.
+
+    The product with its own transpose is the covariance of the misses, also between touches.
+
+    Args:
+        touches: commands that bring the tip to its points.
+        tip: position of the tip in the tool's frame, m.
+
+    Returns:
+        None where the calibration was taken as exact.
+    """
+    if touches.error_factor is None:
+        return None
+    # exp(tau) tool_from_world, so that the tip is displaced in the world by
+    #     -R (tau_t + tau_r x tip),   R = world_from_tool.
+    by_tau = np.concatenate([np.eye(3), -host_cross_matrices(tip)], axis=1)
+    return -touches.world_from_tool[:, :3, :3] @ by_tau @ touches.error_factor
+
+
+def ellipse_axes(
+    covariance: Float[np.ndarray, "d d"],
+) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
+    """Return half axes, longest first, and their directions as columns, of an error ellipse."""
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    # The ellipse within which a Gaussian is with the stated probability.
+    radius = np.sqrt(chi2.ppf(ELLIPSE_PROBABILITY, len(covariance)))
+    return radius * np.sqrt(eigenvalues[::-1].clip(0.0)), vectors[:, ::-1]
+
+
+def compare_misses(
+    error_factor: Float[np.ndarray, "n 3 errors"], misses: Float[np.ndarray, "touches d"]
+) -> MissComparison:
+    """Compare measured misses with the errors that the calibration expects.
+
+    Args:
+        error_factor: of the touches, as `tip_error_factor` returns it.
+        misses: measured tip minus point, in the world's axes, m: x and y, or x, y and z.
+
+    Raises:
+        ValueError: other numbers of touches, or misses that are neither of two nor of three
+            numbers.
+    """
+    count, size = misses.shape
+    if count != len(error_factor) or size not in (2, 3):
+        raise ValueError(
+            f"misses: expected 2 or 3 numbers for each of {len(error_factor)} touches, "
+            f"found shape {misses.shape}"
+        )
+    factor = error_factor[:, :size]
+    covariances = factor @ factor.swapaxes(1, 2)
+    single = np.array([_chi_square(c, m) for c, m in zip(covariances, misses, strict=True)])
+    # Most of the error is common to all touches: together they say less than so many touches would.
+    stacked = factor.reshape(count * size, -1)
+    chi_square = _chi_square(stacked @ stacked.T, misses.ravel())
+    return MissComparison(
+        float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean())),
+        single <= chi2.ppf(ELLIPSE_PROBABILITY, size),
+        chi_square,
+        count * size,
+        float(chi2.sf(chi_square, count * size)),
+    )
+
+
+def _chi_square(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n"]) -> float:
+    """Return the squared Mahalanobis length; infinite in a direction in which nothing may err."""
+    scale = np.trace(covariance) / len(covariance)
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    squares = (vectors.T @ values) ** 2
+    possible = eigenvalues > 1e-12 * scale
+    # What rounding leaves of a zero is zero.
+    if (squares[~possible] > 1e-12 * max(scale, 1e-300)).any():
+        return float("inf")
+    return float(np.sum(squares[possible] / eigenvalues[possible]))

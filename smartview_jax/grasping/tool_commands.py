@@ -1,0 +1,127 @@
+"""Compute the commands that bring the tool itself to wanted poses (Eq. 20), with their error."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..calibration import Calibration
+from ..evaluation import CalibrationEstimate
+from ..geometry import host_matrices, host_transforms
+from ..robots import Gripper, JointsLike, SerialArm
+from ..viewpoints import ViewpointCommands, viewpoint_commands
+from .scene import GraspScene
+from .uncertainty import gripper_errors
+
+TOOL_CHECKS = ("reach", "tool_distance", "tool_side", "known_region")
+"""The checks that a pose of the tool must pass to be commanded, unless a person overrides them.
+
+The others are about what the camera sees.
+"""
+
+
+class ToolCommands(NamedTuple):
+    """The commands that bring the tool to wanted poses.
+
+    Attributes:
+        world_from_tool: the wanted poses.
+        commands: what to command, with the robot's error compensated, and its checks.
+        error_factor: derivatives of the tool's error by independent errors of one standard
+            deviation each, m and rad: `exp(factor @ errors)` times the wanted tool_from_world is
+            the actual one. The errors are common to all poses. None if the calibration was taken
+            as exact.
+    """
+
+    world_from_tool: Float[np.ndarray, "n 4 4"]
+    commands: ViewpointCommands
+    error_factor: Float[np.ndarray, "n 6 errors"] | None = None
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "n 6 6"] | None:
+        """The covariance of the tool's error at each pose, translation first, in the tool's axes.
+
+        None if the calibration was taken as exact.
+        """
+        factor = self.error_factor
+        # P = F F^T, since the errors are independent and have unit variance.
+        return None if factor is None else factor @ factor.swapaxes(1, 2)
+
+    def refusals(self) -> tuple[str, ...]:
+        """Return why each pose must not be commanded, by the `TOOL_CHECKS`; empty if it may be."""
+        return self.commands.checks.reasons(TOOL_CHECKS)
+
+
+def tool_commands(
+    calibration: Calibration,
+    world_from_tool: Float[np.ndarray, "n 4 4"],
+    *,
+    estimate: CalibrationEstimate | None = None,
+    arm: SerialArm | None = None,
+    near: JointsLike | None = None,
+) -> ToolCommands:
+    """Return the robot's commands that bring the tool to poses in the world.
+
+    For an object and a grasp on it the pose is `world_from_object @ object_from_tool`, which makes
+    the command the paper's
+
+        base_from_tool = base_from_world @ world_from_object @ object_from_tool        (Eq. 20)
+
+    It is commanded as the pose of the camera that goes with it (Eq. 19), so that a fitted robot
+    error is compensated in the one place that does so. No pose is refused: one that fails a check
+    has a command too, with the reason in its checks.
+
+    Args:
+        calibration: of a camera on the hand, whose world stands in the base's frame.
+        world_from_tool: wanted poses, m.
+        estimate: fit with the calibration's covariance; None takes the calibration as exact.
+        arm: the nominal arm, for joint readings.
+        near: joint readings near which to solve, rad (m for a prismatic joint).
+
+    Raises:
+        ValueError: the camera is beside the arm, an arm without `near`, or an estimate that leaves
+            something undetermined.
+    """
+    # The scene refuses what cannot be commanded: no start for an arm, a camera beside it.
+    scene = GraspScene(calibration, arm=arm, near=near, estimate=estimate)
+    commands = _commands(calibration, world_from_tool, arm, near)
+    if estimate is None:
+        return ToolCommands(world_from_tool, commands)
+    # The tool is taken for the gripper: its errors are wanted, not those of the fingertips.
+    errors = gripper_errors(scene, Gripper(tool_from_gripper=np.eye(4)), commands.command)
+    # One column for each direction of the calibration's own uncertainty.
+    shared = np.stack([one.shared for one in errors])
+    count, noises = len(errors), errors[0].own.shape[1]
+    # The robot's own noise is another one at every pose.
+    own = np.zeros((count, 6, count * noises))
+    for k, one in enumerate(errors):
+        own[k, :, k * noises : (k + 1) * noises] = one.own
+    return ToolCommands(world_from_tool, commands, np.concatenate([shared, own], axis=2))
+
+
+def padded_tool_commands(
+    calibration: Calibration,
+    world_from_tool: Float[np.ndarray, "n 4 4"],
+    arm: SerialArm | None,
+    near: Float[np.ndarray, "n joints"] | None,
+    multiple: int,
+) -> ViewpointCommands:
+    """Return commands for poses, the last one repeated until their number is a multiple."""
+    # -n mod k poses are missing to the next multiple of k.
+    extra = -len(world_from_tool) % multiple
+
+    def pad(rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([rows, np.repeat(rows[-1:], extra, axis=0)])
+
+    return _commands(calibration, pad(world_from_tool), arm, None if near is None else pad(near))
+
+
+def _commands(
+    calibration: Calibration,
+    world_from_tool: Float[np.ndarray, "n 4 4"],
+    arm: SerialArm | None,
+    near: JointsLike | None,
+) -> ViewpointCommands:
+    """Return the commands of the camera poses that go with poses of the tool."""
+    # camera_from_world = camera_from_tool @ tool_from_world
+    camera_from_world = host_matrices(calibration.camera_from_tool) @ np.linalg.inv(world_from_tool)
+    return viewpoint_commands(calibration, host_transforms(camera_from_world), arm=arm, near=near)

@@ -1,0 +1,86 @@
+"""Read how far a stylus missed its points, as somebody measured and wrote it down.
+
+CSV, with or without z:
+
+    view,x_mm,y_mm
+    v1,0.2,-0.4
+
+or YAML:
+
+    unit: mm
+    misses:
+      v1: [0.2, -0.4]
+
+Misses are measured tip minus point, in the world's axes.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..files import read_yaml
+from ..geometry import LENGTH_UNITS
+from .csv_tables import duplicates, parse_numbers, read_table
+
+MAX_MISS = 0.1
+"""Largest component of a miss, m: a larger one was given in another unit."""
+
+
+def read_misses(path: str | Path, names: Sequence[str]) -> Float[np.ndarray, "touches _"]:
+    """Return the misses of the named touches, m: x and y, or x, y and z.
+
+    Args:
+        path: a file ending in `.csv`, `.yaml` or `.yml`.
+        names: of the touches; the file has these, in any order.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: another kind of file, other touches, or a wrong value; with the file's name.
+    """
+    path = Path(path)
+    found = _read_csv(path) if path.suffix == ".csv" else _read_yaml(path)
+    if set(found) != set(names):
+        unmatched = ", ".join(sorted(set(found) ^ set(names)))
+        raise ValueError(f"{path}: expected the touches {', '.join(names)}; other are {unmatched}")
+    if len({len(row) for row in found.values()}) > 1:
+        raise ValueError(f"{path}: some touches have z and some have none")
+    misses = np.array([found[name] for name in names])
+    for name, row in zip(names, misses, strict=True):
+        # A stylus a hand's breadth beside its point was not aimed by this calibration.
+        if (np.abs(row) > MAX_MISS).any():
+            raise ValueError(
+                f"{path}: {name}: a miss of {np.abs(row).max():.4g} m, more than {MAX_MISS} m: "
+                "millimetres given as metres, or positions instead of differences?"
+            )
+    return misses
+
+
+def _read_csv(path: Path) -> dict[str, np.ndarray]:
+    """Return the misses of a table, m, by name; the header states the unit."""
+    rows = read_table(path, ("view",))
+    if repeated := duplicates([row["view"] for row in rows]):
+        raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
+    header = rows[0] if rows else {}
+    for unit in LENGTH_UNITS:
+        columns = [f"{axis}_{unit}" for axis in "xyz" if f"{axis}_{unit}" in header]
+        if columns[:2] == [f"x_{unit}", f"y_{unit}"]:
+            return {
+                row["view"]: LENGTH_UNITS[unit] * parse_numbers(path, row, columns, row["view"])
+                for row in rows
+            }
+    raise ValueError(f"{path}: expected the columns view, x_mm, y_mm, and z_mm if it was measured")
+
+
+def _read_yaml(path: Path) -> dict[str, np.ndarray]:
+    """Return the misses of a YAML file, m, by name."""
+    from ..schemas.misses import MISSES_SCHEMA
+    from ..schemas.validation import validate_content
+
+    if path.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"{path}: expected a file ending in .csv, .yaml or .yml")
+    content = validate_content(read_yaml(path), MISSES_SCHEMA, path)
+    return {
+        name: LENGTH_UNITS[content.unit] * np.array(row) for name, row in content.misses.items()
+    }

@@ -1,0 +1,179 @@
+"""Find the format and the units of a table of poses: in its own header, or in a description.
+
+Tables that `smartview viewpoint --out` writes name both in the header, as in
+
+    view,format,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg
+
+so that they need no more than `poses: {file: views.csv}`. Any other table has the columns of its
+codec without units, and the description states codec, units and direction.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..geometry import ANGLE_UNITS, LENGTH_UNITS, POSE_CODECS, PoseCodec, pose_codec
+
+FORMAT_COLUMN = "format"
+"""The column that names the pose format, the same in every row."""
+
+COMMANDED_DIRECTION = "base_from_tool"
+"""The direction of poses in a file of commands."""
+
+_STATED = ("codec", "length_unit", "angle_unit", "direction")
+
+
+class PoseFormat(NamedTuple):
+    """A pose format and the units in which a table has it.
+
+    Attributes:
+        codec: the format.
+        length_unit: a key of `LENGTH_UNITS`.
+        angle_unit: a key of `ANGLE_UNITS`.
+        columns: the table's names of the numbers, in the codec's order.
+        direction: `"base_from_tool"`, or `"tool_from_base"` for inverse poses.
+    """
+
+    codec: PoseCodec
+    length_unit: str
+    angle_unit: str
+    columns: tuple[str, ...]
+    direction: str = COMMANDED_DIRECTION
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """The units of length and of angle."""
+        return self.length_unit, self.angle_unit
+
+
+def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tuple[str, ...]:
+    """Return the names of a pose format's columns with units appended.
+
+    Args:
+        codec: the format.
+        units: of length and of angle; by default the manufacturer's.
+    """
+    length, angle = units or codec.units
+    # Numbers without a unit, such as those of a quaternion, keep their bare names.
+    return tuple(
+        f"{name}_{length}".lower()
+        if k in codec.length_columns
+        else f"{name}_{angle}".lower()
+        if k in codec.angle_columns
+        else name
+        for k, name in enumerate(codec.columns)
+    )
+
+
+def codec_of_rows(path: Path, rows: Sequence[Mapping[str, str]]) -> PoseCodec | None:
+    """Return the codec that the column `format` names, or None where there is no such column.
+
+    Raises:
+        ValueError: an unknown format, or more than one.
+    """
+    names = sorted({row[FORMAT_COLUMN] for row in rows if FORMAT_COLUMN in row})
+    if len(names) > 1:
+        raise ValueError(f"{path}: format: expected one for all views, found {', '.join(names)}")
+    try:
+        return pose_codec(names[0]) if names else None
+    except ValueError as error:
+        raise ValueError(f"{path}: format: {error}") from error
+
+
+def table_format(
+    path: Path, rows: Sequence[Mapping[str, str]], stated: Mapping[str, Any]
+) -> PoseFormat:
+    """Return the format of a table from its header and from what a description states.
+
+    Args:
+        path: of the table, for messages.
+        rows: of the table, by column; at least one.
+        stated: the description's entry `poses`, whose keys `codec`, `length_unit`, `angle_unit` and
+            `direction` may be missing where the header says the same.
+
+    Raises:
+        ValueError: header and description leave something open or contradict one another.
+    """
+    # The column `format` decides first, then the units in the header, then the description.
+    named = codec_of_rows(path, rows)
+    fitting = header_formats(tuple(rows[0]), named)
+    if not fitting:
+        return _stated_format(path, stated)
+    if named is None:
+        # A table that no program wrote as commands may have either direction.
+        direction = stated.get("direction") or COMMANDED_DIRECTION
+        fitting = [one._replace(direction=direction) for one in fitting]
+    agreeing = [one for one in fitting if _contradiction(one, stated) is None]
+    if not agreeing:
+        raise ValueError(f"{path}: {_contradiction(fitting[0], stated)}")
+    # VAL and Kawasaki both call their angles O, A, T, and mean different rotations.
+    if len(agreeing) > 1:
+        raise ValueError(
+            f"{path}: the columns {', '.join(agreeing[0].columns)} fit "
+            f"{' and '.join(one.codec.name for one in agreeing)}: add a column "
+            f"'{FORMAT_COLUMN}', or state poses.codec in the description"
+        )
+    return agreeing[0]
+
+
+def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> list[PoseFormat]:
+    """Return the formats whose columns, with units, are all in a header; empty if there are none.
+
+    Args:
+        header: names of the table's columns.
+        named: the only format that is looked for, where one is known.
+    """
+    found: dict[tuple[str, tuple[str, ...]], PoseFormat] = {}
+    for codec in POSE_CODECS.values() if named is None else (named,):
+        for length in LENGTH_UNITS:
+            for angle in ANGLE_UNITS:
+                columns = pose_columns(codec, (length, angle))
+                if set(columns) <= set(header):
+                    # A format without angles fits with either unit of angle.
+                    one = PoseFormat(codec, length, angle, columns)
+                    found.setdefault((codec.name, columns), one)
+    return list(found.values())
+
+
+def stated_format(found: PoseFormat, stated: Mapping[str, Any], path: Path) -> PoseFormat:
+    """Return the format of a file that states its own; raise where a description contradicts it.
+
+    Raises:
+        ValueError: the description says otherwise.
+    """
+    problem = _contradiction(found, stated)
+    if problem is not None:
+        raise ValueError(f"{path}: {problem}")
+    return found
+
+
+def _contradiction(found: PoseFormat, stated: Mapping[str, Any]) -> str | None:
+    """Return in what a description contradicts a file's own format; None if it does not."""
+    own = (found.codec.name, found.length_unit, found.angle_unit, found.direction)
+    for key, value in zip(_STATED, own, strict=True):
+        # A quaternion is the same in either unit of angle.
+        if key == "angle_unit" and not found.codec.angle_columns:
+            continue
+        if stated.get(key) not in (None, value):
+            return f"the file itself says {key} {value}, the description {stated[key]}"
+    return None
+
+
+def _stated_format(path: Path, stated: Mapping[str, Any]) -> PoseFormat:
+    """Return the format that a description states alone.
+
+    Raises:
+        ValueError: something is not stated.
+    """
+    missing = [key for key in _STATED if stated.get(key) is None]
+    if missing:
+        raise ValueError(
+            f"entry {' and '.join(repr(f'poses.{key}') for key in missing)} is missing, and the "
+            f"header of {path} does not say it; a table that needs none has columns such as "
+            f"view,{FORMAT_COLUMN},{','.join(pose_columns(pose_codec('kuka_abc')))}"
+        )
+    # The columns have the codec's own names here, without units.
+    codec = pose_codec(stated["codec"])
+    return PoseFormat(
+        codec, stated["length_unit"], stated["angle_unit"], codec.columns, stated["direction"]
+    )

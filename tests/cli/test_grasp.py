@@ -1,0 +1,136 @@
+"""What `smartview grasp` prints and writes is Eq. 20, and it refuses what no arm can do."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from solids import box
+from typer.testing import CliRunner
+
+from smartview_jax import fit_joint
+from smartview_jax.cli import app
+from smartview_jax.geometry import host_matrices, pose_codec
+from smartview_jax.io import read_viewpoints, save_object_model
+from smartview_jax.modeling import grasp_on_face
+from smartview_jax.simulation import paper_calibration, random_scene
+
+POSE = "0.02,-0.01,0.05,20,0,0"
+DOWN = "0,0,0.01,0,180,0"
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory):
+    path = tmp_path_factory.mktemp("grasp") / "calibration.yaml"
+    paper_calibration().save(path)
+    return path
+
+
+def grasped(path, *words):
+    return CliRunner().invoke(app, ["grasp", str(path), *words])
+
+
+def transform(text):
+    numbers = np.array([[float(word) for word in text.split(",")]])
+    poses = pose_codec("yaw_pitch_roll").decode(numbers, "m", "deg")
+    return host_matrices(poses)[0]
+
+
+def test_the_command_is_eq_20(calibration, tmp_path):
+    out = tmp_path / "grasp.csv"
+    words = ("--object-pose", POSE, "--grasp-pose", DOWN, "--gripper", "0,0,0.11,0,0,0")
+    run = grasped(calibration, *words, "--approach", "60", "--out", str(out))
+    assert run.exit_code == 0, run.output
+    found = read_viewpoints(out)
+    assert found.names == ("approach", "grasp")
+    world_from_gripper = transform(POSE) @ transform(DOWN)
+    expected = (
+        host_matrices(paper_calibration().base_from_world)
+        @ world_from_gripper
+        @ np.linalg.inv(transform("0,0,0.11,0,0,0"))
+    )
+    commanded = host_matrices(found.base_from_tool)
+    np.testing.assert_allclose(commanded[1], expected, atol=1e-9)
+    # The way in begins 60 mm back along the gripper's z, which points to the object.
+    back = commanded[1][:3, 3] - commanded[0][:3, 3]
+    np.testing.assert_allclose(back, 0.06 * commanded[1][:3, 2], atol=1e-9)
+    assert f"{1e3 * expected[0, 3]:.3f}" in run.stdout
+    assert "says nothing of its uncertainty" in run.stdout
+
+
+def test_a_models_grasp_is_chosen_by_its_name(calibration, tmp_path):
+    solid = box(0.06, 0.04, 0.03, name="box")
+    grasps = [
+        dataclasses.replace(
+            grasp_on_face(solid, 1, opening_direction=np.array([0.0, 1.0, 0.0]), depth=0.02),
+            name=name,
+            depth=0.02,
+        )
+        for name in ("top", "other")
+    ]
+    path = save_object_model(dataclasses.replace(solid, grasps=tuple(grasps)), tmp_path / "o.json")
+    run = grasped(calibration, "--object-pose", POSE, "--model", str(path), "--name", "other")
+    assert run.exit_code == 0, run.output
+    wrong = grasped(calibration, "--model", str(path), "--name", "bottom")
+    assert wrong.exit_code == 2
+    assert "has the grasps 'top', 'other'; found 'bottom'" in wrong.stderr
+    bare = save_object_model(solid, tmp_path / "bare.json")
+    none = grasped(calibration, "--model", str(bare))
+    assert none.exit_code == 2
+    assert "no grasps in it" in none.stderr
+
+
+def test_one_document_for_programs(calibration):
+    words = ("--object-pose", POSE, "--grasp-pose", DOWN, "--format", "kuka_abc", "--json")
+    run = grasped(calibration, *words)
+    assert run.exit_code == 0, run.output
+    document = json.loads(run.stdout)
+    assert document["smartview"] == "grasp"
+    assert [one["name"] for one in document["commands"]] == ["approach", "grasp"]
+    assert list(document["commands"][0]["pose"]) == [
+        "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg",
+    ]  # fmt: skip
+    assert document["error"] is None
+
+
+def test_the_error_is_that_of_the_calibration(tmp_path):
+    scene = random_scene(1, 8, translation_noise=1e-4)
+    fit = fit_joint(scene.data, scene.calibration, field=None)
+    fit.save(tmp_path / "calibration.yaml")
+    words = ("--grasp-pose", DOWN, "--force")
+    document = json.loads(grasped(tmp_path / "calibration.yaml", *words, "--json").stdout)
+    sigmas = document["error"]["std_m"]
+    # At the world's origin the tool is as well known as the origin and the robot are.
+    known = [fit.std[f"base_from_world.translation.{axis}"] for axis in "xyz"]
+    expected = np.sqrt(np.sum(np.square(known)) + 3 * fit.noise.translation**2)
+    assert np.sqrt(np.sum(np.square(sigmas))) == pytest.approx(expected, rel=0.1)
+    run = grasped(tmp_path / "calibration.yaml", *words)
+    assert f"within +- {1.96e3 * sigmas[0]:.2f}, " in run.stdout
+
+
+def test_what_the_arm_cannot_reach_is_refused_and_not_written(calibration, tmp_path):
+    out = tmp_path / "grasp.val"
+    far = ("--object-pose", "3,0,0,0,0,0", "--grasp-pose", DOWN, "--out", str(out))
+    arm = ("--arm", "puma_560", "--near=0,90,-90,0,60,0")
+    run = grasped(calibration, *far, *arm)
+    assert run.exit_code == 2
+    assert "refused, and nothing is written: approach: out of reach" in run.stderr
+    assert not out.exists()
+    # Without an arm nothing is known of its reach.
+    assert grasped(calibration, *far).exit_code == 0
+    assert "MOVE grasp" in out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "give one of --grasp-pose and --model"),
+        (("--grasp-pose", "0,0,1"), "--grasp-pose: expected six numbers"),
+        (("--grasp-pose", DOWN, "--name", "top"), "there is no --model"),
+        (("--grasp-pose", DOWN, "--format", "oat"), "pose format is one of"),
+    ],
+)
+def test_what_is_missing_is_said(calibration, words, message):
+    run = grasped(calibration, *words)
+    assert run.exit_code == 2
+    assert message in run.stderr

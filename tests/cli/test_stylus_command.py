@@ -1,0 +1,97 @@
+"""The commands put the tip on the point, and misses are judged by the calibration's own error."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from smartview_jax import fit_joint
+from smartview_jax.cli import app
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io import read_viewpoints
+from smartview_jax.simulation import paper_calibration, random_scene
+
+TIP = np.array([0.01, -0.02, 0.15])
+WORDS = ("--tip", *map(str, TIP), "--above", "--five", "--tilt", "10")
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    scene = random_scene(1, 10, translation_noise=1e-4)
+    fit = fit_joint(scene.data, scene.calibration, field=None)
+    path = tmp_path_factory.mktemp("stylus") / "calibration.yaml"
+    fit.save(path)
+    return path
+
+
+def touched(path, *words):
+    return CliRunner().invoke(app, ["stylus", str(path), *words])
+
+
+def test_the_tip_is_on_the_point(tmp_path):
+    path, out = tmp_path / "calibration.yaml", tmp_path / "touch.json"
+    truth = paper_calibration()
+    truth.save(path)
+    point = np.array([0.02, 0.01, 0.004])
+    words = (*WORDS, "--at", *map(str, point), "--out", str(out))
+    run = touched(path, *words)
+    assert run.exit_code == 0, run.output
+    assert "says nothing of its uncertainty" in run.stdout
+    world_from_base = np.linalg.inv(host_matrices(truth.base_from_world))
+    tools = world_from_base @ host_matrices(read_viewpoints(out).base_from_tool)
+    assert len(tools) == 5
+    np.testing.assert_allclose(
+        (tools @ np.append(TIP, 1.0))[:, :3], np.tile(point, (5, 1)), atol=1e-9
+    )
+    # The first is upright: from the tool straight down to the tip.
+    np.testing.assert_allclose(
+        tools[0, :3, :3] @ TIP / np.linalg.norm(TIP), [0.0, 0.0, -1.0], atol=1e-9
+    )
+    assert touched(path, *words, "--gap", "5").exit_code == 0
+    stopped = world_from_base @ host_matrices(read_viewpoints(out).base_from_tool)
+    before = (stopped @ np.append(TIP, 1.0))[:, :3] - point
+    np.testing.assert_allclose(np.linalg.norm(before, axis=1), 5e-3, atol=1e-9)
+
+
+def test_what_to_expect_is_printed_before_anything_is_touched(fitted):
+    run = touched(fitted, *WORDS)
+    assert run.exit_code == 0, run.output
+    assert "its 95 % ellipse mm" in run.stdout
+    assert "miss" not in run.stdout
+    assert max(map(len, run.stdout.splitlines())) <= 80
+
+
+def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
+    document = json.loads(touched(fitted, *WORDS, "--json").stdout)
+    std = np.array([one["expected"]["std"] for one in document["touches"]])
+    # A displacement of the target, of one standard deviation, is common to all touches.
+    lines = [f"{one['name']},{1e3 * std[0, 0]},0.0,0.0" for one in document["touches"]]
+    misses = tmp_path / "misses.csv"
+    misses.write_text("\n".join(["view,x_mm,y_mm,z_mm", *lines]))
+    run = touched(fitted, *WORDS, "--misses", str(misses))
+    assert run.exit_code == 0, run.output
+    assert f"5 touches miss by {1e3 * std[0, 0]:.2f} mm RMS" in run.stdout
+    assert "5 of 5 are inside" in run.stdout
+    assert "): as the calibration expects" in run.stdout
+    assert max(map(len, run.stdout.splitlines())) <= 80
+    misses.write_text("\n".join(["view,x_mm,y_mm", *(f"v{k},9,-7" for k in range(1, 6))]))
+    worse = touched(fitted, *WORDS, "--misses", str(misses))
+    assert "0 of 5 are inside" in worse.stdout
+    assert "): more than the calibration expects" in worse.stdout
+    assert "the tip's position in the tool frame" in worse.stdout
+    found = json.loads(touched(fitted, *WORDS, "--misses", str(misses), "--json").stdout)
+    assert found["rms"] == pytest.approx(np.hypot(9e-3, 7e-3))
+    assert found["comparison"]["p_value"] < 0.01
+
+
+def test_what_is_wrong_is_said(fitted, tmp_path):
+    (tmp_path / "m.csv").write_text("view,x_mm,y_mm\nv1,1,2\n")
+    for words, message in (
+        ((*WORDS, "--misses", str(tmp_path / "m.csv")), "expected the touches v1, v2"),
+        ((*WORDS, "--at", "9", "0", "0", "--arm", "puma_560", "--near=0,90,-90,0,60,0"), "refused"),
+        (("--above",), "--tip"),
+    ):
+        run = touched(fitted, *words)
+        assert run.exit_code == 2
+        assert message in run.stderr
