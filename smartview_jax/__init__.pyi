@@ -18,6 +18,7 @@ from . import joint as joint
 from . import localization as localization
 from . import modeling as modeling
 from . import picking as picking
+from . import plots as plots
 from . import report as report
 from . import robot_errors as robot_errors
 from . import robots as robots
@@ -35,6 +36,8 @@ from .detection import correct_circle_centres as correct_circle_centres
 from .editor import ModelSession as ModelSession
 from .engine import Noise as Noise
 from .engine import Prior as Prior
+from .engine import build_problem as build_problem
+from .engine import optimum as optimum
 from .evaluation import compare as compare
 from .evaluation import cramer_rao as cramer_rao
 from .evaluation import error_budget as error_budget
@@ -47,6 +50,7 @@ from .geometry import xyzoat as xyzoat
 from .grasping import GraspScene as GraspScene
 from .grasping import Gripper as Gripper
 from .grasping import grasps_for as grasps_for
+from .grasping import tool_commands as tool_commands
 from .io import load_dataset as load_dataset
 from .io import save_dataset as save_dataset
 from .joint import JointFit as JointFit

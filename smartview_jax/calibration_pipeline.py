@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from .argument_checks import require_instance
 from .calibration import Calibration
 from .cameras import AbstractLens, Camera
+from .compilation import refuse_traced
 from .dataset import Dataset, chain_residuals
 from .deprecation import DeprecatedAttribute
 from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, parameter_names
@@ -79,8 +80,8 @@ class CalibrationFit(eqx.Module):
     def save(
         self, path: str | os.PathLike[str], run: str | None = None, source: str | None = None
     ) -> None:
-        """Write the calibration with its covariance; see `JointFit.save`."""
-        self.joint.save(path, run, source)
+        """Write the calibration with its covariance and all warnings; see `JointFit.save`."""
+        self.joint.save(path, run, source, self.warnings)
 
     @property
     def rejected(self) -> tuple[Rejection, ...]:
@@ -203,6 +204,7 @@ def calibrate(
         TypeError: an argument of another kind than stated.
         ValueError: as `fit_staged` and `fit_joint` do.
     """
+    refuse_traced("calibrate", data, camera)
     require_instance("data", data, Dataset)
     if camera is not None:
         require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")

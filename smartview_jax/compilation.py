@@ -30,6 +30,21 @@ def is_traced(*trees: Any) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
+def refuse_traced(function: str, *trees: Any) -> None:
+    """Raise a TypeError if a function that works on the host is called within a transformation.
+
+    Args:
+        function: name of the function, for the message.
+        trees: its arguments.
+    """
+    if is_traced(*trees):
+        raise TypeError(
+            f"{function} cannot be traced by jit, grad or vmap, because it decides by the values "
+            "of its data. Derivatives and batches of a fit are those of sv.optimum: build the "
+            "problem once by sv.build_problem, outside, and change its arrays by eqx.tree_at"
+        )
+
+
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit`, optimised only if its arguments are large.
 

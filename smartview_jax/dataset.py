@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from .array_namespace import AnyArray, to_device
 from .calibration import Calibration, mount_frames
 from .cameras import Camera
-from .compilation import compiled
+from .compilation import compiled, refuse_traced
 from .deprecation import DeprecatedAttribute
 from .geometry import PoseLike, as_se3, check_rigid, host_matrices
 from .robots import Command, SerialArm
@@ -178,6 +178,7 @@ class Dataset(eqx.Module):
             ValueError: a wrong shape, a duplicate id, or, unless masked, a wrong value; the
                 message names the view.
         """
+        refuse_traced("Dataset.from_arrays", points, pixels, base_from_tool, joints)
         mount_frames(mount)
         if bad_views not in ("raise", "mask"):
             raise ValueError(f"bad_views is 'raise' or 'mask'; found {bad_views!r}")

@@ -77,6 +77,7 @@ NEW_PATHS: dict[str, dict[str, str]] = {
         "compared": "report.comparison_row",
         "explanation_rows": "report.scale_hypothesis_rows",
         "halves_agree": "report.repeatability_rows",
+        "plots": "plots",
         "summaries": "report.error_summaries",
         "verdict": "report.result_summary",
     },

@@ -27,7 +27,7 @@ FLOORS = """
     compilation extras files deprecation fit_result schemas geometry cameras targets robots
     robot_errors calibration dataset detection staged engine variance joint arm_identification
     calibration_pipeline evaluation viewpoints features modeling io simulation localization grasping
-    report editor picking interrupts cli
+    plots report editor picking interrupts cli
 """.split()
 
 NO_OPENCV = """

@@ -20,6 +20,7 @@ from .parameters import POSE_CORRECTIONS as POSE_CORRECTIONS
 from .parameters import ROBOT_ERROR as ROBOT_ERROR
 from .parameters import Parameters as Parameters
 from .parameters import Step as Step
+from .parameters import host_retract as host_retract
 from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR

@@ -24,7 +24,9 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import to_device
 from ..calibration import Calibration
+from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
 
 _AXES = ("x", "y", "z")
@@ -198,6 +200,44 @@ class Parameters(eqx.Module):
 def _rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
     """Return the rotation vector r with `exp(r) R_start = R_end`."""
     return (end.rotation() @ start.rotation().inverse()).log()
+
+
+def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Calibration:
+    """Return what `Parameters(start).retract` returns for a step of the shared parameters.
+
+    It is computed with NumPy: for a few steps whose programs would take longer to compile.
+    """
+    layout = Parameters(start).layout
+    # The camera's numbers stand in the order of its leaves, as `ravel_pytree` puts them.
+    leaves, structure = jax.tree.flatten(start.camera)
+    ends = np.cumsum([np.size(leaf) for leaf in leaves])
+    steps = np.split(shared[layout.camera], ends[:-1])
+    camera = [
+        to_device(np.asarray(leaf) + step.reshape(np.shape(leaf)))
+        for leaf, step in zip(leaves, steps, strict=True)
+    ]
+    error = start.robot_error
+    if error is not None:
+        coefficients = np.asarray(error.coefficients) + shared[layout.field]
+        error = RobotError(error.field, to_device(coefficients))
+    return Calibration(
+        jax.tree.unflatten(structure, camera),
+        _host_retract_transform(start.camera_from_mount, shared[layout.mount]),
+        _host_retract_transform(start.holder_from_world, shared[layout.holder]),
+        start.mount,
+        np.asarray(start.target_scale) + shared[layout.target_scale][0],
+        error,
+    )
+
+
+def _host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
+    """Return what `_retract_transform` returns, computed with NumPy."""
+    matrix = host_matrices(start)
+    # R = exp(step) R_start, and the translation by itself: see the module's docstring.
+    rotation_alone = np.concatenate([np.zeros(3), step[3:]])
+    matrix[:3, :3] = host_exponentials(rotation_alone)[:3, :3] @ matrix[:3, :3]
+    matrix[:3, 3] += step[:3]
+    return host_transforms(matrix)
 
 
 def _retract_transform(start: SE3, step: Float[Array, "6"]) -> SE3:

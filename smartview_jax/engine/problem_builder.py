@@ -17,7 +17,7 @@ from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..compilation import compiled
+from ..compilation import compiled, refuse_traced
 from ..dataset import Dataset, chain_residuals
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
@@ -89,6 +89,7 @@ def build_problem(
     The coefficients of a robot error field begin at their values in the start if the start has the
     same field, otherwise at zero. With `field="auto"` the robot error of the start is kept fixed.
     """
+    refuse_traced("build_problem", data, start)
     if not (noise == "trusted" or isinstance(noise, Noise)):
         raise ValueError(
             'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), and what '

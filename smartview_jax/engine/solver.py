@@ -440,7 +440,23 @@ def optimum(
     """Return the step to the optimum, for use inside `jit`, `vmap` and `grad`.
 
     Derivatives are those of the optimum by the implicit function theorem, with respect to every
-    array in `problem`: pixels, poses, priors, and the start's own values.
+    array in `problem`: pixels, poses, priors, and the start's own values. For instance, where the
+    camera sits on the hand as a function of the measured pixels, and its derivative:
+
+        problem = sv.build_problem(data, start).problem
+
+        def hand_eye_translation(pixels):
+            changed = eqx.tree_at(lambda p: p.observations.pixels, problem, pixels)
+            calibration, _ = changed.calibration(sv.optimum(changed))
+            return calibration.camera_from_tool.translation()
+
+        metres_per_pixel = jax.jacrev(hand_eye_translation)(data.pixels)
+
+    Args:
+        problem: from `build_problem`, with any of its arrays changed.
+        solver: optimistix least-squares solver; by default the engine's own.
+        start: step to begin at; by default none.
+        maximum_steps: number of steps after which the last one is returned as it is.
     """
     # The derivatives need a linear solve at the optimum, which these units keep well conditioned.
     scaled = _with_jacobi_scale(problem)

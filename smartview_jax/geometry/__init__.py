@@ -12,6 +12,7 @@ from .conics import region_centroid as region_centroid
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
 from .host import host_adjoints as host_adjoints
+from .host import host_cross_matrices as host_cross_matrices
 from .host import host_exponentials as host_exponentials
 from .host import host_logarithms as host_logarithms
 from .host import host_matrices as host_matrices

@@ -99,6 +99,14 @@ def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarr
     return matrices
 
 
+def host_cross_matrices(
+    vectors: Float[np.ndarray, "*batch 3"],
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the matrices of the vector product with vectors from the left."""
+    # Row k of the matrix is e_k x v: (v x p)_k = p . (e_k x v).
+    return np.cross(np.eye(3), vectors[..., None, :])
+
+
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:
     """Return the adjoints of rigid 4x4 matrices as `SE3.adjoint` does, translation first.
 

@@ -13,6 +13,7 @@ from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
+from ..compilation import refuse_traced
 from ..dataset import Dataset, chain_residuals
 from ..engine import (
     ROBOT_ERROR,
@@ -124,6 +125,7 @@ def fit_joint(
         raise ValueError(
             f"gross_errors is one of {', '.join(GROSS_ERRORS_OPTIONS)}; found {gross_errors!r}"
         )
+    refuse_traced("fit_joint", data, start)
     require_instance("data", data, Dataset)
     require_instance("start", start, Calibration, "a fit has its calibration as `.calibration`")
     if solver is not None:

@@ -1,7 +1,7 @@
 """Say in words and figures what a joint fit found, for `print(fit)` and for notebooks."""
 
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,9 +34,8 @@ def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
         warnings: the doubts, a sentence each.
     """
     lines = [fit_line(fit)]
-    for heading, estimates in _groups(fit):
+    for heading, rows in estimate_groups(fit):
         lines.append(heading)
-        rows = [_label_and_text(estimate) for estimate in estimates]
         width = 2 + max(len(label) for label, _ in rows)
         lines += [f"  {label:{width}}{text}" for label, text in rows]
     lines.append(_noise_text(fit))
@@ -48,28 +47,32 @@ def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
 def fit_html(fit: "JointFit", warnings: Sequence[str]) -> str:
     """Return the same as `fit_text`, as a table in HTML for notebooks."""
     rows = []
-    for heading, estimates in _groups(fit):
+    for heading, group in estimate_groups(fit):
         rows.append(f"<tr><th colspan='2' style='text-align:left'>{html.escape(heading)}</th></tr>")
         rows += [
             f"<tr><td>{html.escape(label)}</td><td style='text-align:right'>{html.escape(text)}"
             "</td></tr>"
-            for label, text in map(_label_and_text, estimates)
+            for label, text in group
         ]
     texts = [_noise_text(fit), *(f"warning: {text}" for text in warnings)]
     remarks = "".join(f"<p>{html.escape(text)}</p>" for text in texts)
     return f"<p>{html.escape(fit_line(fit))}</p><table>{''.join(rows)}</table>{remarks}"
 
 
-def _groups(fit: "JointFit") -> Iterable[tuple[str, list[ParameterEstimate]]]:
-    """Return the parameters under headings: camera, each transform, and the rest."""
+def estimate_groups(fit: "JointFit") -> list[tuple[str, list[tuple[str, str]]]]:
+    """Return the parameters under headings: camera, each transform, and the rest.
+
+    Every parameter is a label and a text with its value, 95 % interval and unit.
+    """
     estimates = parameter_estimates(fit)
-    for prefix, heading in _headings(fit.calibration):
-        yield heading, [one for one in estimates if one.name.startswith(f"{prefix}.")]
+    groups = [
+        (heading, [one for one in estimates if one.name.startswith(f"{prefix}.")])
+        for prefix, heading in _headings(fit.calibration)
+    ]
     arm = [one for one in estimates if one.name.startswith("robot_error.")]
     scale = [one for one in estimates if one.name == "target_scale" and one.std is not None]
-    for heading, rest in (("arm (+- 95 %)", arm), ("target (+- 95 %)", scale)):
-        if rest:
-            yield heading, rest
+    groups += [("arm (+- 95 %)", arm), ("target (+- 95 %)", scale)]
+    return [(heading, list(map(_label_and_text, group))) for heading, group in groups if group]
 
 
 def _headings(calibration: Calibration) -> list[tuple[str, str]]:

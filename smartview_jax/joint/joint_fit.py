@@ -103,7 +103,11 @@ class JointFit(eqx.Module):
         return fit_html(self, self.warnings)
 
     def save(
-        self, path: str | os.PathLike[str], run: str | None = None, source: str | None = None
+        self,
+        path: str | os.PathLike[str],
+        run: str | None = None,
+        source: str | None = None,
+        warnings: Sequence[str] | None = None,
     ) -> None:
         """Write the calibration with its covariance, noise and warnings, as YAML or JSON.
 
@@ -114,9 +118,11 @@ class JointFit(eqx.Module):
             path: of the file; a name that ends in `.json` makes it JSON.
             run: name of the run, written to all its files.
             source: where the calibration is from, such as the data set's name.
+            warnings: the doubts, a sentence each; by default those of the fit.
         """
+        doubts = self.warnings if warnings is None else warnings
         self.calibration.save(
-            path, run, self.warnings, source=source, uncertainty=uncertainty_to_dict(self)
+            path, run, doubts, source=source, uncertainty=uncertainty_to_dict(self)
         )
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:

@@ -38,17 +38,31 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
     The coefficients of a robot error field are included only if they are parameters of a known arm,
     because those of other fields have no meaning one by one.
     """
-    calibration, estimates = fit.calibration, []
-    prismatic_offsets = _prismatic_offset_names(calibration)
-    values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
-    for name, value in values.items():
-        factor, unit = _display_unit(name, prismatic_offsets)
+    estimates = []
+    for name, (value, factor, unit) in _values_with_units(fit.calibration).items():
         # Pose corrections are in `std` too, but only common parameters have an interval.
         std = half_width = None
         if name in fit.std:
             std, half_width = factor * fit.std[name], factor * fit.confidence_half_width(name)
         estimates.append(ParameterEstimate(name, factor * value, unit, std, half_width))
     return tuple(estimates)
+
+
+def displayed_values(calibration: Calibration) -> dict[str, tuple[float, str]]:
+    """Return the value and the unit of every parameter by name, as in `parameter_estimates`."""
+    return {
+        name: (factor * value, unit)
+        for name, (value, factor, unit) in _values_with_units(calibration).items()
+    }
+
+
+def _values_with_units(calibration: Calibration) -> dict[str, tuple[float, float, str]]:
+    """Return the value in SI units, the factor to the unit that is shown, and this unit."""
+    prismatic_offsets = _prismatic_offset_names(calibration)
+    values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
+    return {
+        name: (value, *_display_unit(name, prismatic_offsets)) for name, value in values.items()
+    }
 
 
 def _parameter_values(calibration: Calibration) -> dict[str, float]:

@@ -69,28 +69,13 @@ def load_estimate(path: str | os.PathLike[str]) -> SavedEstimate:
         ValueError: naming the file and the entry that is wrong, or that the file says nothing of
             the uncertainty.
     """
-    content = read_yaml(path)
-    try:
-        calibration = Calibration.from_dict(content)
-        entry = content.get("uncertainty")
-        if entry is None:
-            raise ValueError(
-                "uncertainty: the file has none; `fit.save` and `smartview calibrate` write it, "
-                "where the data determine everything"
-            )
-        names, known = tuple(entry["parameters"]), parameter_names(calibration)
-        if unknown := [name for name in names if name not in known]:
-            raise ValueError(f"uncertainty: the calibration has no parameter {unknown[0]!r}")
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    return SavedEstimate(
-        calibration,
-        np.array(entry["covariance"], dtype=float),
-        names,
-        _noise_from_dict(entry.get("noise")),
-        float(entry["pixel_sigma"]),
-        Observability(len(names), len(names), (), (), float(entry["smallest_singular_value"])),
-    )
+    estimate = load_with_uncertainty(path)[1]
+    if estimate is None:
+        raise ValueError(
+            f"{path}: uncertainty: the file has none; `fit.save` and `smartview calibrate` write "
+            "it, where the data determine everything"
+        )
+    return estimate
 
 
 def load_with_uncertainty(
@@ -102,10 +87,32 @@ def load_with_uncertainty(
         FileNotFoundError: the file is missing.
         ValueError: naming the file and the entry that is wrong.
     """
-    calibration = Calibration.load(path)
-    if read_yaml(path).get("uncertainty") is None:
-        return calibration, None
-    return calibration, load_estimate(path)
+    try:
+        content = read_yaml(path)
+        calibration = Calibration.from_dict(content)
+        entry = content.get("uncertainty")
+        return calibration, None if entry is None else _estimate_from_dict(calibration, entry)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _estimate_from_dict(calibration: Calibration, entry: dict[str, Any]) -> SavedEstimate:
+    """Return the estimate of a file's calibration and its entry `uncertainty`.
+
+    Raises:
+        ValueError: a parameter that the calibration does not have.
+    """
+    names, known = tuple(entry["parameters"]), parameter_names(calibration)
+    if unknown := [name for name in names if name not in known]:
+        raise ValueError(f"uncertainty: the calibration has no parameter {unknown[0]!r}")
+    return SavedEstimate(
+        calibration,
+        np.array(entry["covariance"], dtype=float),
+        names,
+        _noise_from_dict(entry.get("noise")),
+        float(entry["pixel_sigma"]),
+        Observability(len(names), len(names), (), (), float(entry["smallest_singular_value"])),
+    )
 
 
 def _finite(sigma: float) -> float | None:

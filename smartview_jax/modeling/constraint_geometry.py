@@ -141,9 +141,3 @@ def height_above_plane(
         ("plane", plane): np.array([[*turn, -1.0]]),
     }
     return float(normal @ offset - shape.offsets[plane]), jacobians
-
-
-def cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix of the vector product with a vector from the left."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

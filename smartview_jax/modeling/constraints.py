@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..geometry import host_cross_matrices
 from .constraint_geometry import (
     DerivativeSum,
     Edge,
@@ -18,7 +19,6 @@ from .constraint_geometry import (
     LineIndex,
     Shape,
     Variable,
-    cross_matrix,
     edge_direction,
     edge_length,
     height_above_plane,
@@ -173,8 +173,8 @@ class Parallel(AbstractEdgePair):
         across = perpendicular_axes(u[None])[0].T
         # d(u x v) = -[v] du + [u] dv; across u itself the product has no component.
         total = DerivativeSum()
-        total.chain(-across @ cross_matrix(v), du)
-        total.chain(across @ cross_matrix(u), dv)
+        total.chain(-across @ host_cross_matrices(v), du)
+        total.chain(across @ host_cross_matrices(u), dv)
         return Evaluation(across @ np.cross(u, v), total.parts)
 
 

@@ -131,6 +131,7 @@ def write_pictures(
     target: AbstractTarget,
     reported_poses: PoseLike | None = None,
     suffix: str = ".png",
+    pose_format: str = "matrix",
     **options: Any,
 ) -> Path:
     """Write a data-set folder with a rendered picture for every robot pose and every height.
@@ -142,6 +143,7 @@ def write_pictures(
         target: target in the pictures.
         reported_poses: `(views)` poses that the robot reports; the true ones by default.
         suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
+        pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)
@@ -169,5 +171,6 @@ def write_pictures(
         target,
         calibration.mount,
         {"pictures": {"pattern": pattern}},
+        pose_format,
     )
     return folder

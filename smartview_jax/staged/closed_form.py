@@ -19,7 +19,13 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from ..geometry import host_matrices, host_nearest_rotation, host_transforms, mean_matrix
+from ..geometry import (
+    host_cross_matrices,
+    host_matrices,
+    host_nearest_rotation,
+    host_transforms,
+    mean_matrix,
+)
 
 _Matrix = Float[np.ndarray, "4 4"]
 _Matrices = Float[np.ndarray, "views 4 4"]
@@ -142,13 +148,13 @@ def tsai_lenz(
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     a, b = (2.0 * _quaternions(motions)[:, 1:] for motions in (A, B))
     # Least squares for p' = tan(angle / 2) axis, the Rodrigues (Gibbs) vector of X.
-    skew = (w[:, None, None] * _skew(a + b)).reshape(-1, 3)
+    skew = (w[:, None, None] * host_cross_matrices(a + b)).reshape(-1, 3)
     rodrigues = np.linalg.lstsq(skew, (w[:, None] * (b - a)).reshape(-1))[0]
     # p = 2 sin(angle / 2) axis, since sin = tan / sqrt(1 + tan^2).
     p = 2.0 * rodrigues / np.sqrt(1.0 + np.sum(rodrigues**2))
     square = np.sum(p**2)
     rotation = (1.0 - 0.5 * square) * np.eye(3) + 0.5 * (
-        np.outer(p, p) + np.sqrt(max(4.0 - square, 0.0)) * _skew(p)
+        np.outer(p, p) + np.sqrt(max(4.0 - square, 0.0)) * host_cross_matrices(p)
     )
     return _solve_translation(
         host_nearest_rotation(rotation), A, B, w, mount_from_holder, camera_from_world, weights
@@ -169,9 +175,9 @@ def daniilidis(
     # a q - q b = 0 in real and dual parts (scalar rows dropped, they are equal for exact data):
     #     [a - b    skew(a + b)     0       0        ]   [q ]
     #     [a' - b'  skew(a' + b')   a - b   skew(a + b)] [q'] = 0
-    real_rows = np.concatenate([(a - b)[:, 1:, None], _skew((a + b)[:, 1:])], axis=2)
+    real_rows = np.concatenate([(a - b)[:, 1:, None], host_cross_matrices((a + b)[:, 1:])], axis=2)
     dual_rows = np.concatenate(
-        [(a_dual - b_dual)[:, 1:, None], _skew((a_dual + b_dual)[:, 1:])], axis=2
+        [(a_dual - b_dual)[:, 1:, None], host_cross_matrices((a_dual + b_dual)[:, 1:])], axis=2
     )
     rows = np.block([[real_rows, np.zeros_like(real_rows)], [dual_rows, real_rows]])
     # The eigenvectors of the two smallest eigenvalues span the null space.
@@ -260,12 +266,6 @@ def _pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix
-
-
-def _skew(v: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Return the cross-product matrices of vectors."""
-    # Row k of the matrix is e_k x v, up to the sign: (v x p)_k = p . (e_k x v).
-    return np.cross(np.eye(3), v[..., None, :])
 
 
 def _quaternions(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4"]:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
+from ..compilation import refuse_traced
 from ..dataset import Dataset, Observations, chain_residuals
 from ..fit_result import FitCode, FitResult, Rejection
 from .conventions import ConventionReport, check_conventions
@@ -184,6 +185,7 @@ def fit_staged(
     Raises:
         ValueError: too few usable views, or poses that cannot belong to these pictures.
     """
+    refuse_traced("fit_staged", data, camera)
     say = progress or (lambda _: None)
     if conventions not in ("raise", "report"):
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
