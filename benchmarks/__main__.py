@@ -8,6 +8,7 @@ python -m benchmarks --smoke         # all, small: do they still run, do their c
 import argparse
 import importlib
 import sys
+from pathlib import Path
 
 BENCHMARKS = {
     "table1": "the paper's Table 1 on its simulated set-up, with the joint fit beside it",
@@ -28,7 +29,9 @@ BENCHMARKS = {
     "object_features": "corners and proposed models on pictures of objects, against references",
     "modeling": "vertices of objects from clicks: NEES, edges, peers, real pictures, times",
     "grasping": "grasps executed in physics, by staged and joint calibration: held, and foretold?",
-    "localization": "known objects found without a start: ranks of the right pose, seconds",
+    "hypotheses": "known objects searched without a start: ranks of the right pose, seconds",
+    "localization": "known objects found and judged: recall, false accepts, errors, NEES, seconds",
+    "asks": "what users ask most: each question with the command or call that answers it",
     "fuzz": "malformed files: refused by name, or their values in range",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "editor": "the time from a click in the object-model editor to the drawn answer",
@@ -46,6 +49,9 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help="which to run")
     parser.add_argument("--smoke", action="store_true", help="small sizes; all, unless named")
     parser.add_argument("--beside", metavar="REV", help="startup: another revision in turn")
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="localization: its records, to go on from"
+    )
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
     if unknown:
@@ -57,7 +63,9 @@ def main() -> int:
     for name in names:
         print(f"\n== {name}: {BENCHMARKS[name]}")
         module = importlib.import_module(f"benchmarks.{name}")
-        options = {"beside": arguments.beside} if name == "startup" else {}
+        own = {"startup": {"beside": arguments.beside}}
+        own["localization"] = {"results": arguments.results}
+        options = own.get(name, {})
         if not module.run(smoke=arguments.smoke, **options):
             failed.append(name)
     if failed:
