@@ -89,6 +89,7 @@ class CalibrationFit(eqx.Module):
 
         The joint fit did not use what the staged fit had left out.
         """
+        # Reversed twice: of equal keys a dict keeps the last one, and the first reason is wanted.
         both = (*self.staged.rejected, *self.joint.rejected)
         return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]
 
@@ -215,6 +216,7 @@ def calibrate(
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
     views_to_use(data, camera)
     noise = joint_options.get("noise", "estimated")
+    # XLA compiles the joint fit while the staged fit runs.
     with ThreadPoolExecutor(max_workers=1) as background:
         precompilation = background.submit(precompile, data, lens, camera=camera, noise=noise)
         staged = fit_staged(
@@ -244,6 +246,7 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
         data: the data set that `fit` was fitted to.
         fit: the calibration to refit without a correction.
     """
+    # What the first fit held is held again: its free parameters have names, the others have not.
     start, estimated = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
     free = tuple(name for name in ("target_scale",) if name in estimated)

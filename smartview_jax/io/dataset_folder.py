@@ -10,7 +10,8 @@
 
 `poses.csv` has a column `view` and the codec's columns; a file of viewpoints, which says its format
 and units itself, is named without them: `poses: {file: views.csv}`. In the pattern, `{view}` stands
-for the view's name and `{height}` for the index of the height, for a board at several heights.
+for the view's name and `{height}` for the index of the height, for a board at several heights;
+where every picture has a pose of its own, the table says the height (see `board_heights.py`).
 Instead of poses, or in addition to them, the folder may have joint readings (see `joints.py`).
 Pictures, poses and joint readings are matched by the view's name, never by their order. Where the
 target's pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that
@@ -23,7 +24,7 @@ A file written by hand needs neither.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from ..dataset import Dataset
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
+from .board_heights import read_board_heights
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
@@ -76,8 +78,15 @@ def load_dataset_folder(
     readings = read_robot_readings(folder, content, description_path, bad_views)
     if "pictures" in content:
         table_path = folder / content["poses" if "poses" in content else "joints"]["file"]
+        board_heights = read_board_heights(table_path, target, readings.view_ids)
         files = picture_files(
-            folder, content["pictures"], readings.view_ids, target, table_path, description_path
+            folder,
+            content["pictures"],
+            readings.view_ids,
+            target,
+            table_path,
+            description_path,
+            board_heights,
         )
         data = dataset_from_pictures(
             files,
@@ -90,6 +99,7 @@ def load_dataset_folder(
             progress,
             folder / DETECTIONS_FILE if keep_detections else None,
             rough_holder_from_world if holder_from_world is None else holder_from_world,
+            board_heights,
         )
         return _with_joints(readings, data, description_path)
     if not (folder / DETECTIONS_FILE).is_file():
@@ -209,16 +219,34 @@ def picture_files(
     target: AbstractTarget,
     poses_path: Path,
     description_path: Path,
+    board_heights: Mapping[str, int] | None = None,
 ) -> dict[str, list[Path]]:
-    """Return the picture files of each view: one, or one for each height of a `StackedTarget`."""
+    """Return the picture files of each view: one, or one for each height of a `StackedTarget`.
+
+    Args:
+        folder: of the data set.
+        content: the entry `pictures`, as `schemas.dataset` defines it.
+        view_ids: ids of the views.
+        target: the calibration target in the pictures.
+        poses_path: table of the poses, for error messages.
+        description_path: path of the description, for error messages.
+        board_heights: index of the height in the only picture of a view; see `board_heights.py`.
+
+    Raises:
+        ValueError: a pattern without the height, or pictures without a pose.
+    """
     pattern = content["pattern"]
-    heights = len(target.heights) if isinstance(target, StackedTarget) else 1
-    if heights > 1 and "{height}" not in pattern:
+    heights = range(len(target.heights)) if isinstance(target, StackedTarget) else range(1)
+    if board_heights is None and len(heights) > 1 and "{height}" not in pattern:
         raise ValueError(
-            f"{description_path}: pictures.pattern: {heights} heights need {{height}} in it"
+            f"{description_path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
+            f"or a column height in {poses_path.name} if every picture has a pose of its own"
         )
     files = {
-        view: [folder / pattern.format(view=view, height=k) for k in range(heights)]
+        view: [
+            folder / pattern.format(view=view, height=k)
+            for k in (heights if board_heights is None else [board_heights[view]])
+        ]
         for view in view_ids
     }
     # A glob over the same names finds pictures without a pose. Adjacent placeholders become one

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..dataset import Dataset
@@ -28,6 +28,7 @@ def dataset_from_pictures(
     progress: Callable[[str], None] | None = None,
     cache: Path | None = None,
     holder_from_world: PoseLike | None = None,
+    board_heights: Mapping[str, int] | None = None,
 ) -> Dataset:
     """Make a data set from pictures by detecting the target in each of them.
 
@@ -44,6 +45,8 @@ def dataset_from_pictures(
         holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
             for a camera that stands beside the arm. It decides the orientation of a pattern that
             looks the same when rotated; by default the orientation with the smallest rotation.
+        board_heights: index of the height of a `StackedTarget` in the only picture of a view, by
+            view id; by default every view has a picture for each height.
 
     Raises:
         FileNotFoundError: a picture is missing.
@@ -54,7 +57,9 @@ def dataset_from_pictures(
     mount_frames(mount)
     if image_size is None:
         image_size = _first_picture_size(pictures)
-    detections = _detect_views(pictures, target, image_size, bad_views, progress, cache)
+    detections = _detect_views(
+        pictures, target, image_size, bad_views, progress, cache, board_heights
+    )
     undetected = {
         view: detection.reason or "no point of the target was seen"
         for view, detection in detections.items()
@@ -81,7 +86,7 @@ def dataset_from_pictures(
         mount=mount,
         bad_views=bad_views,
         masked_views=list({**undetected, **(masked_views or {})}.items()),
-        pictures=[pictures[view][0] for view in views],
+        pictures=[_shown_picture(pictures[view], detections[view].visible) for view in views],
         target=target,
         notes=(note,) if note else (),
     )
@@ -141,10 +146,11 @@ def _detect_views(
     bad_views: str,
     progress: Callable[[str], None] | None,
     cache: Path | None,
+    board_heights: Mapping[str, int] | None,
 ) -> dict[str, Detection]:
     """Detect the target in every view, or read the detections from the cache if it is valid."""
     report_progress = progress or (lambda _: None)
-    fingerprint = "" if cache is None else _fingerprint(pictures, target)
+    fingerprint = "" if cache is None else _fingerprint(pictures, target, board_heights)
     if cache is not None:
         cached = read_cached_detections(cache, fingerprint, list(pictures), len(target.points))
         if cached is not None:
@@ -157,7 +163,8 @@ def _detect_views(
     for number, (view, paths) in enumerate(pictures.items(), start=1):
         report_progress(f"looking for the target: view {view} ({number} of {len(pictures)})")
         try:
-            detections[view] = _detect_view(paths, target, image_size)
+            height = None if board_heights is None else board_heights[view]
+            detections[view] = _detect_view(paths, target, image_size, height)
         except (FileNotFoundError, ValueError) as error:
             if bad_views != "mask":
                 raise
@@ -173,17 +180,38 @@ def _detect_views(
 
 
 def _detect_view(
-    paths: Sequence[Path], target: AbstractTarget, image_size: tuple[int, int]
+    paths: Sequence[Path],
+    target: AbstractTarget,
+    image_size: tuple[int, int],
+    height: int | None,
 ) -> Detection:
-    """Detect the target in a view's pictures; the heights of a stacked target are concatenated."""
+    """Detect the target in a view's pictures; the heights of a stacked target are concatenated.
+
+    Args:
+        paths: a picture for each height, or the only one.
+        target: the target.
+        image_size: width and height that every picture must have, px.
+        height: index of the height in the only picture; the points of the others are not visible.
+    """
     board = target.board if isinstance(target, StackedTarget) else target
     parts = [detect(read_picture(path, image_size), board) for path in paths]
     reasons = [part.reason for part in parts if part.reason]
+    if height is not None and isinstance(target, StackedTarget):
+        (found,), absent = parts, empty_detection(len(board.points), "")
+        parts = [found if k == height else absent for k in range(len(target.heights))]
     return Detection(
         np.concatenate([part.pixels for part in parts]),
         np.concatenate([part.visible for part in parts]),
         "; ".join(reasons) or None,
     )
+
+
+def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:
+    """Return the picture of the first height at which a point was found, to be drawn on."""
+    if len(paths) == 1:
+        return paths[0]
+    # The points of a stacked target are in the order of the heights. `argmax` finds the first True.
+    return paths[int(np.argmax(visible.reshape(len(paths), -1).any(axis=1)))]
 
 
 def _refuse_undetected_rows(
@@ -256,9 +284,15 @@ def _consistent_numbering(
     return np.stack(renumbered).reshape(pixels.shape), ordering.message
 
 
-def _fingerprint(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
+def _fingerprint(
+    pictures: Mapping[str, Sequence[Path]],
+    target: AbstractTarget,
+    board_heights: Mapping[str, int] | None,
+) -> str:
     """Return a hash of the target's description and of all pictures, which identifies a cache."""
     digest = hashlib.sha256(repr(target).encode())
+    if board_heights is not None:
+        digest.update(repr(sorted(board_heights.items())).encode())
     for view, paths in pictures.items():
         digest.update(view.encode())
         # The content is hashed, not the modification time, which copying a folder changes.

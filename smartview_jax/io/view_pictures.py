@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ..files import read_yaml
 from ..geometry import host_matrices
+from .board_heights import read_board_heights
 from .dataset_folder import DESCRIPTION_FILE, picture_files
 from .robot_readings import read_robot_readings
 
@@ -51,7 +52,10 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     table = folder / content["poses" if "poses" in content else "joints"]["file"]
     target = target_from_dict(content["target"])
     # A board at several heights has several pictures of a view; an object has one.
-    files = picture_files(folder, content["pictures"], readings.view_ids, target, table, path)
+    heights = read_board_heights(table, target, readings.view_ids)
+    files = picture_files(
+        folder, content["pictures"], readings.view_ids, target, table, path, heights
+    )
     return ViewPictures(
         list(readings.view_ids),
         [files[view][0] for view in readings.view_ids],

@@ -107,6 +107,7 @@ class Scene:
 
     def __init__(self, views: SeenViews, pictures: Sequence[PictureEvidence]):
         self.views = views
+        # The points stay as they are; only which of them are free changes.
         self._points = [one.edge_points for one in pictures]
         self._free = [np.ones(len(points.pixels), dtype=bool) for points in self._points]
         self._strengths = [points.strengths for points in self._points]
@@ -149,6 +150,7 @@ def converged_candidates(
     """Return hypotheses drawn to the edges of the pictures, each once, the likeliest first."""
     candidates = []
     for index, one in enumerate(prepared):
+        # The hypotheses are ranked, so that the limit leaves out the least likely.
         starts = [h.world_from_object for h in hypotheses if h.model == index][:MAX_HYPOTHESES]
         if not starts:
             continue
@@ -160,6 +162,7 @@ def converged_candidates(
         kept: list[Candidate] = []
         for each in sorted(own, key=lambda one: -one.explained):
             others = [other.pose for other in kept]
+            # Many hypotheses are drawn to one pose: the one that explains most stands for them.
             if not kept or pose_distances(one.model, each.pose, np.stack(others)).min() > one.same:
                 kept.append(each)
         candidates += kept
@@ -190,6 +193,7 @@ def judged(
         if not waiting:
             break
         best, waiting = waiting[0], waiting[1:]
+        # All that follow explain less, so that the search can end.
         if found and best.explained < REJECTED_SHARE:
             break
         is_known = any(one.model_index == best.model for one in found)
@@ -228,6 +232,7 @@ class _Judging:
     def take(self, one: Localization) -> None:
         """Take the edge points that an object explains away from all others."""
         self._scene.take(one.refined.lines)
+        # Kept: the places that were tried can be measured again without a search.
         self._tried_before |= self._tried
         self._tried.clear()
 
@@ -267,6 +272,7 @@ class _Judging:
             refined = refine_pose(
                 best.pose, one.model, one.fine, scene.views, scene.lookup, self._uncertainty
             )
+        # Too few edges are left once others have been taken: there is nothing to report.
         except ValueError:
             return None
         pose, chance = refined.world_from_object, self._chance(best)

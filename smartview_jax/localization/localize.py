@@ -60,6 +60,7 @@ def localize(
     """
     prepared = _prepared(models)
     views = _checked_views(pictures_or_features, poses, calibration)
+    # OpenCV and NumPy release the interpreter lock, so that pictures are searched side by side.
     with ThreadPoolExecutor(THREADS) as pool:
         count = len(pictures_or_features)
         found_in = pool.map(_evidence, range(count), pictures_or_features, [calibration] * count)
@@ -69,6 +70,7 @@ def localize(
         pictures = (*previous.pictures, *pictures)
         views = SeenViews.of(calibration, command)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    # A further view is asked about the poses that are left; the search is not begun anew.
     if hypotheses is None and previous is not None and len(previous):
         hypotheses = _hypotheses_of(previous)
     if hypotheses is None:
@@ -77,6 +79,7 @@ def localize(
         )
     scene = Scene(views, pictures)
     candidates = converged_candidates(scene, prepared, hypotheses)
+    # Checked again after the fit, which may have drawn a pose out of the box.
     if workspace is not None:
         low, high = np.min(workspace, axis=0), np.max(workspace, axis=0)
         middles = [prepared[one.model].middle_at(one.pose) for one in candidates]
@@ -147,6 +150,7 @@ def _hypotheses_of(previous: Localizations) -> list[Hypothesis]:
 
 def _reported(found: Sequence[Localization]) -> list[Localization]:
     """Return accepted and open ones, and the best rejected one of each model without any."""
+    # A rejected pose is reported only where nothing better is: its evidence says why.
     order = {"accepted": 0, "open": 1, "rejected": 2}
     kept = [one for one in found if one.verdict.decision != "rejected"]
     for one in found:

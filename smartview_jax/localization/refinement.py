@@ -109,6 +109,7 @@ def pose_from_matches(
     """
     uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
     errors, pose = CommonErrors.of(uncertainty, model), start
+    # The last pass returns even without convergence: a pose after many steps is better than none.
     for remaining in range(MAX_STEPS)[::-1]:
         equations = match_equations(matches, model, views, pose, uncertainty)
         if robust_scale is not None:
@@ -167,10 +168,12 @@ def refine_pose(
     """
     uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
     errors, pose = CommonErrors.of(uncertainty, model), start
+    # The edges are measured anew in each step, because what is near an edge depends on the pose.
     for remaining in range(MAX_STEPS)[::-1]:
         lines = measured_lines(wireframe, views, lookup, pose, radius)
         equations = line_equations(lines, model, wireframe, views, pose, uncertainty)
         edge_rows = len(equations.residuals)
+        # The rows of edges come first: only these have a standard deviation that is estimated.
         if matches is not None:
             given = match_equations(matches, model, views, pose, uncertainty)
             equations = joined([equations, given])
@@ -179,6 +182,7 @@ def refine_pose(
         pose = pose @ host_exponentials(step.tangent)
         if _has_converged(step) or not remaining:
             used = np.zeros(lines.measured.shape, dtype=bool)
+            # Two equations of an edge are kept or left out together, so that one of them tells.
             used[lines.measured] = keep[:edge_rows:2]
             parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
             fit = step.chi_square, step.degrees_of_freedom
@@ -234,6 +238,7 @@ def line_equations(
     view, edge = np.nonzero(lines.measured)
     count = len(view)
     by_calibration = np.zeros((2 * count, len(uncertainty.names)))
+    # An exact model has no columns: its vertices do not err.
     by_vertices = np.zeros((2 * count, 0 if model.is_exact else 3 * len(model.vertices)))
     if by_calibration.size or by_vertices.size:
         samples = np.asarray(wireframe.samples)
@@ -241,6 +246,7 @@ def line_equations(
         found = pixel_jacobians(views, samples @ R.T + t)
         owners = np.asarray(wireframe.sample_edges)
         places = _places_on_edges(model, samples, owners)
+        # The samples of an edge differ in number, so that this is no array operation.
         for k, (v, e) in enumerate(zip(view, edge, strict=True)):
             own = np.flatnonzero((owners == e) & (lines.combination[v, 0] != 0.0))
             normals, mix = lines.normals[v, own], lines.combination[v][:, own]
@@ -248,6 +254,7 @@ def line_equations(
             by_view = np.einsum("si,sil->sl", normals, found.by_view[v, own])
             by_calibration[rows] = mix @ by_view @ uncertainty.view_jacobian[v]
             if by_vertices.size:
+                # A sample between two vertices moves with both, by its distance from each.
                 gradient = np.einsum("si,sij->sj", normals, found.by_point[v, own] @ R)
                 for vertex, share in zip(
                     model.edges[e], (1.0 - places[own], places[own]), strict=True
@@ -301,6 +308,7 @@ def _gated(
     weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
     step = solve_pose(_weighted(weighted, errors, 2.0), errors)
     keep = consistent_blocks(weighted, errors, step)
+    # The standard deviations depend on which edges are kept, and the other way round.
     for _ in range(2):
         sigmas = _likeliest_edge_sigmas(equations, errors, edge_rows, keep, sigmas)
         weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
@@ -321,6 +329,7 @@ def _likeliest_edge_sigmas(
     own = equations.of(keep)
     rows = int(keep[:edge_rows].sum())
     common = sum(errors.covariances(own))
+    # One after the other on a grid, and the first once more: they hardly depend on each other.
     for which in (0, 1, 0):
         choices = np.tile(sigmas, (len(EDGE_SIGMAS), 1))
         choices[:, which] = EDGE_SIGMAS
@@ -358,6 +367,7 @@ def explained_edge_points(
     found = np.unique(lines.points[view][np.isfinite(lines.distances[view])])
     if not len(found):
         return found
+    # Points between two samples of an edge were not measured, but are explained as well.
     tree = KDTree(points.pixels[found])
     gap, nearest = tree.query(points.pixels, distance_upper_bound=EXPLAINED_REACH)
     near = np.flatnonzero(np.isfinite(gap))

@@ -1,6 +1,7 @@
 """Draw what more views would bring."""
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from .figures import BLUE, GREY, PlotFigure, single_plot
 
@@ -30,6 +31,10 @@ def error_by_views(
         view_counts[finite], chosen_errors[finite], "o-", color=BLUE, markersize=4, label="chosen"
     )
     axes.set_yscale("log")
+    # Errors are read as plain numbers: 0.5, not 5 x 10^-1.
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("views")
     axes.set_ylabel(f"expected error ({unit})")
     axes.legend(frameon=False)

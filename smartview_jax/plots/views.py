@@ -18,11 +18,11 @@ def prediction_overlay(
     Args:
         data: data set with the detected points.
         view: index of the view.
-        picture: grey picture, `(h, w)`; for a `StackedTarget`, the one at its first height.
+        picture: grey picture, `(h, w)`; for a `StackedTarget`, the one at the first height at which
+            a point was found, as `data.pictures` has it.
         calibration: calibration that predicts the points.
     """
-    target = data.target
-    point_slice = slice(len(target.board.points) if isinstance(target, StackedTarget) else None)
+    point_slice = _points_in_picture(data, view)
     figure, axes = single_plot(4.7, 4.0)
     axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
     predicted, valid = calibration.project(data.command, data.points)
@@ -41,7 +41,7 @@ def prediction_overlay(
         label="measured",
     )
     axes.plot(u, v, "+", color=RED, markersize=6, markeredgewidth=0.9, label="predicted")
-    # A target with several heights may have been detected only at others than the picture's.
+    # In the picture of a view that is not used nothing may have been found.
     if len(measured):
         # The picture is cropped to the measured points and a margin of 12 % of their extent.
         margin = 0.12 * float(np.ptp(measured, axis=0).max())
@@ -53,6 +53,16 @@ def prediction_overlay(
     axes.set_ylabel("v (px)")
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
+
+
+def _points_in_picture(data: Dataset, view: int) -> slice:
+    """Return the points of a target that are in `data.pictures[view]`: those at one height."""
+    if not isinstance(data.target, StackedTarget):
+        return slice(None)
+    count = len(data.target.board.points)
+    # `argmax` finds the first height at which a point was found; the first one if none was.
+    height = int(np.argmax(np.asarray(data.visible)[view].reshape(-1, count).any(axis=1)))
+    return slice(height * count, (1 + height) * count)
 
 
 def camera_poses_3d(data: Dataset, calibration: Calibration) -> PlotFigure:

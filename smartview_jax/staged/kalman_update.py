@@ -120,6 +120,7 @@ def absorb_measurements(
             jnp.where(accepted, count + 1.0, count),
         )
 
+    # Floating point, because a `where` of another type would be promoted in the loop.
     counts = jnp.zeros(len(state.poses))
     (camera, poses, _), _ = jax.lax.scan(absorb_point, (*state, counts), (measurements, used))
     return FilterState(camera, poses)
@@ -146,6 +147,7 @@ def _update(
         pose, H_e, measurement.at[:, :POSE_SIZE].set(0.0), jnp.eye(2)
     )
     # product = [H_e D, h, H_e a - z]
+    # The measurement without what it tells about the pose is a measurement of the camera.
     h = product[:, POSE_SIZE:-1]
     new_camera, _, S, whitened = _subtract_explained(
         camera, h, product[:, POSE_SIZE:].at[:, :-1].set(0.0), S_e

@@ -121,6 +121,7 @@ def encompassing_field(data: Dataset, view_count: int) -> AbstractField:
         data: data set, with an arm if the joints are known.
         view_count: number of views with enough points to determine their pose.
     """
+    # A known arm leaves nothing to be guessed by a generic one.
     if data.arm is not None:
         return DHErrors(data.arm)
     poses = readable_poses(data)
@@ -182,6 +183,7 @@ def fit_candidates(
         prior: prior of the standard deviations of all groups.
         wrong_target_probability: prior probability that the target does not have its stated size.
     """
+    # Every model is a mask of one set of statistics, so that no model is linearised by itself.
     fitted: dict[ModelName, FittedCandidate] = {}
     for free_scale in (False, True) if TARGET_SCALE in groups else (False,):
         scale_log_odds = (
@@ -241,6 +243,7 @@ def average_standard_deviations(
     fitted: Mapping[ModelName, FittedCandidate], probabilities: Mapping[ModelName, float]
 ) -> StandardDeviations:
     """Return standard deviations whose squares are weighted averages of the models' variances."""
+    # Variances add up over models, standard deviations do not.
     sigma_vectors = [fitted[name].maximum.sigmas.vector for name in probabilities]
     model_weights = np.array(list(probabilities.values()))
     return StandardDeviations.from_vector(np.sqrt(model_weights @ np.square(sigma_vectors)))

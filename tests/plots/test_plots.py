@@ -48,10 +48,16 @@ def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
         data, 0, np.zeros((480, 640), np.uint8), paper_calibration()
     ).axes
     assert len(drawn(axes, "predicted")) == 9
-    # The first height was not detected.
-    lower = eqx.tree_at(lambda d: d.visible, data, data.visible.at[0, :9].set(False))
+    # The first height was not detected: the picture is that of the second one.
+    upper = eqx.tree_at(lambda d: d.visible, data, data.visible.at[0, :9].set(False))
     (axes,) = plots.prediction_overlay(
-        lower, 0, np.zeros((480, 640), np.uint8), paper_calibration()
+        upper, 0, np.zeros((480, 640), np.uint8), paper_calibration()
+    ).axes
+    np.testing.assert_array_equal(drawn(axes, "measured"), np.asarray(data.pixels[0, 9:]))
+    # Nothing was found in any picture of the view.
+    absent = eqx.tree_at(lambda d: d.visible, data, data.visible.at[0].set(False))
+    (axes,) = plots.prediction_overlay(
+        absent, 0, np.zeros((480, 640), np.uint8), paper_calibration()
     ).axes
     assert len(drawn(axes, "measured")) == 0
     assert axes.get_xlim() == (-0.5, 639.5)
