@@ -66,6 +66,7 @@ from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
 from .staged import StagedFit as StagedFit
 from .staged import fit_staged as fit_staged
+from .time_offset import estimate_time_offset as estimate_time_offset
 from .version import __version__ as __version__
 from .viewpoints import choose_views as choose_views
 from .viewpoints import viewpoint_commands as viewpoint_commands

@@ -26,8 +26,8 @@ FLOORS = """
     argument_checks array_namespace blas_threads double_precision version compilation_cache
     compilation extras files deprecation fit_result schemas geometry cameras targets robots
     robot_errors calibration dataset detection staged engine variance joint arm_identification
-    calibration_pipeline evaluation viewpoints features modeling io simulation localization grasping
-    plots report editor picking interrupts cli
+    calibration_pipeline time_offset evaluation viewpoints features modeling io simulation
+    localization grasping plots report editor picking interrupts cli
 """.split()
 
 NO_OPENCV = """

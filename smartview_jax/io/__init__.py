@@ -14,6 +14,7 @@ from .export import ros_camera_info as ros_camera_info
 from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
 from .load import load_dataset as load_dataset
+from .load import load_pose_log as load_pose_log
 from .matrix_rows import import_matrix_rows as import_matrix_rows
 from .matrix_rows import read_matrix_rows as read_matrix_rows
 from .matrix_rows import write_matrix_rows as write_matrix_rows
@@ -35,6 +36,7 @@ from .object_views import write_object_views as write_object_views
 from .opencv_camera import read_opencv_camera as read_opencv_camera
 from .pictures import dataset_from_pictures as dataset_from_pictures
 from .pose_format import pose_columns as pose_columns
+from .pose_log import PoseLog as PoseLog
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .rough_pose import parse_rough_pose as parse_rough_pose

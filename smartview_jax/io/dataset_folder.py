@@ -40,7 +40,7 @@ from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
 from .poses import write_poses
-from .robot_readings import RobotReadings, read_robot_readings
+from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
 
 FORMAT_VERSION = 1
@@ -77,7 +77,7 @@ def load_dataset_folder(
         raise ValueError(f"{description_path}: {error}") from error
     readings = read_robot_readings(folder, content, description_path, bad_views)
     if "pictures" in content:
-        table_path = folder / content["poses" if "poses" in content else "joints"]["file"]
+        table_path = table_of_views(folder, content)
         board_heights = read_board_heights(table_path, target, readings.view_ids)
         files = picture_files(
             folder,

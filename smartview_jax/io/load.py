@@ -5,8 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..dataset import Dataset
+from ..files import read_yaml
 from ..geometry import PoseLike
 from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
+from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
 
 
@@ -49,3 +51,23 @@ def load_dataset(
         f"{folder}: neither {DESCRIPTION_FILE} nor {DATA_FILE} here: "
         "not a data set this library knows"
     )
+
+
+def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:
+    """Read the log of a data-set folder; None where every view has a pose of its own.
+
+    Raises:
+        FileNotFoundError: a table is missing.
+        ValueError: something is wrong in it; the message names the file and the row or view.
+    """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import validate_content
+
+    path = Path(folder) / DESCRIPTION_FILE
+    if not path.is_file():
+        return None
+    content = read_yaml(path)
+    entry = validate_content(content, DATASET_SCHEMA, path).poses
+    if entry is None or entry.picture_times is None:
+        return None
+    return read_pose_log(Path(folder), content["poses"])

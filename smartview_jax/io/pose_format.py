@@ -12,7 +12,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..geometry import ANGLE_UNITS, LENGTH_UNITS, POSE_CODECS, PoseCodec, pose_codec
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
+
+from ..geometry import (
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    POSE_CODECS,
+    PoseCodec,
+    as_se3,
+    host_matrices,
+    pose_codec,
+)
 
 FORMAT_COLUMN = "format"
 """The column that names the pose format, the same in every row."""
@@ -145,6 +157,29 @@ def stated_format(found: PoseFormat, stated: Mapping[str, Any], path: Path) -> P
     if problem is not None:
         raise ValueError(f"{path}: {problem}")
     return found
+
+
+def decoded_poses(
+    path: Path, form: PoseFormat, rows: Float[np.ndarray, "poses columns"], labels: Sequence[str]
+) -> SE3:
+    """Return `base_from_tool` of the rows of a table, inverted where it has the inverse.
+
+    Args:
+        path: of the table, for messages.
+        form: format of the rows.
+        rows: numbers in the codec's order.
+        labels: a name for each row, for messages.
+
+    Raises:
+        ValueError: a row is no pose.
+    """
+    try:
+        poses = form.codec.decode(rows, *form.units, labels=labels)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if form.direction != COMMANDED_DIRECTION:
+        poses = as_se3(np.linalg.inv(host_matrices(poses)))
+    return poses
 
 
 def _contradiction(found: PoseFormat, stated: Mapping[str, Any]) -> str | None:

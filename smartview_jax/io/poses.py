@@ -4,7 +4,8 @@
             direction: base_from_tool}
 
 The file has a column `view` and the columns of the codec. A file that `write_viewpoints` wrote, CSV
-or JSON, states its own format and units: `poses: {file: views.csv}` is then enough.
+or JSON, states its own format and units: `poses: {file: views.csv}` is then enough. Poses that the
+robot logged while it moved are interpolated at the times of the pictures (see `pose_log.py`).
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..geometry import LENGTH_UNITS, as_se3, host_matrices, pose_codec
+from ..geometry import LENGTH_UNITS, pose_codec
 from .csv_tables import (
     duplicates,
     parse_numbers,
@@ -23,7 +24,8 @@ from .csv_tables import (
     refuse_truncated,
     write_table,
 )
-from .pose_format import PoseFormat, stated_format, table_format
+from .pose_format import PoseFormat, decoded_poses, stated_format, table_format
+from .pose_log import read_pose_log
 from .viewpoints import read_viewpoints
 
 POSES_FILE = "poses.csv"
@@ -45,6 +47,9 @@ def read_poses(
         FileNotFoundError: the table is missing.
     """
     path = folder / content["file"]
+    if content.get("picture_times") is not None:
+        log = read_pose_log(folder, content)
+        return list(log.view_ids), log.poses(), {}
     if path.suffix == ".json":
         return _read_commands(path, content)
     table = read_table(path, ("view",))
@@ -69,13 +74,7 @@ def read_poses(
     rows = np.where(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
-    try:
-        poses = codec.decode(rows, *form.units, labels=view_ids)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    if form.direction != "base_from_tool":
-        poses = as_se3(np.linalg.inv(host_matrices(poses)))
-    return view_ids, poses, masked_views
+    return view_ids, decoded_poses(path, form, rows, view_ids), masked_views
 
 
 def write_poses(

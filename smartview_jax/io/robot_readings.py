@@ -36,6 +36,14 @@ class RobotReadings(NamedTuple):
         return data if self.arm is None else data.with_joints(self.joints, self.arm)
 
 
+def table_of_views(folder: Path, content: dict[str, Any]) -> Path:
+    """Return the table of a description that has a row for each view: poses, joints or times."""
+    if "poses" not in content:
+        return folder / content["joints"]["file"]
+    poses = content["poses"]
+    return folder / (poses.get("picture_times") or poses["file"])
+
+
 def read_robot_readings(
     folder: Path, content: dict[str, Any], description_path: Path, bad_views: str
 ) -> RobotReadings:

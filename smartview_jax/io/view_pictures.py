@@ -11,7 +11,7 @@ from ..files import read_yaml
 from ..geometry import host_matrices
 from .board_heights import read_board_heights
 from .dataset_folder import DESCRIPTION_FILE, picture_files
-from .robot_readings import read_robot_readings
+from .robot_readings import read_robot_readings, table_of_views
 
 
 class ViewPictures(NamedTuple):
@@ -49,7 +49,7 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     if "pictures" not in content:
         raise ValueError(f"{path}: entry 'pictures' is missing: an object is modelled in pictures")
     readings = read_robot_readings(folder, content, path, "raise")
-    table = folder / content["poses" if "poses" in content else "joints"]["file"]
+    table = table_of_views(folder, content)
     target = target_from_dict(content["target"])
     # A board at several heights has several pictures of a view; an object has one.
     heights = read_board_heights(table, target, readings.view_ids)

@@ -31,5 +31,6 @@ from .serial_arm import SerialArm as SerialArm
 from .serial_arm import dh_jacobian as dh_jacobian
 from .serialization import arm_from_dict as arm_from_dict
 from .serialization import arm_to_dict as arm_to_dict
+from .trajectory import Trajectory as Trajectory
 
 __getattr__ = _deprecated_names(__name__)

@@ -41,10 +41,15 @@ class CameraSizeEntry(Entry):
     image_size: ImageSize
 
 
+_Seconds = Annotated[float, Field(ge=-60.0, le=60.0), Expected("seconds, from -60 to 60")]
+
+
 class PosesEntry(Entry):
     """A table of poses, one row per view: format, units and direction; none of them is guessed.
 
     What the table's own header says, as that of a file of viewpoints does, need not be repeated.
+    With `picture_times`, a table of times, the poses are those that a moving robot logged;
+    `time_offset` is what its clock is later than the camera's.
     """
 
     file: Name
@@ -53,6 +58,16 @@ class PosesEntry(Entry):
     angle_unit: AngleUnit | None = None
     direction: Literal["base_from_tool", "tool_from_base"] | None = None
     rows: _RowCount | None = None
+    picture_times: Name | None = None
+    time_offset: _Seconds | None = None
+
+    @model_validator(mode="after")
+    def _check_times(self) -> "PosesEntry":
+        if self.time_offset is not None and self.picture_times is None:
+            raise ValueError(
+                "time_offset: it needs picture_times, the table of the pictures' times"
+            )
+        return self
 
 
 class JointsEntry(Entry):

@@ -15,6 +15,8 @@ from .closed_form import daniilidis as daniilidis
 from .closed_form import park_martin as park_martin
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz
+from .closure import closure_error as closure_error
+from .closure import relative_motions as relative_motions
 from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions

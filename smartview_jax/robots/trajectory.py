@@ -1,0 +1,66 @@
+"""Interpolate the poses that a robot logged while it moved."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from ..geometry import PoseLike, as_se3, host_matrices
+
+MIN_LOGGED_POSES = 4
+"""Smallest number of poses of which a cubic spline is determined."""
+
+
+class Trajectory(NamedTuple):
+    """Poses of the tool over time, between which splines with continuous acceleration are taken.
+
+    Attributes:
+        times: when the robot was there by its own clock, s, increasing.
+        base_from_tool: poses.
+    """
+
+    times: Float[np.ndarray, "logged"]
+    base_from_tool: Float[np.ndarray, "logged 4 4"]
+
+    @classmethod
+    def of(cls, times: Float[np.ndarray, "logged"], base_from_tool: PoseLike) -> "Trajectory":
+        """Return a trajectory after checking it.
+
+        Raises:
+            ValueError: too few poses, or times that do not increase.
+        """
+        seconds, poses = np.asarray(times, dtype=float), host_matrices(as_se3(base_from_tool))
+        if seconds.shape != (len(poses),) or len(poses) < MIN_LOGGED_POSES:
+            raise ValueError(
+                f"trajectory: expected at least {MIN_LOGGED_POSES} poses, a time for each; found "
+                f"{seconds.size} times and {len(poses)} poses"
+            )
+        # NaN is no increase either.
+        if not (np.diff(seconds) > 0.0).all():
+            k = int(np.argmin(np.diff(seconds) > 0.0))
+            raise ValueError(
+                f"trajectory: time {k + 1} is {seconds[k + 1]:.9g} s, not after {seconds[k]:.9g} s"
+            )
+        return cls(seconds, poses)
+
+    def at(self, times: Float[np.ndarray, "views"]) -> Float[np.ndarray, "views 4 4"]:
+        """Return the poses at some times, which must be within those that were logged.
+
+        Raises:
+            ValueError: a time before the first or after the last logged one.
+        """
+        first, last = self.times[0], self.times[-1]
+        outside = ~((first <= times) & (times <= last))
+        if outside.any():
+            found = times[int(np.argmax(outside))]
+            raise ValueError(
+                f"trajectory: {found:.9g} s is not within the logged times, {first:.9g} to "
+                f"{last:.9g} s"
+            )
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
+        rotations = Rotation.from_matrix(self.base_from_tool[:, :3, :3])
+        poses[:, :3, :3] = RotationSpline(self.times, rotations)(times).as_matrix()
+        poses[:, :3, 3] = CubicSpline(self.times, self.base_from_tool[:, :3, 3])(times)
+        return poses

@@ -1,0 +1,206 @@
+"""Estimate how much later a robot's clock is than the camera's, where pictures are taken in motion.
+
+A picture that the camera stamps with the time t shows the target from where the robot was at
+`t + offset` by its own clock. The offset is found in two steps: by how well the motions of robot
+and camera agree (the closure error of A X = X B, whose camera poses need no robot), for many
+offsets; then by the joint fit, whose cost with given standard deviations is minus the logarithm of
+the profile likelihood of the offset.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize_scalar
+
+from .calibration import Calibration, host_mount_from_holder
+from .cameras import AbstractLens
+from .dataset import Dataset
+from .engine import Noise
+from .geometry import as_se3, host_matrices
+from .joint import fit_joint
+from .robots import Trajectory
+from .staged import StagedFit, closure_error, fit_staged, relative_motions, views_to_use
+
+COARSE_STEPS = 80
+"""Number of intervals into which the range of offsets is divided for the search."""
+
+NOISE_ROUNDS = 2
+"""Number of times that standard deviations and offset are estimated in turn."""
+
+OFFSET_TOLERANCE = 1e-6
+"""Accuracy of the minimum, s: of a robot at 1 m/s a thousandth of a millimetre."""
+
+
+class TimeOffset(NamedTuple):
+    """The difference between two clocks: what is added to a picture's time to have the robot's.
+
+    Attributes:
+        seconds: the offset, s.
+        std: its standard deviation, s.
+        data: the data set with the poses at the corrected times.
+        noise: standard deviations of pixels and poses that the estimate rests on.
+    """
+
+    seconds: float
+    std: float
+    data: Dataset
+    noise: Noise
+
+    def __str__(self) -> str:
+        """Return the estimate in milliseconds, with its 95 % interval."""
+        return (
+            f"robot's clock minus camera's: {1e3 * self.seconds:.2f} +- "
+            f"{1e3 * 1.96 * self.std:.2f} ms"
+        )
+
+
+def at_time_offset(
+    data: Dataset,
+    trajectory: Trajectory,
+    picture_times: Float[np.ndarray, "views"],
+    seconds: float,
+) -> Dataset:
+    """Return a data set with the poses in which the robot was at its pictures' corrected times.
+
+    Args:
+        data: pictures, whose poses are replaced.
+        trajectory: poses that the robot logged.
+        picture_times: times of the pictures by the camera's clock, s.
+        seconds: what is added to them, s.
+
+    Raises:
+        ValueError: another number of times than of views, or a time that was not logged.
+    """
+    times = np.asarray(picture_times, dtype=float)
+    if times.shape != (data.view_count,):
+        raise ValueError(
+            f"picture_times: expected {data.view_count} times, one for each view; "
+            f"found {times.size}"
+        )
+    return dataclasses.replace(data, base_from_tool=as_se3(trajectory.at(times + seconds)))
+
+
+def estimate_time_offset(
+    data: Dataset,
+    trajectory: Trajectory,
+    picture_times: Float[np.ndarray, "views"],
+    lens: str | AbstractLens = "opencv4",
+    *,
+    max_offset: float = 0.5,
+    progress: Callable[[str], None] | None = None,
+) -> TimeOffset:
+    """Estimate the difference between the robot's clock and the camera's, with its uncertainty.
+
+    The robot's errors are taken as independent from view to view, as they are to the offset.
+
+    Args:
+        data: pictures of a moving camera; their poses are not used.
+        trajectory: poses that the robot logged.
+        picture_times: times of the pictures by the camera's clock, s.
+        lens: the lens model.
+        max_offset: largest size of the offset, s.
+        progress: called with a line of text for each stage.
+
+    Raises:
+        ValueError: pictures outside the logged times, poses that belong to none of the offsets, an
+            offset at the end of the range, or a robot that hardly moved; and as `fit_staged` does.
+    """
+    say = progress or (lambda _: None)
+    times = np.asarray(picture_times, dtype=float)
+    at_zero = at_time_offset(data, trajectory, times, 0.0)
+    low = max(-max_offset, float(trajectory.times[0] - times.min()))
+    high = min(max_offset, float(trajectory.times[-1] - times.max()))
+    say(f"time offset: {COARSE_STEPS + 1} from {1e3 * low:.0f} to {1e3 * high:.0f} ms")
+    # The convention checks would refuse poses from the wrong time; what is wrong is to be found.
+    seen = fit_staged(at_zero, lens, conventions="report")
+    grid = np.linspace(low, high, COARSE_STEPS + 1)
+    scores = [_disagreement(seen, at_zero, trajectory.at(times + shift)) for shift in grid]
+    best = int(np.argmin(scores))
+    if best in (0, COARSE_STEPS):
+        raise ValueError(
+            f"time offset: robot and camera agree best at {1e3 * grid[best]:.0f} ms, the end of "
+            f"the range: is the offset larger, or do the poses belong to other pictures?"
+        )
+    seconds, step = float(grid[best]), float(grid[1] - grid[0])
+    staged = fit_staged(at_time_offset(data, trajectory, times, seconds), lens)
+    calibration, bounds = staged.calibration, (max(seconds - step, low), min(seconds + step, high))
+    calibration, noise = _fit_at(data, trajectory, times, staged, calibration, seconds)
+    cost = _profile(data, trajectory, times, staged, calibration, noise)
+    # Twice, because standard deviations that were estimated at another offset are too large.
+    for _ in range(NOISE_ROUNDS):
+        found = minimize_scalar(
+            cost, bounds=bounds, method="bounded", options={"xatol": OFFSET_TOLERANCE}
+        )
+        seconds = float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
+        say(f"time offset: {1e3 * seconds:.2f} ms")
+        calibration, noise = _fit_at(data, trajectory, times, staged, calibration, seconds)
+        cost = _profile(data, trajectory, times, staged, calibration, noise)
+    std = _standard_deviation(cost, seconds, min(seconds - low, high - seconds))
+    return TimeOffset(seconds, std, at_time_offset(data, trajectory, times, seconds), noise)
+
+
+def _fit_at(
+    data: Dataset,
+    trajectory: Trajectory,
+    times: Float[np.ndarray, "views"],
+    staged: StagedFit,
+    start: Calibration,
+    seconds: float,
+) -> tuple[Calibration, Noise]:
+    """Return calibration and standard deviations of pixels and poses at an offset."""
+    at_offset = at_time_offset(data, trajectory, times, seconds)
+    fit = fit_joint(at_offset, start, inliers=staged.inliers, field=None)
+    assert fit.noise is not None
+    return fit.calibration, fit.noise
+
+
+def _disagreement(
+    seen: StagedFit, data: Dataset, base_from_tool: Float[np.ndarray, "views 4 4"]
+) -> float:
+    """Return how far the motions of robot and camera disagree, in rotation and in translation."""
+    used = views_to_use(data)
+    robot = host_mount_from_holder(data.mount, as_se3(base_from_tool))
+    camera = host_matrices(seen.step2.camera_from_world)
+    return closure_error(relative_motions(host_matrices(robot)[used], camera[used])).score
+
+
+def _profile(
+    data: Dataset,
+    trajectory: Trajectory,
+    times: Float[np.ndarray, "views"],
+    staged: StagedFit,
+    start: Calibration,
+    noise: Noise,
+) -> Callable[[float], float]:
+    """Return minus the log-likelihood of an offset, maximised over all other parameters."""
+
+    def cost(seconds: float) -> float:
+        """Return half the sum of squared residuals, in standard deviations."""
+        # The same observations at every offset, so that the costs are comparable.
+        fit = fit_joint(
+            at_time_offset(data, trajectory, times, seconds),
+            start,
+            inliers=staged.inliers,
+            noise=noise,
+            field=None,
+            gross_errors="keep",
+        )
+        return fit.solution.costs[-1]
+
+    return cost
+
+
+def _standard_deviation(cost: Callable[[float], float], seconds: float, room: float) -> float:
+    """Return the standard deviation from the curvature of the log-likelihood at its maximum."""
+    # Where the cost rises by one half: first from a small step, then from one of that size.
+    width, least = 1e-4, cost(seconds)
+    for _ in range(2):
+        width = min(width, room)
+        curvature = (cost(seconds + width) - 2.0 * least + cost(seconds - width)) / width**2
+        if not curvature > 0.0:
+            raise ValueError("time offset: it is not determined: the robot hardly moved")
+        width = 1.0 / np.sqrt(curvature)
+    return float(width)

@@ -1,0 +1,105 @@
+"""Data sets whose robot logged its poses while it moved, read from their folders."""
+
+import csv
+
+import numpy as np
+import pytest
+import yaml
+
+import smartview_jax as sv
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io import load_pose_log
+from smartview_jax.robots import Trajectory
+from smartview_jax.simulation import random_target_scene
+from smartview_jax.targets import Chessboard
+
+VIEWS, FIRST, STEP = 6, 500.0, 0.5
+
+
+def edit(path, change):
+    content = yaml.safe_load(path.read_text())
+    change(content)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def write_rows(path, header, rows):
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *rows])
+
+
+@pytest.fixture
+def scene():
+    return random_target_scene(1, VIEWS, Chessboard(5, 4, 0.006), pixel_noise=0.1)
+
+
+@pytest.fixture
+def folder(scene, tmp_path):
+    """The poses of a data set as a log with a time for each; a picture was taken at each of them.
+
+    The camera's clock is 0.1 s behind the robot's.
+    """
+    sv.save_dataset(scene.data, tmp_path)
+    with (tmp_path / "poses.csv").open() as file:
+        header, *rows = csv.reader(file)
+    times = FIRST + STEP * np.arange(VIEWS)
+    logged = [[repr(float(time)), *row[1:]] for time, row in zip(times, rows, strict=True)]
+    write_rows(tmp_path / "poses.csv", ["time", *header[1:]], logged)
+    pictures = [[row[0], repr(float(time - 0.1))] for time, row in zip(times, rows, strict=True)]
+    write_rows(tmp_path / "times.csv", ["view", "time"], pictures)
+    edit(
+        tmp_path / "dataset.yaml",
+        lambda content: content["poses"].update(picture_times="times.csv", time_offset=0.1),
+    )
+    return tmp_path
+
+
+def test_the_poses_are_those_at_the_corrected_times(folder, scene):
+    data = sv.load_dataset(folder)
+    assert data.view_ids == scene.data.view_ids
+    np.testing.assert_allclose(
+        host_matrices(data.base_from_tool), host_matrices(scene.data.base_from_tool), atol=1e-9
+    )
+    log = load_pose_log(folder)
+    assert log is not None
+    assert log.time_offset == 0.1
+    np.testing.assert_allclose(log.picture_times, FIRST - 0.1 + STEP * np.arange(VIEWS))
+    # Without the offset the poses are those between two of the log.
+    edit(folder / "dataset.yaml", lambda content: content["poses"].update(time_offset=-0.1))
+    (folder / "times.csv").write_text((folder / "times.csv").read_text().replace("499.9", "500.3"))
+    expected = Trajectory.of(log.trajectory.times, log.trajectory.base_from_tool)
+    shifted = np.array([500.2, *(log.picture_times[1:] - 0.1)])
+    np.testing.assert_allclose(
+        host_matrices(sv.load_dataset(folder).base_from_tool), expected.at(shifted), atol=1e-9
+    )
+
+
+def test_a_folder_with_a_pose_for_every_view_has_no_log(scene, tmp_path):
+    sv.save_dataset(scene.data, tmp_path)
+    assert load_pose_log(tmp_path) is None
+
+
+def test_what_is_wrong_is_named(folder):
+    description, times = folder / "dataset.yaml", (folder / "times.csv").read_text()
+    (folder / "times.csv").write_text(times.replace("499.9", "900.0"))
+    with pytest.raises(ValueError, match=r"view 0: its time, 900\.1 s, is not within"):
+        sv.load_dataset(folder)
+    (folder / "times.csv").write_text(times.replace("\n1,", "\n0,"))
+    with pytest.raises(ValueError, match=r"times\.csv: view 0 has more than one row"):
+        sv.load_dataset(folder)
+    (folder / "times.csv").write_text(times.replace("499.9", "soon"))
+    with pytest.raises(ValueError, match=r"times\.csv: view 0: time is 'soon', not a number"):
+        sv.load_dataset(folder)
+    (folder / "times.csv").write_text(times)
+    log = (folder / "poses.csv").read_text()
+    (folder / "poses.csv").write_text(log.replace("\n501.0,", "\n500.0,"))
+    with pytest.raises(ValueError, match=r"poses\.csv: trajectory: time 2 is 500 s, not after"):
+        sv.load_dataset(folder)
+    (folder / "poses.csv").write_text(log.replace("\n501.0,", "\nnan,"))
+    with pytest.raises(ValueError, match=r"poses\.csv: view row 3: time is nan"):
+        sv.load_dataset(folder)
+    (folder / "poses.csv").write_text(log.replace("time,", "view,"))
+    with pytest.raises(ValueError, match="expected the columns time; missing time"):
+        sv.load_dataset(folder)
+    edit(description, lambda content: content["poses"].pop("picture_times"))
+    with pytest.raises(ValueError, match="time_offset: it needs picture_times"):
+        sv.load_dataset(folder)

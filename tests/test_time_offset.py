@@ -1,0 +1,94 @@
+"""The clock of a robot that moves while pictures are taken, found from simulated pictures."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3
+
+import smartview_jax as sv
+from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.geometry import as_se3, host_matrices, viewing_direction
+from smartview_jax.robots import Trajectory
+from smartview_jax.simulation import paper_calibration, paper_points, simulate
+from smartview_jax.time_offset import at_time_offset
+
+OFFSET = 0.035
+LOG_TIMES = 1000.0 + np.arange(0.0, 20.0, 0.02)
+POINTS = paper_points((0.0, 0.02))[::4]
+
+
+def simulated(seed, views=15):
+    """A camera that circles over the target at some centimetres a second; 0.1 mm of robot noise."""
+    rng, calibration = np.random.default_rng(seed), paper_calibration()
+    phases = rng.uniform(0.0, 6.0, 4)
+
+    def commands(times):
+        seconds = times - LOG_TIMES[0]
+        tilt = 0.3 + 0.2 * np.sin(0.8 * seconds + phases[0])
+        roll = 0.8 * np.sin(0.5 * seconds + phases[1])
+        distance = 0.25 + 0.03 * np.sin(0.6 * seconds + phases[2])
+        direction = viewing_direction(tilt, 0.6 * seconds + phases[3])
+        aims = np.broadcast_to(POINTS.mean(axis=0), (len(times), 3))
+        return calibration.command_for(sv.look_at(aims, direction, distance, roll))
+
+    times = np.sort(rng.uniform(LOG_TIMES[0] + 1.0, LOG_TIMES[-1] - 1.0, views))
+    errors = rng.normal(size=(views, 6)) * np.repeat([1e-4, 2e-4], 3)
+    actual = commands(times) @ SE3.exp(jnp.asarray(errors))
+    data = simulate(calibration, actual, POINTS, pixel_noise=0.15, seed=seed).data
+    return data, Trajectory.of(LOG_TIMES, commands(LOG_TIMES)), times - OFFSET
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return simulated(0)
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    data, trajectory, times = scene
+    return sv.estimate_time_offset(data, trajectory, times, "radial", max_offset=0.3)
+
+
+def test_the_offset_is_found_within_its_uncertainty(found):
+    assert abs(found.seconds - OFFSET) < 3.0 * found.std
+    # The camera moves at 5 cm/s on average: 0.1 mm of robot noise are 2 ms in each of 15 views.
+    assert 0.2e-3 < found.std < 1.0e-3
+    assert str(found).startswith("robot's clock minus camera's: 3")
+
+
+def test_the_poses_at_the_corrected_times_calibrate_better(scene, found):
+    data, trajectory, times = scene
+    rms = []
+    for one in (at_time_offset(data, trajectory, times, 0.0), found.data):
+        fit = sv.fit_staged(one, "radial", conventions="report")
+        rms.append(reprojection_errors(fit.calibration, one).rms)
+    # What is left is the robot's own 0.1 mm and 0.2 mrad.
+    assert rms[1] < 0.7 * rms[0]
+
+
+def test_a_camera_beside_the_robot_gives_the_same_offset(scene, found):
+    data, trajectory, times = scene
+    beside = data.__class__.from_arrays(
+        data.points[0],
+        np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan),
+        data.base_from_tool.inverse(),
+        data.image_size,
+        mount="eye_to_hand",
+    )
+    inverse = Trajectory.of(trajectory.times, np.linalg.inv(trajectory.base_from_tool))
+    other = sv.estimate_time_offset(beside, inverse, times, "radial", max_offset=0.3)
+    assert other.seconds == pytest.approx(found.seconds, abs=0.5 * found.std)
+
+
+def test_what_cannot_be_found_is_said(scene):
+    data, trajectory, times = scene
+    with pytest.raises(ValueError, match="picture_times: expected 15 times, one for each view"):
+        sv.estimate_time_offset(data, trajectory, times[:-1])
+    with pytest.raises(ValueError, match="not within the logged times"):
+        sv.estimate_time_offset(data, trajectory, times + 50.0)
+    with pytest.raises(ValueError, match=r"agree best at .* ms, the end of the range"):
+        sv.estimate_time_offset(data, trajectory, times + 1.5, "radial", max_offset=0.5)
+    # One pose throughout: every offset is as good as any other.
+    still = np.broadcast_to(host_matrices(as_se3(trajectory.base_from_tool[:1])), (1000, 4, 4))
+    with pytest.raises(ValueError, match=r"hardly moved|the end of the range|do not move alike"):
+        sv.estimate_time_offset(data, Trajectory.of(LOG_TIMES, still), times, "radial")
