@@ -21,28 +21,19 @@ def compare(
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
     with errors_reported(debug):
-        from rich import box
         from rich.console import Console
-        from rich.table import Table
 
         from ..evaluation import HeldOutReport, standard_methods
         from ..evaluation import compare as compare_methods
-        from ..report import COMPARISON_HEADINGS, comparison_row, remarks
+        from ..report import remarks
+        from .compare_tables import print_comparison
 
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
             rows = compare_methods(data, standard_methods(lens), progress=progress)
-        table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
-        for column in COMPARISON_HEADINGS:
-            alignment = "left" if column == "method" else "right"
-            # On a narrow terminal the headings wrap, but method names and "mean +- std" do not.
-            table.add_column(
-                column, justify=alignment, no_wrap=alignment == "left" or "+-" in column
-            )
-        for row in rows:
-            table.add_row(*comparison_row(row))
         console = Console()
-        console.print(table)
+        console.print(f"{name}, lens {lens}", highlight=False, markup=False)
+        print_comparison(rows)
         for note in data.notes:
             console.print(note, highlight=False)
         for row in rows:
