@@ -1,5 +1,7 @@
 """Define `smartview compare`, which prints several methods side by side."""
 
+from .error_documents import method_document, views_left_out
+from .json_document import print_document
 from .load import load_named
 from .options import (
     BadViews,
@@ -7,6 +9,7 @@ from .options import (
     BaseFromWorldOption,
     DatasetArgument,
     DebugOption,
+    JsonOption,
     LensOption,
 )
 from .terminal import errors_reported, progress_line
@@ -17,6 +20,7 @@ def compare(
     lens: LensOption = "opencv4",
     bad_views: BadViewsOption = BadViews.RAISE,
     base_from_world: BaseFromWorldOption = None,
+    json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
@@ -31,6 +35,14 @@ def compare(
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
             rows = compare_methods(data, standard_methods(lens), progress=progress)
+        if json:
+            methods = [method_document(row) for row in rows]
+            left_out = views_left_out(data.masked_views)
+            content = {"data_set": name, "lens": lens, "methods": methods}
+            # Notes are in the document: nothing but it is on stdout.
+            notes = {"left_out_views": left_out, "notes": list(data.notes)}
+            print_document("compare", content | notes)
+            return
         console = Console()
         console.print(f"{name}, lens {lens}", highlight=False, markup=False)
         print_comparison(rows)
