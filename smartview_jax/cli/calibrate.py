@@ -9,6 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import file_transaction, refuse_unwritable
+from .fit_options import (
+    CameraOption,
+    FixedOption,
+    FreeOption,
+    PriorOption,
+    StartOption,
+    parse_fit_options,
+)
 from .json_document import print_document
 from .load import load_named
 from .options import (
@@ -41,6 +49,11 @@ def calibrate(
     diagnose: Annotated[
         bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
     ] = False,
+    camera: CameraOption = None,
+    fixed: FixedOption = None,
+    free: FreeOption = None,
+    prior: PriorOption = None,
+    start: StartOption = None,
     bad_views: BadViewsOption = BadViews.RAISE,
     base_from_world: BaseFromWorldOption = None,
     json: JsonOption = False,
@@ -61,18 +74,23 @@ def calibrate(
         refuse_unwritable(out, "--out")
         run = _run_name()
 
-        def fit_views(part: "Dataset", progress: Callable[[str], None] | None) -> "CalibrationFit":
-            return fit_both(part, lens, noise=noise.value, progress=progress)
-
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
+            known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
+
+            def fit_views(
+                part: "Dataset", progress: Callable[[str], None] | None
+            ) -> "CalibrationFit":
+                options = known.arguments()
+                return fit_both(part, lens, noise=noise.value, progress=progress, **options)
+
             result = fit_and_judge(data, name, fit_views, held_out, diagnose, progress)
         if not json:
             print_calibrate_result(result)
         with progress_line() as progress:
-            files = _write_files(result, out, run, progress)
+            files = _write_files(result, out, run, known.given, progress)
         if json:
-            print_document("calibrate", calibrate_document(result, run, files))
+            print_document("calibrate", calibrate_document(result, run, known.given, files))
         else:
             for file in files:
                 typer.echo(f"{file}: {_RESULT_FILES[file.name]}")
@@ -100,20 +118,24 @@ def _run_name() -> str:
 
 
 def _write_files(
-    result: "CalibrateResult", out: Path, run: str, progress: Callable[[str], None]
+    result: "CalibrateResult",
+    out: Path,
+    run: str,
+    given: str,
+    progress: Callable[[str], None],
 ) -> list[Path]:
     """Write all files of a run, or none, and return those that are there."""
     from ..report import Origin, write_page
 
     # All files appear together, so that the report always belongs to the calibration.
     with file_transaction(out, tuple(_RESULT_FILES)) as folder:
-        _save_calibrations(result, folder, run)
+        _save_calibrations(result, folder, run, given)
         write_page(
             folder / "report.html",
             result.fit,
             result.data,
             result.held_out_reports,
-            Origin(result.name, shlex.join(["smartview", *sys.argv[1:]]), run),
+            Origin(result.name, shlex.join(["smartview", *sys.argv[1:]]), run, given),
             progress,
             result.split_half,
             result.budget,
@@ -122,12 +144,14 @@ def _write_files(
     return [out / file for file in _RESULT_FILES if (out / file).is_file()]
 
 
-def _save_calibrations(result: "CalibrateResult", folder: Path, run: str) -> None:
+def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given: str) -> None:
     """Write the calibrations of a fit to a folder, by the names in `_RESULT_FILES`."""
     from ..calibration_pipeline import refit_uncorrected
 
     fit = result.fit
-    fit.joint.save(folder / "calibration.yaml", run, result.name, result.warnings)
+    # What was not found but given is part of where the numbers are from.
+    source = f"{result.name}; given: {given}" if given else result.name
+    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
         # With the robot's error corrected, the transforms alone do not predict best.

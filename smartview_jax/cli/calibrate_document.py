@@ -17,18 +17,22 @@ if TYPE_CHECKING:
     from .calibrate_result import CalibrateResult
 
 
-def calibrate_document(result: "CalibrateResult", run: str, files: list[Path]) -> dict[str, Any]:
+def calibrate_document(
+    result: "CalibrateResult", run: str, given: str, files: list[Path]
+) -> dict[str, Any]:
     """Return all that `calibrate` found, as values for programs.
 
     Args:
         result: the fit and what was computed about it.
         run: name of the run, which its files contain too.
+        given: what was known already, in words.
         files: files that were written.
     """
     fit, data = result.fit, result.data
     return {
         "data_set": result.name,
         "run": run,
+        "given": given,
         "converged": fit.result.converged,
         "message": fit.result.message,
         **calibration_entries(fit.calibration),

@@ -1,6 +1,14 @@
 """Define `smartview compare`, which prints several methods side by side."""
 
 from .error_documents import method_document, views_left_out
+from .fit_options import (
+    CameraOption,
+    FixedOption,
+    FreeOption,
+    PriorOption,
+    StartOption,
+    parse_fit_options,
+)
 from .json_document import print_document
 from .load import load_named
 from .options import (
@@ -18,6 +26,11 @@ from .terminal import errors_reported, progress_line
 def compare(
     dataset: DatasetArgument = None,
     lens: LensOption = "opencv4",
+    camera: CameraOption = None,
+    fixed: FixedOption = None,
+    free: FreeOption = None,
+    prior: PriorOption = None,
+    start: StartOption = None,
     bad_views: BadViewsOption = BadViews.RAISE,
     base_from_world: BaseFromWorldOption = None,
     json: JsonOption = False,
@@ -34,11 +47,13 @@ def compare(
 
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
-            rows = compare_methods(data, standard_methods(lens), progress=progress)
+            known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
+            methods = standard_methods(lens, **known.arguments())
+            rows = compare_methods(data, methods, progress=progress)
         if json:
-            methods = [method_document(row) for row in rows]
+            entries = [method_document(row) for row in rows]
             left_out = views_left_out(data.masked_views)
-            content = {"data_set": name, "lens": lens, "methods": methods}
+            content = {"data_set": name, "lens": lens, "given": known.given, "methods": entries}
             # Notes are in the document: nothing but it is on stdout.
             notes = {"left_out_views": left_out, "notes": list(data.notes)}
             print_document("compare", content | notes)

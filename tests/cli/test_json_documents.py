@@ -106,7 +106,7 @@ def test_a_comparison_has_every_method(folder, monkeypatch):
 
     methods = {"staged": lambda part: fit_staged(part, "opencv4"), "other": refused}
     monkeypatch.setattr(
-        sys.modules["smartview_jax.evaluation"], "standard_methods", lambda _: methods
+        sys.modules["smartview_jax.evaluation"], "standard_methods", lambda _, **__: methods
     )
     run = RUNNER.invoke(app, ["compare", str(folder), "--json"])
     assert run.exit_code == 0, run.output
