@@ -67,6 +67,16 @@ def mount_frames(mount: str) -> tuple[str, str]:
     return _FRAMES[mount]
 
 
+def transform_names(mount: str) -> tuple[str, str]:
+    """Return the names of `camera_from_mount` and `holder_from_world` for a mount.
+
+    Raises:
+        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+    """
+    mount_frame, holder_frame = mount_frames(mount)
+    return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
+
+
 def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
     """Return the robot's part of the chain, from the target's holder to the camera's mount.
 
@@ -220,8 +230,7 @@ class Calibration(eqx.Module):
     @property
     def transform_names(self) -> tuple[str, str]:
         """The public names of `camera_from_mount` and `holder_from_world` for this mount."""
-        mount_frame, holder_frame = mount_frames(self.mount)
-        return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
+        return transform_names(self.mount)
 
     @property
     def field(self) -> AbstractField | None:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Unpack
 
@@ -18,6 +18,7 @@ from .dataset import Dataset, chain_residuals
 from .deprecation import DeprecatedAttribute
 from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, parameter_names
 from .fit_result import FitResult, Rejection
+from .geometry import PoseLike
 from .joint import (
     JointFit,
     JointOptions,
@@ -28,7 +29,15 @@ from .joint import (
     precompile,
 )
 from .robot_errors import RobotError
-from .staged import StagedFit, fit_staged, kalman_filter, views_to_use
+from .staged import (
+    StagedFit,
+    check_start,
+    fit_staged,
+    kalman_filter,
+    merged_start,
+    require_picture_size,
+    views_to_use,
+)
 from .variance import NoiseEstimate
 
 DEFAULT_LENS = "opencv4"
@@ -187,6 +196,7 @@ def calibrate(
     lens: str | AbstractLens = DEFAULT_LENS,
     *,
     camera: Camera | None = None,
+    start: Calibration | Mapping[str, PoseLike] | None = None,
     step2: str = "kalman",
     progress: Callable[[str], None] | None = None,
     **joint_options: Unpack[JointOptions],
@@ -194,25 +204,32 @@ def calibrate(
     """Calibrate by the staged pipeline, then by the joint fit without the staged fit's outliers.
 
     Args:
-        data: at least three views with six visible points each.
+        data: at least three views with six visible points each; with a known camera four suffice.
         lens: the lens model of both fits; the paper's is `"radial"`.
         camera: a known camera, which both fits then hold.
+        start: where the joint fit starts, which is what parameters of `fixed` keep and what priors
+            without a mean are about: a calibration, or one or both transforms by name, such as
+            `camera_from_tool` from a drawing; by default the staged fit's. A transform alone moves
+            the other one so that the first usable view stays as it is.
         step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
         progress: called with a line of text for each stage.
         joint_options: options of `fit_joint`, by keyword.
 
     Raises:
         TypeError: an argument of another kind than stated.
-        ValueError: as `fit_staged` and `fit_joint` do.
+        ValueError: a camera or a start that is not of this data set's pictures or mount, and as
+            `fit_staged` and `fit_joint` do.
     """
     refuse_traced("calibrate", data, camera)
     require_instance("data", data, Dataset)
     if camera is not None:
         require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
+        require_picture_size("the known camera", camera, data)
     if step2 not in STEP2_METHODS:
         raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
+    check_start(start, data)
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
     views_to_use(data, camera)
     noise = joint_options.get("noise", "estimated")
@@ -225,7 +242,13 @@ def calibrate(
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
     joint = fit_joint(
-        data, staged.calibration, inliers=staged.inliers, progress=progress, **joint_options
+        data,
+        merged_start(staged.calibration, start, data, camera),
+        # A start of another lens is converted; a known camera keeps its own.
+        lens=lens if camera is None and isinstance(start, Calibration) else None,
+        inliers=staged.inliers,
+        progress=progress,
+        **joint_options,
     )
     return CalibrationFit(staged, joint)
 

@@ -9,6 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import file_transaction, refuse_unwritable
+from .fit_options import (
+    CameraOption,
+    FixedOption,
+    FreeOption,
+    PriorOption,
+    StartOption,
+    parse_fit_options,
+)
+from .json_document import print_document
 from .load import load_named
 from .options import (
     BadViews,
@@ -16,6 +25,7 @@ from .options import (
     BaseFromWorldOption,
     DatasetArgument,
     DebugOption,
+    JsonOption,
     LensOption,
     NoiseModel,
     NoiseOption,
@@ -25,7 +35,7 @@ from .terminal import errors_reported, progress_line
 if TYPE_CHECKING:
     from ..calibration_pipeline import CalibrationFit
     from ..dataset import Dataset
-    from ..evaluation import ErrorBudget, HeldOutReport, SplitHalfDifference
+    from .calibrate_result import CalibrateResult
 
 
 def calibrate(
@@ -39,8 +49,14 @@ def calibrate(
     diagnose: Annotated[
         bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
     ] = False,
+    camera: CameraOption = None,
+    fixed: FixedOption = None,
+    free: FreeOption = None,
+    prior: PriorOption = None,
+    start: StartOption = None,
     bad_views: BadViewsOption = BadViews.RAISE,
     base_from_world: BaseFromWorldOption = None,
+    json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
@@ -50,54 +66,36 @@ def calibrate(
     """
     with errors_reported(debug):
         from ..calibration_pipeline import calibrate as fit_both
-        from ..evaluation import without_rejected_views
-        from ..report import Origin, error_summaries, repeatability_rows, write_page
-        from .calibrate_tables import print_budget, print_result
+        from .calibrate_document import calibrate_document
+        from .calibrate_result import fit_and_judge
+        from .calibrate_tables import print_calibrate_result
 
         # Checked first, so that minutes of fitting are not lost to a folder that is read-only.
         refuse_unwritable(out, "--out")
         run = _run_name()
+
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
-            notes = list(data.notes)
-            fit = fit_both(data, lens, noise=noise.value, progress=progress)
-            warnings = fit.warnings
-            # Views that the joint fit rejected are outliers, and say nothing about the calibration.
-            inlier_data = without_rejected_views(data, fit)
-            held_out_reports = (
-                _held_out_reports(inlier_data, lens, noise, diagnose, progress, notes)
-                if held_out
-                else {}
-            )
-            split_half = budget = None
-            if diagnose:
-                split_half, budget = _diagnosis(fit, inlier_data, lens, noise, progress, notes)
-                warnings += () if split_half is None else split_half.warnings
-        notes += [f"warning: {text}" for text in warnings]
-        print_result(error_summaries(fit, data, held_out_reports), fit, data, notes)
-        for _, text in repeatability_rows(split_half):
-            typer.echo(f"even and odd views: {text}")
-        if budget is not None:
-            print_budget(budget)
-        with progress_line() as progress, file_transaction(out, tuple(_RESULT_FILES)) as folder:
-            # All files appear together, so that the report always belongs to the calibration.
-            _save_calibrations(fit, data, name, folder, run, warnings)
-            write_page(
-                folder / "report.html",
-                fit,
-                data,
-                held_out_reports,
-                Origin(name, shlex.join(["smartview", *sys.argv[1:]]), run),
-                progress,
-                split_half,
-                budget,
-                notes,
-            )
-        for file, description in _RESULT_FILES.items():
-            if (out / file).is_file():
-                typer.echo(f"{out / file}: {description}")
+            known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
+
+            def fit_views(
+                part: "Dataset", progress: Callable[[str], None] | None
+            ) -> "CalibrationFit":
+                options = known.arguments()
+                return fit_both(part, lens, noise=noise.value, progress=progress, **options)
+
+            result = fit_and_judge(data, name, fit_views, held_out, diagnose, progress)
+        if not json:
+            print_calibrate_result(result)
+        with progress_line() as progress:
+            files = _write_files(result, out, run, known.given, progress)
+        if json:
+            print_document("calibrate", calibrate_document(result, run, known.given, files))
+        else:
+            for file in files:
+                typer.echo(f"{file}: {_RESULT_FILES[file.name]}")
         # The results are written nevertheless, but a script must notice a fit without convergence.
-        if not fit.result.converged:
+        if not result.fit.result.converged:
             raise typer.Exit(1)
 
 
@@ -119,71 +117,43 @@ def _run_name() -> str:
     return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
 
 
-def _save_calibrations(
-    fit: "CalibrationFit",
-    data: "Dataset",
-    name: str,
-    folder: Path,
+def _write_files(
+    result: "CalibrateResult",
+    out: Path,
     run: str,
-    warnings: tuple[str, ...],
-) -> None:
+    given: str,
+    progress: Callable[[str], None],
+) -> list[Path]:
+    """Write all files of a run, or none, and return those that are there."""
+    from ..report import Origin, write_page
+
+    # All files appear together, so that the report always belongs to the calibration.
+    with file_transaction(out, tuple(_RESULT_FILES)) as folder:
+        _save_calibrations(result, folder, run, given)
+        write_page(
+            folder / "report.html",
+            result.fit,
+            result.data,
+            result.held_out_reports,
+            Origin(result.name, shlex.join(["smartview", *sys.argv[1:]]), run, given),
+            progress,
+            result.split_half,
+            result.budget,
+            result.remarks,
+        )
+    return [out / file for file in _RESULT_FILES if (out / file).is_file()]
+
+
+def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given: str) -> None:
     """Write the calibrations of a fit to a folder, by the names in `_RESULT_FILES`."""
     from ..calibration_pipeline import refit_uncorrected
 
-    fit.joint.save(folder / "calibration.yaml", run, name, warnings)
+    fit = result.fit
+    # What was not found but given is part of where the numbers are from.
+    source = f"{result.name}; given: {given}" if given else result.name
+    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
     if fit.calibration.robot_error is not None:
-        uncorrected = refit_uncorrected(data, fit)
+        # With the robot's error corrected, the transforms alone do not predict best.
+        uncorrected = refit_uncorrected(result.data, fit)
         uncorrected.save(folder / "calibration_uncorrected.yaml", run)
-
-
-def _held_out_reports(
-    data: "Dataset",
-    lens: str,
-    noise: NoiseModel,
-    thorough: bool,
-    progress: Callable[[str], None],
-    notes: list[str],
-) -> "dict[str, HeldOutReport]":
-    """Return the held-out errors of both fits, refitting each fold once, or add a note why not."""
-    from ..calibration_pipeline import calibrate as fit_both
-    from ..evaluation import held_out_reports
-
-    if len(data.usable_views()) < 4:
-        notes.append("held-out error needs at least 4 usable views: left out")
-        return {}
-    return held_out_reports(
-        data,
-        lambda part: fit_both(part, lens, noise=noise.value),
-        thorough=thorough,
-        progress=progress,
-    )
-
-
-def _diagnosis(
-    fit: "CalibrationFit",
-    data: "Dataset",
-    lens: str,
-    noise: NoiseModel,
-    progress: Callable[[str], None],
-    notes: list[str],
-) -> "tuple[SplitHalfDifference | None, ErrorBudget | None]":
-    """Compare halves of the views and compute the error budget; note what cannot be computed."""
-    from ..calibration_pipeline import calibrate as fit_both
-    from ..evaluation import error_budget, split_half_difference
-
-    def fit_half(half_data: "Dataset"):
-        progress("half of the views")
-        return fit_both(half_data, lens, noise=noise.value).joint
-
-    # Each of the two may be impossible, such as with too few views, without harm to the other.
-    split_half = budget = None
-    try:
-        split_half = split_half_difference(data, fit_half)
-    except ValueError as error:
-        notes.append(f"halves of the views are not compared: {error}")
-    try:
-        budget = error_budget(data, fit.joint, progress, held_out_by_region=True)
-    except ValueError as error:
-        notes.append(f"there is no error budget: {error}")
-    return split_half, budget

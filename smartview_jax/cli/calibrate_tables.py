@@ -2,14 +2,17 @@
 
 from typing import TYPE_CHECKING
 
+import typer
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from ..report import (
     budget_rows,
+    error_summaries,
     rejections,
     remarks,
+    repeatability_rows,
     result_summary,
     scale_hypothesis_rows,
     table_rows,
@@ -22,25 +25,20 @@ if TYPE_CHECKING:
     from ..dataset import Dataset
     from ..evaluation import ErrorBudget
     from ..report import ErrorSummary
+    from .calibrate_result import CalibrateResult
 
 
-def print_budget(budget: "ErrorBudget") -> None:
-    """Print the error budget, and the scale hypotheses if there are any."""
-    table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
-    for name, px, _ in budget_rows(budget):
-        table.add_row(name, px)
-    console = Console()
-    console.print(table)
-    if budget.scale_hypotheses:
-        names = ("or one number", "its size", "gains", "beside the field", "unseen regions")
-        table = Table(*names, box=box.SIMPLE_HEAD)
-        for row in scale_hypothesis_rows(budget):
-            table.add_row(*row)
-        console.print(table)
-    console.print(budget.summary, highlight=False)
+def print_calibrate_result(result: "CalibrateResult") -> None:
+    """Print what was found, how good it is, and what causes the error."""
+    rows = error_summaries(result.fit, result.data, result.held_out_reports)
+    _print_errors(rows, result.fit, result.data, result.remarks)
+    for _, text in repeatability_rows(result.split_half):
+        typer.echo(f"even and odd views: {text}")
+    if result.budget is not None:
+        _print_budget(result.budget)
 
 
-def print_result(
+def _print_errors(
     rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset", notes: "Sequence[str]"
 ) -> None:
     """Print what was found with its uncertainty, notes and warnings, errors and rejections."""
@@ -68,3 +66,19 @@ def print_result(
         console.print(f"  view {view}: {reason}", highlight=False)
     if len(rejected) > 12:
         console.print(f"  and {len(rejected) - 12} more, in the report")
+
+
+def _print_budget(budget: "ErrorBudget") -> None:
+    """Print the error budget, and the scale hypotheses if there are any."""
+    table = Table("cause", "RMS", title="where the error comes from", box=box.SIMPLE_HEAD)
+    for name, px, _ in budget_rows(budget):
+        table.add_row(name, px)
+    console = Console()
+    console.print(table)
+    if budget.scale_hypotheses:
+        names = ("or one number", "its size", "gains", "beside the field", "unseen regions")
+        table = Table(*names, box=box.SIMPLE_HEAD)
+        for row in scale_hypothesis_rows(budget):
+            table.add_row(*row)
+        console.print(table)
+    console.print(budget.summary, highlight=False)

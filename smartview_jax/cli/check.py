@@ -1,11 +1,14 @@
 """Define `smartview check`, which looks at a data set before anything is calibrated with it."""
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
+from .error_documents import views_left_out
+from .json_document import print_document
 from .load import load_named
-from .options import BadViews, BadViewsOption, DatasetArgument, DebugOption
+from .options import BadViews, BadViewsOption, DatasetArgument, DebugOption, JsonOption
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -21,9 +24,28 @@ MIN_FILLED = 0.25
 """Smallest share of the picture that all points together should cover."""
 
 
+class DatasetFigures(NamedTuple):
+    """The figures of a data set that are measured before anything is fitted.
+
+    Attributes:
+        points: least, greatest and median number of points seen in a view.
+        picture_used: share of the picture's cells that any point falls into; None without points.
+        usable_views: number of views with enough points.
+        extent: how far the tool moved along x, y, z of the base, m; None below two usable views.
+        largest_rotation: largest angle between two poses of the tool, rad, likewise.
+    """
+
+    points: tuple[int, int, float]
+    picture_used: float | None
+    usable_views: int
+    extent: tuple[float, ...] | None
+    largest_rotation: float | None
+
+
 def check(
     dataset: DatasetArgument = None,
     bad_views: BadViewsOption = BadViews.MASK,
+    json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Check a data set: pictures, detections, poses, and whether camera and robot agree.
@@ -33,59 +55,94 @@ def check(
     with errors_reported(debug):
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress)
-        typer.echo(f"{name}: {data.view_count} views, {data.mount}")
-        for note in data.notes:
-            typer.echo(note)
-        for text in (*_seen(data), *_motion(data)):
-            typer.echo(text)
+        figures = _figures(data)
+        if not json:
+            typer.echo(f"{name}: {data.view_count} views, {data.mount}")
+            for text in (*data.notes, *_seen(figures, data), *_motion(figures)):
+                typer.echo(text)
         problems = _contradictions(data)
-        for text in problems:
-            typer.echo(f"problem: {text}")
+        if json:
+            print_document("check", _document(name, data, figures, problems))
+        else:
+            for text in problems:
+                typer.echo(f"problem: {text}")
         if problems:
             raise typer.Exit(1)
-        typer.echo("camera and robot agree: smartview calibrate can begin")
+        if not json:
+            typer.echo("camera and robot agree: smartview calibrate can begin")
 
 
-def _seen(data: "Dataset") -> list[str]:
-    """Return what was detected: points by view, views without any, how much of the picture."""
-    import numpy as np
-
-    visible = np.asarray(data.visible)
-    counts = visible.sum(axis=1)
-    lines = [
-        f"points seen in a view: {counts.min()} to {counts.max()}, median {np.median(counts):.0f}"
-    ]
-    lines += [f"  view {view} is left out: {reason}" for view, reason in data.masked_views]
-    pixels = np.asarray(data.pixels)[visible]
-    if len(pixels):
-        # Cells of a grid that any point falls into.
-        cells = np.floor(8 * pixels / np.array(data.image_size)).clip(0, 7).astype(int)
-        filled = len(np.unique(cells, axis=0)) / 64
-        advice = ": move the target to the borders too" if filled < MIN_FILLED else ""
-        lines.append(f"part of the picture that was used: {filled:.0%}{advice}")
-    return lines
-
-
-def _motion(data: "Dataset") -> list[str]:
-    """Return how far and how differently the robot moved between the views."""
+def _figures(data: "Dataset") -> DatasetFigures:
+    """Measure what is seen and how the robot moved."""
     import numpy as np
 
     from ..geometry import host_matrices
 
+    visible = np.asarray(data.visible)
+    counts = visible.sum(axis=1)
+    pixels, picture_used = np.asarray(data.pixels)[visible], None
+    if len(pixels):
+        # Cells of a grid of 8 x 8 that any point falls into.
+        cells = np.floor(8 * pixels / np.array(data.image_size)).clip(0, 7).astype(int)
+        picture_used = len(np.unique(cells, axis=0)) / 64
+    points = (int(counts.min()), int(counts.max()), float(np.median(counts)))
     used = data.usable_views()
     if len(used) < 2:
-        return [f"usable views: {len(used)}; take more"]
+        return DatasetFigures(points, picture_used, len(used), None, None)
     poses = host_matrices(data.base_from_tool)[used]
-    extent = np.ptp(poses[:, :3, 3], axis=0)
     # trace(R_i^T R_j) = 1 + 2 cos(angle between them)
     traces = np.einsum("iab,jab->ij", poses[:, :3, :3], poses[:, :3, :3])
-    largest = float(np.rad2deg(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)).max()))
+    largest = float(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)).max())
+    extent = tuple(np.ptp(poses[:, :3, 3], axis=0).tolist())
+    return DatasetFigures(points, picture_used, len(used), extent, largest)
+
+
+def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
+    """Return what was detected in words: points by view, views without any, part of the picture."""
+    least, greatest, median = figures.points
+    lines = [f"points seen in a view: {least} to {greatest}, median {median:.0f}"]
+    lines += [f"  view {view} is left out: {reason}" for view, reason in data.masked_views]
+    if figures.picture_used is not None:
+        advice = ": move the target to the borders too" if figures.picture_used < MIN_FILLED else ""
+        lines.append(f"part of the picture that was used: {figures.picture_used:.0%}{advice}")
+    return lines
+
+
+def _motion(figures: DatasetFigures) -> list[str]:
+    """Return in words how far and how differently the robot moved between the views."""
+    if figures.extent is None or figures.largest_rotation is None:
+        return [f"usable views: {figures.usable_views}; take more"]
+    largest = math.degrees(figures.largest_rotation)
+    more = "; take more" if figures.usable_views < MIN_VIEWS else ""
     return [
-        f"usable views: {len(used)}" + ("; take more" if len(used) < MIN_VIEWS else ""),
-        f"the tool moved by {', '.join(f'{1e3 * x:.0f}' for x in extent)} mm along x, y, z",
+        f"usable views: {figures.usable_views}{more}",
+        f"the tool moved by {', '.join(f'{1e3 * x:.0f}' for x in figures.extent)} mm along x, y, z",
         f"largest rotation between two views: {largest:.0f} degrees"
         + ("; turn the tool more" if largest < MIN_TURN else ""),
     ]
+
+
+def _document(
+    name: str, data: "Dataset", figures: DatasetFigures, problems: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the same for programs."""
+    least, greatest, median = figures.points
+    extent, rotation = figures.extent, figures.largest_rotation
+    return {
+        "data_set": name,
+        "mount": data.mount,
+        "views": data.view_count,
+        "usable_views": figures.usable_views,
+        "left_out_views": views_left_out(data.masked_views),
+        "points_per_view": {"least": least, "greatest": greatest, "median": median},
+        "picture_used": figures.picture_used,
+        "tool_extent_mm": None if extent is None else [1e3 * x for x in extent],
+        "largest_rotation_deg": None if rotation is None else math.degrees(rotation),
+        "notes": list(data.notes),
+        "problems": list(problems),
+        # What the exit code says too.
+        "can_be_calibrated": not problems,
+    }
 
 
 def _contradictions(data: "Dataset") -> tuple[str, ...]:

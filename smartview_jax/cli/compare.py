@@ -1,5 +1,15 @@
 """Define `smartview compare`, which prints several methods side by side."""
 
+from .error_documents import method_document, views_left_out
+from .fit_options import (
+    CameraOption,
+    FixedOption,
+    FreeOption,
+    PriorOption,
+    StartOption,
+    parse_fit_options,
+)
+from .json_document import print_document
 from .load import load_named
 from .options import (
     BadViews,
@@ -7,6 +17,7 @@ from .options import (
     BaseFromWorldOption,
     DatasetArgument,
     DebugOption,
+    JsonOption,
     LensOption,
 )
 from .terminal import errors_reported, progress_line
@@ -15,34 +26,41 @@ from .terminal import errors_reported, progress_line
 def compare(
     dataset: DatasetArgument = None,
     lens: LensOption = "opencv4",
+    camera: CameraOption = None,
+    fixed: FixedOption = None,
+    free: FreeOption = None,
+    prior: PriorOption = None,
+    start: StartOption = None,
     bad_views: BadViewsOption = BadViews.RAISE,
     base_from_world: BaseFromWorldOption = None,
+    json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
     with errors_reported(debug):
-        from rich import box
         from rich.console import Console
-        from rich.table import Table
 
         from ..evaluation import HeldOutReport, standard_methods
         from ..evaluation import compare as compare_methods
-        from ..report import COMPARISON_HEADINGS, comparison_row, remarks
+        from ..report import remarks
+        from .compare_tables import print_comparison
 
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
-            rows = compare_methods(data, standard_methods(lens), progress=progress)
-        table = Table(title=f"{name}, lens {lens}", box=box.SIMPLE_HEAD)
-        for column in COMPARISON_HEADINGS:
-            alignment = "left" if column == "method" else "right"
-            # On a narrow terminal the headings wrap, but method names and "mean +- std" do not.
-            table.add_column(
-                column, justify=alignment, no_wrap=alignment == "left" or "+-" in column
-            )
-        for row in rows:
-            table.add_row(*comparison_row(row))
+            known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
+            methods = standard_methods(lens, **known.arguments())
+            rows = compare_methods(data, methods, progress=progress)
+        if json:
+            entries = [method_document(row) for row in rows]
+            left_out = views_left_out(data.masked_views)
+            content = {"data_set": name, "lens": lens, "given": known.given, "methods": entries}
+            # Notes are in the document: nothing but it is on stdout.
+            notes = {"left_out_views": left_out, "notes": list(data.notes)}
+            print_document("compare", content | notes)
+            return
         console = Console()
-        console.print(table)
+        console.print(f"{name}, lens {lens}", highlight=False, markup=False)
+        print_comparison(rows)
         for note in data.notes:
             console.print(note, highlight=False)
         for row in rows:

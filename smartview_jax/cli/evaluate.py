@@ -1,12 +1,14 @@
 """Define `smartview evaluate`, which predicts pictures that a calibration was not fitted to."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .error_documents import errors_document, views_left_out
+from .json_document import print_document
 from .load import load_named
-from .options import BadViews, BadViewsOption, DebugOption
+from .options import BadViews, BadViewsOption, DebugOption, JsonOption
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ def evaluate(
         Path | None, typer.Option(help="A page with the figures, such as evaluation.html.")
     ] = None,
     bad_views: BadViewsOption = BadViews.MASK,
+    json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
     """Predict new pictures of the target from the robot's poses alone, and measure the error.
@@ -57,17 +60,51 @@ def evaluate(
                 ErrorSummary(path.stem, reprojection_errors(one, data), None)
                 for path, (one, _) in zip(paths, loaded, strict=True)
             ]
-        rows = _rows(summaries, data, [_expected(estimate, data) for _, estimate in loaded])
-        for row in rows:
-            typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
-        for view, reason in data.masked_views:
-            typer.echo(f"view {view} is left out: {reason}")
-        verdict = _verdict(summaries[0], name)
-        typer.echo(verdict)
+        expected = [_expected(estimate, data) for _, estimate in loaded]
+        rows, verdict = _rows(summaries, data, expected), _verdict(summaries[0], name)
+        if not json:
+            _print(rows, data, verdict)
         if out is not None:
             title = f"{calibration.name} on {name}"
             write_evaluation_page(out, title, verdict, loaded[0][0], data, summaries, rows)
+        if json:
+            entries = [
+                {"file": path, **_entries(summary, foreseen, data)}
+                for path, summary, foreseen in zip(paths, summaries, expected, strict=True)
+            ]
+            content = {"data_set": name, "calibrations": entries, "page": out}
+            left_out = {"left_out_views": views_left_out(data.masked_views)}
+            print_document("evaluate", content | left_out)
+        elif out is not None:
             typer.echo(f"{out}: the figures")
+
+
+def _print(rows: "Sequence[Sequence[str]]", data: "Dataset", verdict: str) -> None:
+    """Print the table of figures, the views that are left out, and the result in a sentence."""
+    for row in rows:
+        typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
+    for view, reason in data.masked_views:
+        typer.echo(f"view {view} is left out: {reason}")
+    typer.echo(verdict)
+
+
+def _entries(
+    summary: "ErrorSummary", expected: "ReprojectionErrors | None", data: "Dataset"
+) -> dict[str, Any]:
+    """Return the figures of one calibration for programs, also by view."""
+    from ..evaluation import rms_interval
+
+    errors = summary.reprojection_errors
+    return {
+        "name": summary.name,
+        **errors_document(errors),
+        "rms_interval_95_px": list(rms_interval(errors)),
+        # The calibration's own expectation; 1 is honest.
+        "expected_rms_px": None if expected is None else expected.rms,
+        "over_expected": None if expected is None else errors.rms / expected.rms,
+        # A view without points has no figure: null, as JSON has no NaN.
+        "rms_by_view_px": dict(zip(data.view_ids, errors.rms_per_view.tolist(), strict=True)),
+    }
 
 
 def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":

@@ -153,17 +153,20 @@ def _judgement(
             part = factor[k, :size]
             axes, directions = ellipse_axes(part @ part.T)
             # In the target's plane the direction of the longest axis is one angle.
-            expected = {"std": np.sqrt(np.sum(part**2, axis=1)), "ellipse_half_axes_95": axes}
+            expected = {"std_m": np.sqrt(np.sum(part**2, axis=1)), "ellipse_half_axes_95_m": axes}
             entry["expected"] = expected | {"ellipse_directions": directions.T}
         if misses is not None:
-            entry |= {"miss": misses[k], "distance": float(np.linalg.norm(misses[k]))}
+            entry |= {"miss_m": misses[k], "distance_m": float(np.linalg.norm(misses[k]))}
         touches.append(entry)
-    content: dict[str, Any] = {"unit": "m", "touches": touches, "comparison": None}
+    content: dict[str, Any] = {"touches": touches, "comparison": None}
     if misses is not None:
-        content["rms"] = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
+        content["rms_m"] = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
         if factor is not None:
             comparison = compare_misses(factor, misses)
-            content["comparison"] = comparison._asdict()
+            # Every length in the document has its unit in its name.
+            entries = comparison._asdict()
+            entries["expected_rms_m"] = entries.pop("expected_rms")
+            content["comparison"] = entries
             for entry, inside in zip(touches, comparison.inside, strict=True):
                 entry["inside_ellipse"] = bool(inside)
     return content
@@ -175,17 +178,17 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    measured = "rms" in judged
+    measured = "rms_m" in judged
     columns = ["touch", *(["miss x, y, z mm", "distance mm"] if measured else [])]
     table = Table(
         *columns, "its 95 % ellipse mm", *(["inside"] if measured else []), box=box.SIMPLE
     )
     for entry in judged["touches"]:
         expected = entry["expected"]
-        ellipse = "not known" if expected is None else _semi(expected["ellipse_half_axes_95"])
+        ellipse = "not known" if expected is None else _semi(expected["ellipse_half_axes_95_m"])
         row = [entry["name"]]
         if measured:
-            row += [_millimetres(entry["miss"]), f"{1e3 * entry['distance']:.2f}"]
+            row += [_millimetres(entry["miss_m"]), f"{1e3 * entry['distance_m']:.2f}"]
         row.append(ellipse)
         if measured:
             row.append({None: "-", True: "yes", False: "no"}[entry.get("inside_ellipse")])
@@ -196,7 +199,7 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
         typer.echo(f"{path} says nothing of its uncertainty: what to expect is not known")
     if not measured:
         return
-    typer.echo(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms']:.2f} mm RMS")
+    typer.echo(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms_m']:.2f} mm RMS")
     if judged["comparison"] is not None:
         typer.echo(_verdict(judged["comparison"]))
 
@@ -213,7 +216,7 @@ def _millimetres(numbers: "np.ndarray") -> str:
 
 def _verdict(comparison: dict[str, Any]) -> str:
     """Return in words whether the misses are what the calibration expects."""
-    inside, expected = comparison["inside"], 1e3 * comparison["expected_rms"]
+    inside, expected = comparison["inside"], 1e3 * comparison["expected_rms_m"]
     # The touches share most of their error, so that one test of all is the fair one.
     surprising = comparison["p_value"] < SURPRISING_P_VALUE
     words = "more than the calibration expects" if surprising else "as the calibration expects"

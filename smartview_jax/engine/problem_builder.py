@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
@@ -83,9 +83,11 @@ def build_problem(
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     field: FieldChoice | Literal[False] = "auto",
+    prior_centre: Calibration | None = None,
 ) -> BuiltProblem:
     """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.
 
+    Priors without a mean are centred at `prior_centre`, which is the start where none is given.
     The coefficients of a robot error field begin at their values in the start if the start has the
     same field, otherwise at zero. With `field="auto"` the robot error of the start is kept fixed.
     """
@@ -122,6 +124,10 @@ def build_problem(
     is_free &= ~parameter_mask(names, fixed)
     fitted_field = None if field == "auto" else field
     mean, weight = _prior_means_and_weights(names, shared_size, priors, noise_model, fitted_field)
+    about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
+    if prior_centre is not None and about_start.any():
+        centre = np.asarray(_values_at(parameters, prior_centre))
+        mean[:shared_size][about_start] = centre[about_start]
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior
         # constrains it.
@@ -252,6 +258,14 @@ def _prior_means_and_weights(
         if prior.mean is not None:
             mean[selected] = prior.mean
     return mean, weight
+
+
+@compiled
+def _values_at(parameters: Parameters, other: Calibration) -> Float[Array, "shared"]:
+    """Return the values of another calibration; of its rotations, the vectors from the start's."""
+    # Priors on the robot's error have a mean of their own.
+    other = dataclasses.replace(other, robot_error=parameters.start.robot_error)
+    return parameters.values() + parameters.step_to(other)
 
 
 def _step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:

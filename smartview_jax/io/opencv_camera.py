@@ -1,4 +1,4 @@
-"""Read cameras from the YAML files that `cv2.FileStorage` writes."""
+"""Read cameras from the YAML files that `cv2.FileStorage` and ROS's camera_calibration write."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import yaml
 
-from ..cameras import AbstractLens, Camera, OpenCV4, OpenCV5, OpenCV8
+from ..cameras import AbstractLens, Camera, Fisheye, OpenCV4, OpenCV5, OpenCV8
 from ..files import StrictYamlLoader, parse_yaml, read_text
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 def read_opencv_camera(path: str | Path) -> Camera:
     """Read the camera in a file of `cv2.FileStorage`: camera matrix, distortion, picture size.
+
+    The camera_info files of ROS have the same entries, and the name of the lens model.
 
     Raises:
         ValueError: an entry is missing, or there are coefficients of no known model.
@@ -37,7 +39,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
         {key: float(x) for key, x in intrinsics.items()}, PINHOLE_SCHEMA, f"{path}: camera_matrix"
     )
     coefficients = _array(content.distortion_coefficients, "distortion_coefficients", path).ravel()
-    lens = _opencv_lens(coefficients, str(path))
+    lens = _opencv_lens(coefficients, content.distortion_model, str(path))
     return Camera(**intrinsics, lens=lens, image_size=(content.image_width, content.image_height))
 
 
@@ -50,9 +52,14 @@ def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
     return np.array(matrix.data).reshape(matrix.rows, matrix.cols)
 
 
-def _opencv_lens(coefficients: np.ndarray, path: str) -> AbstractLens:
-    """Return the lens model that has as many coefficients: 4, 5 or 8."""
+def _opencv_lens(coefficients: np.ndarray, model: str | None, path: str) -> AbstractLens:
+    """Return the lens model that has as many coefficients: 4, 5 or 8; or the named fisheye."""
     k = [jnp.asarray(x) for x in coefficients]
+    if model == "equidistant":
+        # ROS's name of OpenCV's fisheye, whose four coefficients are not those of four others.
+        if len(k) != 4:
+            raise ValueError(f"{path}: distortion_coefficients: expected 4, found {len(k)}")
+        return Fisheye(k[0], k[1], k[2], k[3])
     if len(k) == 4:
         return OpenCV4(k[0], k[1], k[2], k[3])
     if len(k) == 5:

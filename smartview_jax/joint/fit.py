@@ -166,6 +166,8 @@ def fit_joint(
             free=free_paths,
             priors=priors,
             field=error_field,
+            # What is estimated moves the start, but not what was known before any picture.
+            prior_centre=start,
         )
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         say(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")

@@ -44,11 +44,13 @@ class Origin(NamedTuple):
         source: name of the data set.
         command: the command that was given; empty for a page written by a script.
         run: name of the run, which its other files contain too; None without other files.
+        given: what was known already and not found by the fit, in words.
     """
 
     source: str
     command: str = ""
     run: str | None = None
+    given: str = ""
 
 
 def write_page(
@@ -128,7 +130,12 @@ def _origin_facts(
     """Return what was calibrated, from what, and by which command."""
     facts = []
     if origin is not None:
-        facts = [("data set", origin.source), ("command", origin.command), ("run", origin.run)]
+        facts = [
+            ("data set", origin.source),
+            ("command", origin.command),
+            ("given", origin.given),
+            ("run", origin.run),
+        ]
     camera = fit.calibration.camera
     width, height = camera.image_size
     target = "points given as arrays" if data.target is None else type(data.target).__name__

@@ -110,11 +110,12 @@ class OpenCVMatrix(ForeignEntry):
 
 
 class OpenCVCameraFile(ForeignEntry):
-    """A camera of `cv2.FileStorage`."""
+    """A camera of `cv2.FileStorage`, or of ROS's camera_calibration, which names its lens model."""
 
     image_width: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
     image_height: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
     camera_matrix: OpenCVMatrix
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = None
     distortion_coefficients: OpenCVMatrix
 
 

@@ -25,6 +25,9 @@ from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
 from .fit import views_to_use as views_to_use
 from .frobenius import frobenius_cost as frobenius_cost
+from .given_start import check_start as check_start
+from .given_start import merged_start as merged_start
+from .given_start import require_picture_size as require_picture_size
 from .hand_eye import HandEyeResult as HandEyeResult
 from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation

@@ -30,6 +30,9 @@ from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 MINIMUM_POINTS = 6
 """Smallest number of points with which a view can be calibrated by itself."""
 
+KNOWN_CAMERA_POINTS = 4
+"""Smallest number of points that determine a view's pose before a known camera."""
+
 
 @runtime_checkable
 class CommonCameraFit(Protocol):
@@ -114,9 +117,15 @@ def _require_minimum_views(data: Dataset, unusable: dict[int, str], minimum: int
         return
     reasons = [f"view {data.view_ids[view]}: {text}" for view, text in unusable.items()]
     tail = f" ({'; '.join(reasons[:10])})" if reasons else ""
+    # A single tag has four corners: enough for a pose, not for a camera.
+    advice = (
+        f"; with a known camera (camera=, or --camera FILE) {KNOWN_CAMERA_POINTS} points suffice"
+        if minimum > KNOWN_CAMERA_POINTS
+        else ""
+    )
     raise ValueError(
         f"a calibration needs at least 3 views with {minimum} points each; "
-        f"{remaining} of {data.view_count} views have them{tail}"
+        f"{remaining} of {data.view_count} views have them{tail}{advice}"
     )
 
 
@@ -149,8 +158,8 @@ def _unusable_views(data: Dataset, minimum: int) -> dict[int, str]:
 
 
 def _minimum_points(camera: Camera | None) -> int:
-    """Return the number of points that a view must show; 4 if the camera is known."""
-    return MINIMUM_POINTS if camera is None else 4
+    """Return the number of points that a view must show; fewer if the camera is known."""
+    return MINIMUM_POINTS if camera is None else KNOWN_CAMERA_POINTS
 
 
 def fit_staged(

@@ -64,7 +64,7 @@ def test_what_to_expect_is_printed_before_anything_is_touched(fitted):
 
 def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     document = json.loads(touched(fitted, *WORDS, "--json").stdout)
-    std = np.array([one["expected"]["std"] for one in document["touches"]])
+    std = np.array([one["expected"]["std_m"] for one in document["touches"]])
     # A displacement of the target, of one standard deviation, is common to all touches.
     lines = [f"{one['name']},{1e3 * std[0, 0]},0.0,0.0" for one in document["touches"]]
     misses = tmp_path / "misses.csv"
@@ -81,8 +81,9 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     assert "): more than the calibration expects" in worse.stdout
     assert "the tip's position in the tool frame" in worse.stdout
     found = json.loads(touched(fitted, *WORDS, "--misses", str(misses), "--json").stdout)
-    assert found["rms"] == pytest.approx(np.hypot(9e-3, 7e-3))
+    assert found["rms_m"] == pytest.approx(np.hypot(9e-3, 7e-3))
     assert found["comparison"]["p_value"] < 0.01
+    assert found["touches"][0]["distance_m"] == found["rms_m"]
 
 
 def test_what_is_wrong_is_said(fitted, tmp_path):

@@ -347,6 +347,30 @@ def test_priors_weigh_as_much_as_they_say_where_the_residuals_tell_the_sigma(sig
         assert fit.std[name] == pytest.approx(bound.std[name], rel=0.02)
 
 
+def test_priors_about_the_start_stay_there_while_the_noise_is_estimated():
+    """What is estimated moves the start; a prior that moved along would weigh half."""
+    scene = random_scene(1, 8, POINTS, translation_noise=1e-4)
+    free = fit_joint(scene.data, scene.calibration, field=None)
+    path = "camera_from_tool.rotation.x"
+    std, mount = free.std[path], free.calibration.camera_from_tool
+    turned = jaxlie.SO3.from_x_radians(3.0 * std) @ mount.rotation()
+    start = dataclasses.replace(
+        free.calibration,
+        camera_from_mount=SE3.from_rotation_and_translation(turned, mount.translation()),
+    )
+    known = {path: Prior(std), "camera.u0": Prior(0.01)}
+    estimated = fit_joint(scene.data, start, field=None, priors=known)
+    stated = fit_joint(scene.data, start, field=None, priors=known, noise=estimated.noise)
+    moved = (estimated.calibration.camera_from_tool.rotation() @ mount.rotation().inverse()).log()
+    # Halfway between the data's answer and the prior's, which weigh the same.
+    assert float(moved[0]) == pytest.approx(1.5 * std, rel=0.15)
+    np.testing.assert_allclose(
+        estimated.calibration.camera_from_tool.log(),
+        stated.calibration.camera_from_tool.log(),
+        atol=0.02 * std,
+    )
+
+
 def test_a_robust_loss_has_its_scale_in_deviations_of_the_residuals():
     """The same picture, a tenth of the size: the same answer, and the same sigmas."""
     scene = random_scene(3, views=10, points=POINTS, pixel_noise=0.15, outlier_fraction=0.06)

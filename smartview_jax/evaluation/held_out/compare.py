@@ -1,12 +1,15 @@
 """Compare calibration methods: those of the paper, and the joint fit."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
+from ...calibration import Calibration
 from ...calibration_pipeline import DEFAULT_LENS, calibrate
-from ...cameras import AbstractLens
+from ...cameras import AbstractLens, Camera
 from ...dataset import Dataset
 from ...fit_result import Rejection
+from ...geometry import PoseLike
+from ...joint import JointOptions
 from ...staged import fit_one_view_intrinsics, fit_staged
 from ..free_poses import free_pose_errors
 from ..measures import ReprojectionErrors, reprojection_errors
@@ -59,13 +62,30 @@ class MethodResult(NamedTuple):
     failure: str | None = None
 
 
-def standard_methods(lens: str | AbstractLens = DEFAULT_LENS) -> dict[str, Method]:
-    """Return the paper's methods, the joint fit, and the lower bound of a free pose per view."""
+def standard_methods(
+    lens: str | AbstractLens = DEFAULT_LENS,
+    *,
+    camera: Camera | None = None,
+    start: Calibration | Mapping[str, PoseLike] | None = None,
+    **joint_options: Unpack[JointOptions],
+) -> dict[str, Method]:
+    """Return the paper's methods, the joint fit, and the lower bound of a free pose per view.
+
+    Args:
+        lens: the lens model of all methods but the one without distortion.
+        camera: a known camera; methods that find one of their own are then left out.
+        start: where the joint fits start, as for `calibrate`.
+        joint_options: options of the joint fits; their noise is that of each method.
+    """
+
+    def calibrate_estimated(data: Dataset) -> Any:
+        return calibrate(data, lens, camera=camera, start=start, **joint_options)
 
     def calibrate_trusted(data: Dataset) -> Any:
-        return calibrate(data, lens, noise="trusted")
+        options: JointOptions = {**joint_options, "noise": "trusted"}
+        return calibrate(data, lens, camera=camera, start=start, **options)
 
-    return {
+    methods = {
         "staged": Method(calibrate_trusted, lambda fit, _: fit.staged),
         "staged, no distortion": Method(lambda data: fit_staged(data, lens="pinhole")),
         "linear interpolation": Method(
@@ -73,9 +93,13 @@ def standard_methods(lens: str | AbstractLens = DEFAULT_LENS) -> dict[str, Metho
         ),
         "one view's intrinsics": Method(fit_one_view_intrinsics),
         "joint, robot trusted": Method(calibrate_trusted),
-        "joint, errors estimated": Method(lambda data: calibrate(data, lens)),
+        "joint, errors estimated": Method(calibrate_estimated),
         "free pose a view": Method(calibrate_trusted, measure=free_pose_errors),
     }
+    if camera is not None:
+        # These two are about finding the camera, which is known.
+        del methods["staged, no distortion"], methods["one view's intrinsics"]
+    return methods
 
 
 def compare(

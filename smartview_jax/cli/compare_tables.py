@@ -1,0 +1,43 @@
+"""Print the comparison of methods so that every number can be read on a terminal of 80 columns."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from ..report import COMPARISON_HEADINGS, comparison_row
+
+if TYPE_CHECKING:
+    from ..evaluation import MethodResult
+
+_TABLES = {
+    "on the views that were fitted": ("mean +- std, px", "RMS, px", "left out points, views"),
+    "on views that no fit saw": ("held out, px", "95 % interval, px", "held out, mm"),
+}
+"""The headings of each table, by what its numbers are about: together all numbers of a row."""
+
+
+def print_comparison(rows: "Sequence[MethodResult]") -> None:
+    """Print two tables with a row for each method: errors on fitted views, and on held-out ones.
+
+    One table of all columns is wider than most terminals.
+    """
+    console = Console()
+    # The report's own texts, so that page and terminal say the same.
+    texts = [
+        dict[str, str](zip(COMPARISON_HEADINGS, comparison_row(row), strict=True)) for row in rows
+    ]
+    for title, headings in _TABLES.items():
+        table = Table(
+            "method", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False
+        )
+        for heading in headings:
+            # As wide as its numbers and no wider: headings wrap, and so do the methods' names where
+            # there is no room, but a number is never cut.
+            parts = [*heading.split(), *(one[heading] for one in texts)]
+            table.add_column(heading, justify="right", width=max(map(len, parts)))
+        for one in texts:
+            table.add_row(one["method"], *(one[heading] for heading in headings))
+        console.print(table)

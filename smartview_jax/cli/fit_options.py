@@ -1,0 +1,261 @@
+"""Define the options by which a person says what is known already, and read their texts."""
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+if TYPE_CHECKING:
+    from jaxlie import SE3
+
+    from ..calibration import Calibration
+    from ..cameras import Camera
+    from ..engine import Prior
+
+CameraOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="A known camera, which is held: a calibration.yaml, a YAML of OpenCV or of ROS "
+        "(camera_info), an XML of ViSP. A single tag, with four corners, then suffices."
+    ),
+]
+FixedOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="A parameter that keeps its start: camera.lens, camera_from_tool.rotation, ...; "
+        "may be repeated."
+    ),
+]
+FreeOption = Annotated[
+    list[str] | None, typer.Option(help="A parameter that is held by default: target_scale.")
+]
+PriorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="What is known of a parameter: NAME=VALUE+-SIGMA with its unit, such as "
+        "camera.u0=640+-5px or camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is about the "
+        "start; or a YAML file of such lines. May be repeated."
+    ),
+]
+StartOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Where the joint fit starts: a calibration.yaml, or a rough transform as "
+        "camera_from_tool=x,y,z,yaw,pitch,roll (m, degrees; tool_from_camera is the other way "
+        "round). May be repeated."
+    ),
+]
+
+_LENGTHS = {"mm": 1e-3, "m": 1.0}
+_ANGLES = {"deg": math.radians(1.0), "rad": 1.0}
+_UNITS = {"mm": _LENGTHS, "deg": _ANGLES, "px": {"px": 1.0}, "": {"": 1.0}}
+"""Factors to the library's units, by the unit that the library shows a parameter in."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_PRIOR = re.compile(rf"\s*({_NUMBER})?\s*(?:\+-|±)\s*({_NUMBER})\s*([a-z]*)\s*")
+"""A value, which may be missing, its standard deviation, and their unit."""
+
+
+class FitOptions(NamedTuple):
+    """The knowledge that a person has already, for `calibrate`.
+
+    Attributes:
+        camera: a known camera; None where it is to be found.
+        start: where the joint fit starts; None for the staged fit's calibration.
+        fixed: paths of parameters that keep their start.
+        free: paths of parameters that are held by default.
+        priors: priors by path.
+        given: the options in words, for the files of a run; empty where there are none.
+    """
+
+    camera: "Camera | None" = None
+    start: "Calibration | dict[str, SE3] | None" = None
+    fixed: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    priors: "dict[str, Prior] | None" = None
+    given: str = ""
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the keyword arguments of `calibrate`; those that were not given are left out."""
+        named = {key: getattr(self, key) for key in ("camera", "start", "fixed", "free", "priors")}
+        return {key: value for key, value in named.items() if value}
+
+
+def parse_fit_options(
+    lens: str,
+    mount: str,
+    camera: Path | None = None,
+    fixed: Sequence[str] | None = None,
+    free: Sequence[str] | None = None,
+    prior: Sequence[str] | None = None,
+    start: Sequence[str] | None = None,
+) -> FitOptions:
+    """Read the texts of the options; every error names the option and what it expects.
+
+    Args:
+        lens: name of the lens model, without a known camera.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`, which names the transforms.
+        camera: file of a known camera.
+        fixed: texts of the option; `free`, `prior` and `start` likewise.
+        free: see `fixed`.
+        prior: see `fixed`.
+        start: see `fixed`.
+
+    Raises:
+        ValueError: an unknown name, a missing unit, or options that contradict each other.
+    """
+    from ..io import read_camera
+
+    # Read before anything is detected or fitted: a misspelt name should cost no minutes.
+    known = None if camera is None else read_camera(camera)
+    units = _units_by_name(lens, mount, known)
+    for option, paths in (("--fixed", fixed), ("--free", free)):
+        for path in paths or ():
+            _names_of(option, path, units)
+    priors = dict(_parse_prior(text, units) for text in _prior_texts(prior or ()))
+    freed = tuple(free or ()) + tuple(path for path in priors if path == "target_scale")
+    _refuse_contradictions(known is not None, tuple(fixed or ()), tuple(free or ()), priors, units)
+    texts = [("--camera", [] if camera is None else [str(camera)])]
+    texts += [("--fixed", fixed), ("--free", free), ("--prior", prior), ("--start", start)]
+    # In the order of the options, whatever the order on the command line.
+    given = ", ".join(f"{option} {text}" for option, listed in texts for text in listed or ())
+    return FitOptions(
+        known,
+        _parse_start(start or (), mount),
+        tuple(fixed or ()),
+        # A prior on what is held says nothing: who states one means the parameter to be free.
+        tuple(dict.fromkeys(freed)),
+        priors or None,
+        given,
+    )
+
+
+def _units_by_name(lens: str, mount: str, camera: "Camera | None") -> dict[str, str]:
+    """Return the names of the parameters of such a fit, with the unit in which each is shown."""
+    from jaxlie import SE3
+
+    from ..calibration import Calibration
+    from ..cameras import Camera, lens_by_name
+    from ..joint import displayed_values
+
+    # Any camera of this lens: only the names are used.
+    template = camera or Camera(1e3, 1e3, 320.0, 240.0, lens_by_name(lens), (640, 480))
+    calibration = Calibration(template, SE3.identity(), SE3.identity(), mount)
+    return {name: unit for name, (_, unit) in displayed_values(calibration).items()}
+
+
+def _names_of(option: str, path: str, units: dict[str, str]) -> list[str]:
+    """Return the names that a path selects, or raise a ValueError that suggests similar ones."""
+    from ..engine import parameter_mask
+
+    try:
+        mask = parameter_mask(tuple(units), (path,))
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from error
+    return [name for name, selected in zip(units, mask, strict=True) if selected]
+
+
+def _prior_texts(texts: Sequence[str]) -> list[str]:
+    """Return the texts of priors as NAME=VALUE+-SIGMA, those of files in their places."""
+    from ..files import read_yaml
+
+    lines = []
+    for text in texts:
+        if "=" in text:
+            lines.append(text)
+        elif not Path(text).is_file():
+            raise ValueError(
+                f"--prior: expected NAME=VALUE+-SIGMA, such as camera.u0=640+-5px, or a YAML file; "
+                f"found {text!r}"
+            )
+        else:
+            # A line of a file is an option that somebody wants to keep.
+            lines += [f"{name}={value}" for name, value in read_yaml(text).items()]
+    return lines
+
+
+def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, Prior]":
+    """Return the path and the prior of NAME=VALUE+-SIGMA, in the library's units."""
+    from ..engine import Prior
+
+    path, _, value = text.partition("=")
+    shown = {units[name] for name in _names_of("--prior", path.strip(), units)}
+    match = _PRIOR.fullmatch(value)
+    if match is None or len(shown) != 1:
+        reason = "several units are in it" if len(shown) != 1 else f"found {value!r}"
+        raise ValueError(f"--prior {path}: expected VALUE+-SIGMA of one kind of number; {reason}")
+    # Without a mean the prior is about the start, as it always is for rotations.
+    mean, std, unit = match.groups()
+    factors = _UNITS[shown.pop()]
+    # Units are stated, never guessed: a millimetre is not to be taken for a metre.
+    if unit not in factors:
+        raise ValueError(
+            f"--prior {path}: expected a unit, {' or '.join(factors) or 'none'}, as in "
+            f"{path}=1+-0.1{next(iter(factors))}; found {value!r}"
+        )
+    if not float(std) > 0.0:
+        raise ValueError(f"--prior {path}: expected a positive SIGMA, found {std}")
+    scale = factors[unit]
+    return path.strip(), Prior(scale * float(std), None if mean is None else scale * float(mean))
+
+
+def _refuse_contradictions(
+    camera_is_known: bool,
+    fixed: tuple[str, ...],
+    free: tuple[str, ...],
+    priors: "dict[str, Prior]",
+    units: dict[str, str],
+) -> None:
+    """Raise a ValueError for options of which one makes another meaningless."""
+    held = {name for path in fixed for name in _names_of("--fixed", path, units)}
+    # A known camera is held as a whole.
+    if camera_is_known:
+        held |= set(_names_of("--camera", "camera", units))
+    for option, paths in (("--free", free), ("--prior", tuple(priors))):
+        for path in paths:
+            if set(_names_of(option, path, units)) & held:
+                raise ValueError(f"{option} {path}: it is held by --fixed or --camera")
+    for path in free:
+        if path != "target_scale":
+            raise ValueError(f"--free {path}: it is free already; by default target_scale is held")
+    for path, prior in priors.items():
+        if prior.mean is not None and any(".rotation." in x for x in _names_of("", path, units)):
+            # Rotation vectors have no mean that a person could state.
+            raise ValueError(
+                f"--prior {path}: a rotation is known about its start: {path}=+-1deg and --start"
+            )
+
+
+def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, SE3] | None":
+    """Return where the joint fit starts: a file's calibration with the transforms given, or those.
+
+    Raises:
+        ValueError: two files, or a transform that the mount does not have.
+    """
+    import dataclasses
+
+    from ..calibration import Calibration, transform_names
+    from ..io import parse_rough_pose
+
+    names, transforms, loaded = transform_names(mount), {}, None
+    for text in texts:
+        name, equals, pose = text.partition("=")
+        if not equals:
+            if loaded is not None:
+                raise ValueError(f"--start: one calibration file, found {text!r} too")
+            loaded = Calibration.load(text)
+            continue
+        # A drawing may have either direction: camera_from_tool is the inverse of tool_from_camera.
+        reverse = "_from_".join(reversed(name.split("_from_")))
+        if name not in names and reverse not in names:
+            raise ValueError(f"--start: expected {' or '.join(names)} before =, found {name!r}")
+        found = parse_rough_pose(f"--start {name}", pose)
+        transforms[name if name in names else reverse] = found if name in names else found.inverse()
+    if loaded is None:
+        return transforms or None
+    # The transforms of the options take the place of the file's, whichever came first.
+    parts = dict(zip(names, ("camera_from_mount", "holder_from_world"), strict=True))
+    return dataclasses.replace(loaded, **{parts[name]: pose for name, pose in transforms.items()})

@@ -1,0 +1,70 @@
+"""Take what a person knows of a calibration into the start of the joint fit."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..calibration import Calibration, host_mount_from_holder, transform_names
+from ..cameras import Camera
+from ..dataset import Dataset
+from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
+
+
+def require_picture_size(what: str, camera: Camera, data: Dataset) -> None:
+    """Raise a ValueError if a camera takes pictures of another size than those of the data."""
+    if tuple(camera.image_size) != tuple(data.image_size):
+        sizes = [" x ".join(map(str, size)) for size in (camera.image_size, data.image_size)]
+        raise ValueError(
+            f"{what} takes pictures of {sizes[0]} px, those of the data are {sizes[1]}"
+        )
+
+
+def check_start(start: Calibration | Mapping[str, PoseLike] | None, data: Dataset) -> None:
+    """Raise a ValueError for a start that is not of these data, before anything is fitted."""
+    names = transform_names(data.mount)
+    if isinstance(start, Calibration):
+        require_picture_size("the start's camera", start.camera, data)
+        if start.mount != data.mount:
+            raise ValueError(f"the start is {start.mount}, the data {data.mount}")
+    elif unknown := set(start or ()) - set(names):
+        raise ValueError(f"start: expected {' or '.join(names)}, found {sorted(unknown)[0]!r}")
+
+
+def merged_start(
+    found: Calibration,
+    start: Calibration | Mapping[str, PoseLike] | None,
+    data: Dataset,
+    camera: Camera | None,
+) -> Calibration:
+    """Return where a joint fit starts: as given, or what was found with some transforms as given.
+
+    Args:
+        found: the staged fit's calibration.
+        start: a calibration, or transforms by name; None takes what was found. A transform that is
+            not given follows from the pose of the first usable view before the camera.
+        data: the data set, checked by `check_start`.
+        camera: a known camera, which a given calibration takes over.
+    """
+    if isinstance(start, Calibration):
+        return start if camera is None else dataclasses.replace(start, camera=camera)
+    if not start:
+        return found
+    mount_name, holder_name = transform_names(data.mount)
+    given = {name: host_matrices(as_se3(pose)) for name, pose in start.items()}
+    # One view is enough: both transforms of the staged fit agree with all views alike.
+    view = int(data.usable_views()[0])
+    # camera_from_world = camera_from_mount @ mount_from_holder @ holder_from_world, of that view
+    reported = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[view]
+    seen = (
+        host_matrices(found.camera_from_mount) @ reported @ host_matrices(found.holder_from_world)
+    )
+    if mount_name not in given:
+        given[mount_name] = seen @ np.linalg.inv(reported @ given[holder_name])
+    if holder_name not in given:
+        given[holder_name] = np.linalg.inv(given[mount_name] @ reported) @ seen
+    return dataclasses.replace(
+        found,
+        camera_from_mount=host_transforms(given[mount_name]),
+        holder_from_world=host_transforms(given[holder_name]),
+    )

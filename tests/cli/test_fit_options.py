@@ -1,0 +1,191 @@
+"""What a person knows already enters the fit, is kept with its result, and is refused if wrong."""
+
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxlie import SE3, SO3
+from typer.testing import CliRunner
+
+from smartview_jax import Calibration, load_dataset
+from smartview_jax.cameras import Fisheye, OpenCV4
+from smartview_jax.cli import app
+from smartview_jax.cli.fit_options import parse_fit_options
+from smartview_jax.files import read_yaml
+from smartview_jax.geometry import host_logarithms, host_matrices
+from smartview_jax.io import read_camera, ros_camera_info, save_dataset
+from smartview_jax.joint import load_estimate
+from smartview_jax.simulation import random_scene
+from smartview_jax.targets import Chessboard
+
+BOARD = Chessboard(9, 6, 0.004)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("options") / "data"
+    assert run("simulate", path, "--views", "8").exit_code == 0
+    return path
+
+
+def run(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def calibrated(folder, out, *words):
+    return run("calibrate", folder, "--no-held-out", "--out", out, *words)
+
+
+def options(**given):
+    return parse_fit_options("opencv4", "eye_in_hand", **given)
+
+
+def test_a_known_camera_is_held_and_said(folder, tmp_path):
+    truth = Calibration.load(folder / "truth.yaml")
+    ended = calibrated(folder, tmp_path, "--camera", folder / "truth.yaml", "--json")
+    assert ended.exit_code == 0, ended.output
+    saved = Calibration.load(tmp_path / "calibration.yaml")
+    assert saved.camera.lens == truth.camera.lens
+    assert float(saved.camera.alpha_u) == float(truth.camera.alpha_u)
+    stated = {one["name"]: one for one in json.loads(ended.stdout)["parameters"]}
+    assert stated["camera.alpha_u"]["held"]
+    assert not stated["camera_from_tool.translation.x"]["held"]
+    source = read_yaml(tmp_path / "calibration.yaml")["source"]
+    assert source == f"data; given: --camera {folder / 'truth.yaml'}"
+    assert f"--camera {folder / 'truth.yaml'}" in (tmp_path / "report.html").read_text()
+
+
+def test_a_single_tag_needs_a_known_camera(tmp_path):
+    """Four corners of a tag in every view are a pose, but no camera."""
+    scene = random_scene(1, 10, BOARD.points)
+    others = np.setdiff1d(np.arange(54), [0, 8, 45, 53])
+    seen = dataclasses.replace(
+        scene.data, pixels=scene.data.pixels.at[:, others].set(jnp.nan), target=BOARD
+    )
+    save_dataset(seen, tmp_path / "tag")
+    scene.calibration.save(tmp_path / "camera.yaml")
+    alone = calibrated(tmp_path / "tag", tmp_path / "out", "--bad-views", "mask")
+    assert alone.exit_code == 2
+    assert "4 points seen, 6 needed" in alone.stderr
+    assert "--camera FILE) 4 points suffice" in alone.stderr.replace("\n", " ")
+    told = calibrated(tmp_path / "tag", tmp_path / "out", "--camera", tmp_path / "camera.yaml")
+    assert told.exit_code == 0, told.output
+    found = load_estimate(tmp_path / "out" / "calibration.yaml")
+    # Within the stated uncertainty of the truth.
+    difference = found.calibration.camera_from_tool @ scene.calibration.camera_from_tool.inverse()
+    std = np.sqrt(np.diagonal(found.covariance))[:3]
+    assert (np.abs(np.asarray(difference.translation())) < 5.0 * np.max(std)).all()
+
+
+def test_a_prior_and_a_free_scale_enter_the_fit(folder, tmp_path):
+    prior = ("--prior", "target_scale=1+-0.0005", "--prior", "camera.u0=300+-0.01px")
+    ended = calibrated(folder, tmp_path, *prior)
+    assert ended.exit_code == 0, ended.output
+    found = load_estimate(tmp_path / "calibration.yaml")
+    std = dict(zip(found.parameter_names, np.sqrt(np.diagonal(found.covariance)), strict=True))
+    assert float(found.calibration.camera.u0) == pytest.approx(300.0, abs=0.1)
+    assert std["camera.u0"] <= 0.0105
+    assert 0.0 < std["target_scale"] <= 0.00053
+    assert "given: --prior target_scale=1+-0.0005, --prior camera.u0=300" in "".join(
+        (tmp_path / "calibration.yaml").read_text().split("\n")[:6]
+    )
+
+
+def test_a_transform_from_a_drawing_is_kept(folder, tmp_path):
+    """Given from the tool to the camera, as drawings have it, and held."""
+    truth = Calibration.load(folder / "truth.yaml").camera_from_tool
+    inverse = truth.inverse()
+    angles = np.rad2deg([float(x) for x in inverse.rotation().as_rpy_radians()])[::-1]
+    pose = ",".join(f"{x:.9f}" for x in [*np.asarray(inverse.translation()), *angles])
+    words = ("--start", f"tool_from_camera={pose}", "--fixed", "camera_from_tool")
+    ended = calibrated(folder, tmp_path, *words)
+    assert ended.exit_code == 0, ended.output
+    kept = Calibration.load(tmp_path / "calibration.yaml").camera_from_tool
+    np.testing.assert_allclose(host_matrices(kept), host_matrices(truth), atol=1e-8)
+    names = load_estimate(tmp_path / "calibration.yaml").parameter_names
+    assert not any(name.startswith("camera_from_tool") for name in names)
+
+
+def test_a_start_of_one_transform_keeps_the_first_view(folder):
+    from smartview_jax.staged import fit_staged, merged_start
+
+    data = load_dataset(folder)
+    found = fit_staged(data, "radial").calibration
+    turn = SE3.from_rotation_and_translation(SO3.from_x_radians(0.1), np.array([0.01, 0.0, 0.0]))
+    for name in ("camera_from_tool", "base_from_world"):
+        start = merged_start(found, {name: turn @ getattr(found, name)}, data, None)
+        moved = host_logarithms(
+            host_matrices(getattr(start, name) @ getattr(found, name).inverse())
+        )
+        np.testing.assert_allclose(moved, np.asarray(turn.log()), atol=1e-9)
+        before, after = (
+            host_matrices(one.camera_from_world(data.base_from_tool)) for one in (found, start)
+        )
+        np.testing.assert_allclose(after[0], before[0], atol=1e-9)
+        assert np.abs(after[1] - before[1]).max() > 1e-4
+
+
+def test_numbers_are_in_the_units_that_stand_behind_them(tmp_path):
+    (tmp_path / "known.yaml").write_text(
+        "camera_from_tool.translation.z: 0.08 +- 0.001 m\ncamera_from_tool.rotation: +-2deg\n"
+    )
+    found = options(
+        prior=["camera_from_tool.translation.x=-12.5+-2mm", str(tmp_path / "known.yaml")]
+    ).priors
+    assert (found["camera_from_tool.translation.x"].mean,) == pytest.approx((-0.0125,))
+    assert found["camera_from_tool.translation.x"].std == pytest.approx(0.002)
+    assert found["camera_from_tool.translation.z"].mean == pytest.approx(0.08)
+    assert found["camera_from_tool.rotation"].std == pytest.approx(np.deg2rad(2.0))
+    assert found["camera_from_tool.rotation"].mean is None
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"fixed": ["camera.u9"]}, "--fixed: no parameter is called 'camera.u9'; did you mean"),
+        ({"free": ["camera"]}, "--free camera: it is free already"),
+        ({"prior": ["camera.u0=640+-5"]}, "expected a unit, px, as in camera.u0=1"),
+        ({"prior": ["camera.u0=640+-5mm"]}, "expected a unit, px"),
+        ({"prior": ["camera.u0=640"]}, r"--prior camera.u0: expected VALUE\+-SIGMA"),
+        ({"prior": ["camera.u0=640+-0px"]}, "expected a positive SIGMA, found 0"),
+        ({"prior": ["camera_from_tool=1+-1mm"]}, "several units are in it"),
+        ({"prior": ["camera_from_tool.rotation.x=1+-1deg"]}, "known about its start"),
+        ({"prior": ["nowhere.yaml"]}, "expected NAME=VALUE.* or a YAML file; found 'nowhere.yaml'"),
+        ({"prior": ["camera.u0=1+-1px"], "fixed": ["camera"]}, "--prior camera.u0: it is held by"),
+        ({"start": ["tool_from_base=0,0,0,0,0,0"]}, "expected camera_from_tool or base_from_world"),
+        ({"start": ["camera_from_tool=0,0"]}, "--start camera_from_tool: expected six numbers"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(given, words):
+    with pytest.raises(ValueError, match=words):
+        options(**given)
+
+
+def test_the_command_refuses_with_the_code_of_the_other_verbs(folder, tmp_path):
+    for verb in ("calibrate", "compare"):
+        ended = run(verb, folder, "--fixed", "camera.u9")
+        assert ended.exit_code == 2
+        assert ended.stderr.strip().splitlines()[-1].startswith("smartview: --fixed: no parameter")
+    small = Calibration.load(folder / "truth.yaml")
+    camera = dataclasses.replace(small.camera, image_size=(320, 240))
+    dataclasses.replace(small, camera=camera).save(tmp_path / "other.yaml")
+    for option in ("--camera", "--start"):
+        ended = calibrated(folder, tmp_path / "out", option, tmp_path / "other.yaml")
+        assert ended.exit_code == 2
+        assert "takes pictures of 320 x 240 px, those of the data are 640 x 480" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "lens", [OpenCV4(-0.1, 0.02, 1e-3, -2e-3), Fisheye(0.01, -0.002, 0.001, 0.0)]
+)
+def test_a_camera_info_of_ros_is_the_camera_again(folder, tmp_path, lens):
+    truth = Calibration.load(folder / "truth.yaml")
+    camera = dataclasses.replace(truth.camera, lens=lens)
+    path = tmp_path / "camera_info.yaml"
+    path.write_text(ros_camera_info(dataclasses.replace(truth, camera=camera)))
+    read = read_camera(path)
+    assert read.image_size == camera.image_size
+    points = jnp.array([[0.05, -0.03, 0.3], [-0.1, 0.02, 0.25]])
+    np.testing.assert_allclose(read.project(points)[0], camera.project(points)[0], atol=1e-9)
