@@ -5,14 +5,15 @@ A message is a mapping with `do`, the name of a change or of one of the commands
 model: with a thousand features an answer has a few of them.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from ..modeling import Face, FacePlane, face_plane, points_in_loops
 from .document import CHANGES, KINDS, PlacedGrasp
 from .entries import edge_entries, face_entry, grasp_entry, point_entry
+from .face_pointing import angle_towards, drawn_plane, face_under
 from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
 from .session import ModelSession
@@ -218,6 +219,7 @@ class Conversation:
 
     def save(self) -> Message:
         """Write the model's file."""
+        # A model with parts missing is saved all the same, and the note says how many.
         path = self._session.save()
         left_out = self._session.problems()
         words = f"; {len(left_out)} parts are not whole yet and left out" if left_out else ""
@@ -225,6 +227,7 @@ class Conversation:
 
     def propose(self) -> Message:
         """Match all views by themselves, and offer the points and edges found."""
+        # The page waits for this one; its other messages are answered meanwhile.
         self._session.propose()
         return self._offer()
 
@@ -261,10 +264,9 @@ class Conversation:
 
     def grasp_at(self, view: str, pixel: Any, depth: float = 0.01) -> Message:
         """Place a grasp where a pixel's ray meets the nearest face that is turned to the view."""
-        face, point = self._face_under(view, pixel)
-        plane = self._plane(face)
+        face, point = face_under(self._session, view, pixel)
         # Kept relative to the face, so that the grasp follows when clicks move the face.
-        offset = plane.coordinates(point[None])[0].tolist()
+        offset = drawn_plane(self._session, face).coordinates(point[None])[0].tolist()
         number = self._session.add_grasp(face, offset=offset, depth=depth)
         return {**self.update(), "new": number}
 
@@ -272,56 +274,15 @@ class Conversation:
         """Turn a grasp so that its fingers open towards a pixel; kept only on `commit`."""
         session = self._session
         placed = session.document.existing("grasps", grasp)
-        plane = self._plane(placed.face)
-        origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
-        # Where the pixel's ray meets the face's plane; the fingers open towards that place.
-        x, y = plane.coordinates((origin + _meets(plane, origin, direction) * direction)[None])[0]
-        angle = float(np.arctan2(y - placed.offset[1], x - placed.offset[0]))
+        angle = angle_towards(session, placed, view, pixel)
         if commit:
             session.change_grasp(grasp, angle=angle)
             return self.update()
         # While the mouse moves nothing is kept: the journal gets one turn, not hundreds.
-        turned = PlacedGrasp(**{**vars(placed), "angle": angle})
+        turned = dataclasses.replace(placed, angle=angle)
         made = placed_grasp(session.model(), self._face_index(placed.face), turned)
         entry = grasp_entry(made, placed.face, session)
         return {"type": "preview", "grasp": grasp, "entry": entry}
-
-    def _plane(self, face: int) -> FacePlane:
-        """Return the plane of a face with an id."""
-        session = self._session
-        loop, estimates = session.document.existing("faces", face).loop, session.estimates()
-        vertices = np.array([estimates[p].position for p in loop])
-        return face_plane(vertices, Face(tuple(range(len(loop)))))
-
-    def _face_under(self, view: str, pixel: Any) -> tuple[int, np.ndarray]:
-        """Return the nearest face under a pixel that is turned to the view, and the point on it."""
-        session = self._session
-        origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
-        estimates, hits = session.estimates(), []
-        for number, face in session.document.faces.items():
-            if face_problem(face.loop, estimates):
-                continue
-            plane = self._plane(number)
-            # A hit counts if it is in front of the camera, inside the loop, and on the face's
-            # outside.
-            depth = _meets(plane, origin, direction)
-            point = origin + depth * direction
-            loop = plane.coordinates(np.array([estimates[p].position for p in face.loop]))
-            inside = points_in_loops(plane.coordinates(point[None]), [loop])[0]
-            if plane.normal @ direction < 0.0 and depth > 0.0 and inside:
-                hits.append((depth, number, point))
-        if not hits:
-            raise ValueError("there is no face here that is turned to this view; draw one first")
-        # Other faces are hidden behind the nearest one.
-        _, number, point = min(hits, key=lambda hit: hit[0])
-        return number, point
-
-
-def _meets(plane: FacePlane, origin: np.ndarray, direction: np.ndarray) -> float:
-    """Return how far along a ray it meets a plane, m; infinite where it never does."""
-    # normal . (origin + s direction - p) = 0 for a point p of the plane.
-    slope = float(plane.normal @ direction)
-    return float(plane.normal @ (plane.origin - origin)) / slope if slope else float("inf")
 
 
 def _same(one: tuple | None, other: tuple) -> bool:

@@ -46,7 +46,7 @@ from .object_model import edges_of_faces as edges_of_faces
 from .picture_equations import ModelObservations as ModelObservations
 from .pixel_jacobians import PixelJacobians as PixelJacobians
 from .pixel_jacobians import pixel_jacobians as pixel_jacobians
-from .point_estimation import PointStatus as PointStatus
+from .point_status import PointStatus as PointStatus
 from .projection import project_points as project_points
 from .proposal import ModelProposal as ModelProposal
 from .proposal import propose_model as propose_model
