@@ -22,12 +22,17 @@ def check_clicks(change: Mapping[str, Any], names: Sequence[str], size: tuple[in
         check_clicks(part, names, size)
 
 
+def check_view(view: Any, names: Sequence[str]) -> None:
+    """Raise an error for a view that does not exist."""
+    if view not in names:
+        raise ValueError(f"there is no view {view!r}; the views are {', '.join(names)}")
+
+
 def checked_pixel(
     view: Any, pixel: Any, names: Sequence[str], size: tuple[int, int]
 ) -> tuple[float, float]:
     """Return a pixel of a view, or raise an error that names both."""
-    if view not in names:
-        raise ValueError(f"there is no view {view!r}; the views are {', '.join(names)}")
+    check_view(view, names)
     # From a page anything may come: text, null, three numbers.
     try:
         u, v = (float(number) for number in pixel)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from .document import CHANGES, KINDS, PlacedGrasp
-from .entries import edge_entries, face_entry, grasp_entry, point_entry
+from .entries import edge_entries, face_entry, grasp_entry, offer_message, point_entry
 from .face_pointing import angle_towards, drawn_plane, face_under
 from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
@@ -225,37 +225,22 @@ class Conversation:
         words = f"; {len(left_out)} parts are not whole yet and left out" if left_out else ""
         return {**self.update(), "note": f"saved to {path}{words}"}
 
-    def propose(self) -> Message:
-        """Match all views by themselves, and offer the points and edges found."""
+    def propose(self, rectangles: Mapping[str, Any] | None = None) -> Message:
+        """Match all views by themselves, and offer the points and edges found in rectangles."""
         # The page waits for this one; its other messages are answered meanwhile.
-        self._session.propose()
-        return self._offer()
+        self._session.propose(rectangles=rectangles)
+        return offer_message(self._session)
 
     def accept(self, points: list[int]) -> Message:
         """Add proposed points to the model."""
         self._session.accept(points)
         # Both what was added and what remains to be decided.
-        return {**self.update(), **self._offer(), "type": "update"}
+        return {**self.update(), **offer_message(self._session), "type": "update"}
 
     def reject(self, points: list[int]) -> Message:
         """Take proposed points from the offer."""
         self._session.reject(points)
-        return self._offer()
-
-    def _offer(self) -> Message:
-        """Return the points that are not decided yet, the best supported first."""
-        offer, names = self._session.proposals, self._session.names
-        points = [
-            {
-                "number": number,
-                "in": [point.clicks.get(name) for name in names],
-                "views": len(point.clicks),
-                "rms": round(point.rms, 2),
-            }
-            for number, point in offer.points.items()
-        ]
-        edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
-        return {"type": "proposals", "offer": {"points": points, "edges": edges}}
+        return offer_message(self._session)
 
     def distance(self, a: int, b: int) -> Message:
         """Return the distance of two points with its standard deviation."""

@@ -153,3 +153,20 @@ def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any
         "lines": lines.round(_METRE_DIGITS).tolist(),
         "in": _polylines(session.geometry, lines),
     }
+
+
+def offer_message(session: ModelSession) -> dict[str, Any]:
+    """Return the proposed points that are not decided yet, the best supported first."""
+    offer, names = session.proposals, session.names
+    points = [
+        {
+            "number": number,
+            "in": [point.clicks.get(name) for name in names],
+            "views": len(point.clicks),
+            "rms": round(point.rms, 2),
+        }
+        for number, point in offer.points.items()
+    ]
+    # An edge is drawn while both of its ends are open.
+    edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
+    return {"type": "proposals", "offer": {"points": points, "edges": edges}}

@@ -8,9 +8,10 @@ session.save()
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,14 @@ from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..features import Features
 from ..io import save_object_model
-from ..modeling import ConstraintVerdict, EpipolarCurve, ObjectModel, propose_model
+from ..modeling import (
+    ConstraintVerdict,
+    EpipolarCurve,
+    ObjectModel,
+    Region,
+    propose_model,
+)
+from .click_checks import check_view
 from .document import Document
 from .document_estimates import DocumentEstimates
 from .drawing import AbstractDrawing
@@ -121,11 +129,30 @@ class ModelSession(AbstractDrawing):
         """Return the corners and segments found in a view's picture, which clicks snap to."""
         return self._features.of(view)
 
-    def propose(self) -> Proposals:
+    def propose(
+        self,
+        box: Float[np.ndarray, "2 3"] | Sequence[Sequence[float | int]] | None = None,
+        rectangles: Mapping[str, Any] | None = None,
+    ) -> Proposals:
         """Match the corners of all views by themselves, and offer the points and edges found.
 
         The offer is not part of the session's file; what is accepted of it is.
+
+        Args:
+            box: smallest and largest x, y and z of the object in the world, m; None is anywhere.
+            rectangles: around the object by the view's name, px: smallest u and v, largest u and
+                v. One is enough to leave out what stands beside the object; see `Region`.
+
+        Raises:
+            ValueError: an unknown view, a box or a rectangle with nothing inside, or a picture
+                without features.
         """
+        for name in rectangles or {}:
+            check_view(name, self.names)
+        numbers = {self.names.index(name): one for name, one in (rectangles or {}).items()}
+        region = Region(box, numbers)
+        # Here and not only in `propose_model`, which knows the views by their numbers.
+        region.check(self.names, self.picture_size)
         # Features were found for snapping; they are not searched for again.
         found = propose_model(
             self.calibration,
@@ -134,6 +161,7 @@ class ModelSession(AbstractDrawing):
             self.geometry.common_depths,
             features=[self.features(name) for name in self.names],
             covariance=self._covariance,
+            region=region,
         )
         self.proposals = Proposals(found, self.names, self.document)
         return self.proposals

@@ -52,6 +52,7 @@ from .proposal import ModelProposal as ModelProposal
 from .proposal import propose_model as propose_model
 from .refined_features import RefinedFeatures as RefinedFeatures
 from .refinement import refine as refine
+from .region import Region as Region
 from .symmetry import Symmetry as Symmetry
 from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints

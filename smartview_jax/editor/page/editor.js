@@ -14,11 +14,13 @@ const TOOLS = {
     help: "Click the corners of a flat surface around it; the first corner again, or Enter, closes it." },
   grasp: { key: "g", label: "Grasps", icon: '<path d="M4 18V9a6 6 0 0 1 12 0v9M10 3V1"/>',
     help: "Click on a face to place the gripper, and drag to turn it." },
+  region: { key: "r", label: "Region", icon: '<rect x="3" y="5" width="14" height="10" stroke-dasharray="3 2"/>',
+    help: "Drag a rectangle around the object in one view or in several: only points seen inside are proposed. A click in a view removes its rectangle." },
   select: { key: "s", label: "Select", icon: '<path d="M5 3l11 6-5 1.5L8.5 16z"/>',
     help: "Click points or edges, with Shift for several: see distances, say what you know of them, or delete them." },
 };
 const KEYS = [
-  ["P E F G S", "tools: points, edges, faces, grasps, select"],
+  ["P E F G R S", "tools: points, edges, faces, grasps, region, select"],
   ["N  or  Esc", "next point; end a line or a face"],
   ["Enter", "close a face"],
   ["Del", "delete what is chosen"],
@@ -40,7 +42,7 @@ class Editor {
     this.connection = connection;
     this.model = new Model();
     this.tool = "point"; this.active = null; this.selection = new Set(); this.chain = [];
-    this.curves = null; this.previews = new Map(); this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
+    this.curves = null; this.previews = new Map(); this.rectangles = new Map(); this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
     this.build(root);
     connection.onUpdate = (message) => this.accept(message);
     connection.onState = (state) => this.connected(state);
@@ -242,8 +244,9 @@ class Editor {
   }
 
   async propose() {
-    this.say("matching the corners of all views …");
-    const answer = await this.connection.ask({ do: "propose" }).catch((error) => { this.say(error.message, true); });
+    const rectangles = Object.fromEntries(this.rectangles);
+    this.say(this.rectangles.size ? `matching the corners of all views within the region (${[...this.rectangles.keys()].join(", ")}) …` : "matching the corners of all views …");
+    const answer = await this.connection.ask({ do: "propose", rectangles }).catch((error) => { this.say(error.message, true); });
     if (!answer) return;
     this.accept(answer);
     this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
@@ -349,6 +352,7 @@ class Editor {
     clearTimeout(this.hoverTimer);  // a click is answered before any curve
     this.hovering = false;
     if (this.tool === "grasp") drag.grasp = this.placeGrasp(view, target.pixel);
+    if (this.tool === "region") drag.corner = view.toPixel(drag.from);
     if (this.tool === "point" && target.point !== null) drag.point = target.point;
     this.root.focus({ preventScroll: true });
   }
@@ -362,6 +366,7 @@ class Editor {
   }
 
   async dragged(view, pixel, drag) {
+    if (drag.corner) this.rectangles.set(view.name, this.rectangle(drag.corner, pixel));
     if (drag.grasp && !drag.asking) {
       drag.asking = true;
       const grasp = await drag.grasp;
@@ -380,7 +385,22 @@ class Editor {
     }
   }
 
+  // Smallest u and v, then largest: within the picture, whichever way it was drawn.
+  rectangle([a, b], [c, d]) {
+    const [width, height] = this.model.size, within = (x, most) => Math.min(Math.max(x, -0.5), most - 0.5);
+    return [within(Math.min(a, c), width), within(Math.min(b, d), height), within(Math.max(a, c), width), within(Math.max(b, d), height)];
+  }
+
+  releasedRegion(view, drag) {
+    if (!drag.moved) this.rectangles.delete(view.name);
+    const count = this.rectangles.size;
+    this.find('[data-do="propose"]').textContent = count ? "Propose in region" : "Propose all";
+    this.say(count ? `Points are proposed that are seen in ${count === 1 ? "the rectangle" : `all ${count} rectangles`}. A click in a view removes its rectangle.` : TOOLS.region.help);
+    view.redraw("live");
+  }
+
   async released(view, target, drag, event) {
+    if (this.tool === "region") return this.releasedRegion(view, drag);
     if (this.tool === "grasp") return this.releasedGrasp(view, target, drag);
     if (this.tool === "point") return this.releasedPoint(view, target, drag);
     if (target.point === null) { if (this.tool === "select") { if (!event.shiftKey && !event.ctrlKey) this.selection.clear(); this.chooseOther(view, target.pixel); this.refresh(); } return; }
