@@ -6,13 +6,22 @@ model: with a thousand features an answer has a few of them.
 """
 
 import dataclasses
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from .document import CHANGES, KINDS, PlacedGrasp
-from .entries import edge_entries, face_entry, grasp_entry, offer_message, point_entry
+from .entries import (
+    curve_entry,
+    edge_entries,
+    face_entry,
+    grasp_entry,
+    offer_message,
+    point_entry,
+    symmetry_entry,
+)
 from .face_pointing import angle_towards, drawn_plane, face_under
 from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
@@ -181,20 +190,7 @@ class Conversation:
         """Return the curves of a pixel in the other views, with the depth of every sample."""
         # The mouse may be beside the picture, which is an error with words, not a curve.
         place = self._session.checked_pixel(view, pixel)
-        found = self._session.curves(view, place)
-        curves = {
-            name: [
-                {
-                    "pixels": curve.pixels[curve.piece == k].round(1).ravel().tolist(),
-                    # A depth may be infinite, which JSON has no number for.
-                    "mm": np.nan_to_num(1e3 * curve.depths[curve.piece == k], posinf=-1.0)
-                    .round(2)
-                    .tolist(),
-                }
-                for k in np.unique(curve.piece)
-            ]
-            for name, curve in found.items()
-        }
+        curves = {name: curve_entry(one) for name, one in self._session.curves(view, place).items()}
         return {"type": "curves", "view": view, "pixel": list(place), "curves": curves}
 
     def features(self, view: str) -> Message:
@@ -242,6 +238,13 @@ class Conversation:
         self._session.reject(points)
         return offer_message(self._session)
 
+    def symmetry(self) -> Message:
+        """Return the symmetry that the object has by its geometry, and what was said of it."""
+        session = self._session
+        found = session.symmetry()
+        entry = None if found is None else symmetry_entry(found, session.symmetry_said)
+        return {"type": "symmetry", "symmetry": entry}
+
     def distance(self, a: int, b: int) -> Message:
         """Return the distance of two points with its standard deviation."""
         length, sigma = self._session.distance(a, b)
@@ -272,11 +275,7 @@ class Conversation:
 
 def _same(one: tuple | None, other: tuple) -> bool:
     """Return whether two tuples have the same objects, not only equal ones."""
-    return one is not None and len(one) == len(other) and all(map(_is, one, other))
-
-
-def _is(a: object, b: object) -> bool:
-    return a is b
+    return one is not None and len(one) == len(other) and all(map(operator.is_, one, other))
 
 
 _COMMANDS: dict[str, Callable[..., Message]] = {
@@ -287,6 +286,7 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "redo": Conversation.redo,
     "save": Conversation.save,
     "distance": Conversation.distance,
+    "symmetry": Conversation.symmetry,
     "propose": Conversation.propose,
     "accept": Conversation.accept,
     "reject": Conversation.reject,
@@ -295,5 +295,5 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
 }
 """The commands of a page, by name, besides the changes of a document."""
 
-SLOW_COMMANDS = ("features", "propose")
+SLOW_COMMANDS = ("features", "propose", "symmetry")
 """Commands that change nothing of the document and may take seconds."""

@@ -32,6 +32,7 @@ class Document:
         next_id: the id of what is added next.
         name: of the object.
         symmetry_confirmed: whether the symmetry that was found is meant; None if not said.
+        symmetry_order: the number of turns of the symmetry of which that was said; None is any.
     """
 
     points: Mapping[int, Clicks] = dataclasses.field(default_factory=dict)
@@ -42,6 +43,7 @@ class Document:
     next_id: int = 0
     name: str = ""
     symmetry_confirmed: bool | None = None
+    symmetry_order: int | None = None
 
     def existing(self, kind: str, number: int) -> Any:
         """Return a part by its id, or raise a ValueError that names it."""
@@ -224,9 +226,14 @@ def _rename(document: Document, name: str) -> Document:
     return dataclasses.replace(document, name=name)
 
 
-def _confirm_symmetry(document: Document, confirmed: bool | None) -> Document:
-    """Say whether the symmetry that was found is meant."""
-    return dataclasses.replace(document, symmetry_confirmed=confirmed)
+def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> Document:
+    """Say whether the symmetry that was found, of so many turns, is meant."""
+    # From the page and the journal anything may come.
+    if confirmed not in (True, False, None):
+        raise ValueError(f"a symmetry is confirmed, refused or left open; found {confirmed!r}")
+    if order is not None and (not isinstance(order, int) or order < 1):
+        raise ValueError(f"a symmetry has 1 turn or more; found {order!r}")
+    return dataclasses.replace(document, symmetry_confirmed=confirmed, symmetry_order=order)
 
 
 def _several(document: Document, changes: Any) -> Document:

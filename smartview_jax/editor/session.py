@@ -7,6 +7,7 @@ session.save()
 """
 
 import contextlib
+import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from ..modeling import (
     EpipolarCurve,
     ObjectModel,
     Region,
+    Symmetry,
     propose_model,
 )
 from .click_checks import check_view
@@ -36,6 +38,7 @@ from .given_views import check_poses, checked_names, checked_picture
 from .model_building import build_model, problems_of
 from .picture_features import PictureFeatures
 from .proposals import Proposals
+from .stated_symmetry import StatedSymmetry
 from .view_geometry import PointEstimate, ViewGeometry
 
 
@@ -99,6 +102,7 @@ class ModelSession(AbstractDrawing):
         )
         # What was computed or found once is kept in these two.
         self._estimates = DocumentEstimates(self.geometry)
+        self._symmetry = StatedSymmetry()
         self._features = PictureFeatures(calibration.camera, self.pictures)
         self._covariance = covariance
         self.path = None if path is None else Path(path)
@@ -190,9 +194,45 @@ class ModelSession(AbstractDrawing):
         return estimates[a].distance_to(estimates[b])
 
     def model(self, document: Document | None = None) -> ObjectModel:
-        """Return the object model of everything that has a position."""
+        """Return the object model of everything that has a position, with what was said of it."""
         document = document or self.document
-        return build_model(document, self.estimates(document), self.names)
+        model = build_model(document, self.estimates(document), self.names)
+        # Most models are asked for while somebody draws: only what was said is looked for.
+        if document.symmetry_confirmed is None:
+            return model
+        return dataclasses.replace(model, symmetry=self._symmetry.stated(document, model))
+
+    def symmetry(self) -> Symmetry | None:
+        """Return the turns that map the object onto itself, for the person to confirm or refuse.
+
+        Returns:
+            The group found from vertices, edges and faces, `confirmed` if the person has confirmed
+            it; None while there are not three vertices that span a plane.
+        """
+        document, model = self.document, self.model()
+        found = self._symmetry.found(document, model)
+        if found is None:
+            return None
+        return dataclasses.replace(found, confirmed=bool(self._symmetry.said(document, model)))
+
+    @property
+    def symmetry_said(self) -> bool | None:
+        """Whether the symmetry as found now was confirmed or refused; None if nothing was said."""
+        return self._symmetry.said(self.document, self.model())
+
+    def confirm_symmetry(self, confirmed: bool | None = True) -> None:
+        """Confirm the symmetry that is found now, refuse it (False), or take that back (None).
+
+        A refused symmetry is saved as that of an object whose poses can all be told apart. An edit
+        that changes the symmetry ends what was said of it.
+
+        Raises:
+            ValueError: there is nothing yet of which a symmetry could be found.
+        """
+        found = self.symmetry()
+        if found is None:
+            raise ValueError("symmetry: fewer than three vertices that are not on one line")
+        self.change({"do": "confirm_symmetry", "confirmed": confirmed, "order": found.order})
 
     def save(self, path: str | os.PathLike[str] | None = None) -> Path:
         """Write the model as JSON, completely or not at all.

@@ -54,6 +54,7 @@ from .refined_features import RefinedFeatures as RefinedFeatures
 from .refinement import refine as refine
 from .region import Region as Region
 from .symmetry import Symmetry as Symmetry
+from .symmetry import SymmetryAxis as SymmetryAxis
 from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points

@@ -224,6 +224,38 @@ def test_a_rectangle_is_drawn_and_proposals_keep_to_it(session, scene, chromium)
     assert page.faults == []
 
 
+def test_the_symmetry_is_shown_and_confirmed(session, scene, chromium, tmp_path):
+    ids = []
+    for vertex in range(len(scene.truth.vertices)):
+        point = None
+        for view in separate_views(scene, vertex):
+            point = session.click(session.names[view], scene.click(view, vertex), point)
+        ids.append(point)
+    for face in scene.truth.faces:
+        session.add_face([ids[vertex] for vertex in face.loop])
+    page = Page(chromium(), serve_in_thread(session))
+    page.page.wait_for_selector(".symmetry:not([hidden])")
+    shown = page.page.inner_text(".symmetry")
+    assert "2 poses look alike" in shown
+    assert "2-fold about (0, 0, 1)" in shown
+    assert "Is it meant?" in shown
+    page.page.click('.symmetry >> text="Confirm"')
+    page.page.wait_for_selector(".symmetry >> text=confirmed: saved with the model")
+    page.key("Control+s")
+    assert load_object_model(tmp_path / "house.json").symmetry.order == 2
+    page.page.click('.symmetry >> text="Refuse"')
+    page.page.wait_for_selector(".symmetry >> text=all poses can be told apart")
+    page.key("Control+s")
+    assert load_object_model(tmp_path / "house.json").symmetry.order == 1
+    # An object that no turn maps onto itself has nothing to be asked about.
+    session.add_edge(ids[scene.truth.faces[3].loop[0]], ids[scene.truth.faces[3].loop[2]])
+    page.page.reload()
+    page.wait_until_complete()
+    page.page.wait_for_function("smartviewEditor.symmetry?.order === 1")
+    assert not page.page.is_visible(".symmetry")
+    assert page.faults == []
+
+
 def test_a_second_page_shows_what_the_first_does(session, scene, chromium):
     """What one page does, another one shows."""
     address = serve_in_thread(session)

@@ -34,6 +34,7 @@ const KEYS = [
   ["?", "this help"],
 ];
 const HOVER_PAUSE = 25;  // ms between two curves that follow the mouse
+const SYMMETRY_PAUSE = 400;  // ms without a change before the symmetry is asked for
 
 export function start(root, connection) { return new Editor(root, connection); }
 
@@ -42,7 +43,7 @@ class Editor {
     this.connection = connection;
     this.model = new Model();
     this.tool = "point"; this.active = null; this.selection = new Set(); this.chain = [];
-    this.curves = null; this.previews = new Map(); this.rectangles = new Map(); this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
+    this.curves = null; this.previews = new Map(); this.rectangles = new Map(); this.symmetry = null; this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
     this.build(root);
     connection.onUpdate = (message) => this.accept(message);
     connection.onState = (state) => this.connected(state);
@@ -69,7 +70,7 @@ class Editor {
         <button data-do="propose" title="match all views and offer points">Propose all</button><button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
         <button data-do="save" class="sv-save" title="Ctrl S">Save</button><button data-do="help" title="?">?</button></div>
       <div class="sv-tools">${tools}</div><div class="sv-views"></div>
-      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
+      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><div class="symmetry" hidden><h3>Symmetry</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
       <div class="sv-foot"><span class="grow said"></span><span class="counts"></span></div>
       <div class="sv-help" hidden><div><h2>Keys</h2><table>${keys}</table></div></div>
       <div class="sv-veil"><span>connecting …</span></div></div>`);
@@ -102,6 +103,7 @@ class Editor {
       if (!this.views.length) this.arrange();
       this.find(".sv-veil").hidden = true;
       this.refresh();
+      this.askSymmetry();
       if (greeting.notes.length) this.say(greeting.notes.join("; "));
       this.ready = Promise.all(this.views.map((view) => this.loadPicture(view)));
       await this.ready;
@@ -175,6 +177,7 @@ class Editor {
   accept(message) {
     this.model.update(message);
     if (message.offer) this.offer = message.offer;
+    this.askSymmetry();
     for (const key of this.selection) {
       const [kind, id] = key.split(":");
       if (!this.model[kind].has(+id)) this.selection.delete(key);
@@ -234,6 +237,29 @@ class Editor {
       <span class="dim">marked: seen in ${first.views} views, ${first.rms.toFixed(2)} px</span>
       <div class="sv-buttons"><button data-decide="accept">Accept <kbd>A</kbd></button><button data-decide="reject">Reject <kbd>X</kbd></button><button data-decide="all">Accept all</button></div>`;
     for (const button of box.querySelectorAll("[data-decide]")) button.onclick = () => this.decide(button.dataset.decide);
+  }
+
+  // Asked for when the model has been left alone for a moment: Python may take a while to find it.
+  askSymmetry() {
+    clearTimeout(this.symmetryTimer);
+    this.symmetryTimer = setTimeout(async () => {
+      const found = this.model.points.size < 3 ? null : await this.connection.ask({ do: "symmetry" }).catch(() => null);
+      this.symmetry = found?.symmetry ?? null;
+      this.showSymmetry();
+      this.space3d?.update();
+    }, SYMMETRY_PAUSE);
+  }
+
+  // What the geometry says, for the person to confirm: a label may tell two poses apart.
+  showSymmetry() {
+    const box = this.find(".symmetry"), one = this.symmetry;
+    box.hidden = !one || (one.order === 1 && !one.round);
+    if (box.hidden) return;
+    const say = (label, confirmed) => this.button(label, { do: "confirm_symmetry", confirmed: one.said === confirmed ? null : confirmed, order: one.order }, one.said === confirmed);
+    box.querySelector(".box").innerHTML = `<div class="big">${one.round ? "round" : `${one.order} <small>poses look alike</small>`}</div><span class="dim">${this.escape(one.words)}</span>
+      <div class="${one.said === null ? "" : "dim"}">${one.said === null ? "Is it meant? Until you say so, the file has none." : one.said ? "confirmed: saved with the model" : "refused: all poses can be told apart"}</div>
+      <div class="sv-buttons">${say("Confirm", true)}${say("Refuse", false)}</div>`;
+    for (const button of box.querySelectorAll("[data-change]")) button.onclick = () => this.change(JSON.parse(button.dataset.change));
   }
 
   async decide(how) {
