@@ -154,7 +154,9 @@ def _real_sets(smoke: bool) -> bool:
         line = f"{name:18}{len(found):6}{mean:9.0f}{(gap < NEAR).mean():8.1%}{np.median(gap):6.2f}"
         if depths is None:
             # The cube moved and the camera did not: its poses come from the same edges.
-            print(line)
+            within = bool((gap < NEAR).mean() >= MIN_RECALL)
+            good &= within
+            print(f"{line}{'' if within else '  OUT OF BOUND'}")
             continue
         began = time.perf_counter()
         proposal = propose_model(

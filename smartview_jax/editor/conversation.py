@@ -5,14 +5,24 @@ A message is a mapping with `do`, the name of a change or of one of the commands
 model: with a thousand features an answer has a few of them.
 """
 
+import dataclasses
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from ..modeling import Face, FacePlane, face_plane, points_in_loops
 from .document import CHANGES, KINDS, PlacedGrasp
-from .entries import edge_entries, face_entry, grasp_entry, point_entry
+from .entries import (
+    curve_entry,
+    edge_entries,
+    face_entry,
+    grasp_entry,
+    offer_message,
+    point_entry,
+    symmetry_entry,
+)
+from .face_pointing import angle_towards, drawn_plane, face_under
 from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
 from .session import ModelSession
@@ -180,20 +190,7 @@ class Conversation:
         """Return the curves of a pixel in the other views, with the depth of every sample."""
         # The mouse may be beside the picture, which is an error with words, not a curve.
         place = self._session.checked_pixel(view, pixel)
-        found = self._session.curves(view, place)
-        curves = {
-            name: [
-                {
-                    "pixels": curve.pixels[curve.piece == k].round(1).ravel().tolist(),
-                    # A depth may be infinite, which JSON has no number for.
-                    "mm": np.nan_to_num(1e3 * curve.depths[curve.piece == k], posinf=-1.0)
-                    .round(2)
-                    .tolist(),
-                }
-                for k in np.unique(curve.piece)
-            ]
-            for name, curve in found.items()
-        }
+        curves = {name: curve_entry(one) for name, one in self._session.curves(view, place).items()}
         return {"type": "curves", "view": view, "pixel": list(place), "curves": curves}
 
     def features(self, view: str) -> Message:
@@ -218,41 +215,35 @@ class Conversation:
 
     def save(self) -> Message:
         """Write the model's file."""
+        # A model with parts missing is saved all the same, and the note says how many.
         path = self._session.save()
         left_out = self._session.problems()
         words = f"; {len(left_out)} parts are not whole yet and left out" if left_out else ""
         return {**self.update(), "note": f"saved to {path}{words}"}
 
-    def propose(self) -> Message:
-        """Match all views by themselves, and offer the points and edges found."""
-        self._session.propose()
-        return self._offer()
+    def propose(self, rectangles: Mapping[str, Any] | None = None) -> Message:
+        """Match all views by themselves, and offer the points and edges found in rectangles."""
+        # The page waits for this one; its other messages are answered meanwhile.
+        self._session.propose(rectangles=rectangles)
+        return offer_message(self._session)
 
     def accept(self, points: list[int]) -> Message:
         """Add proposed points to the model."""
         self._session.accept(points)
         # Both what was added and what remains to be decided.
-        return {**self.update(), **self._offer(), "type": "update"}
+        return {**self.update(), **offer_message(self._session), "type": "update"}
 
     def reject(self, points: list[int]) -> Message:
         """Take proposed points from the offer."""
         self._session.reject(points)
-        return self._offer()
+        return offer_message(self._session)
 
-    def _offer(self) -> Message:
-        """Return the points that are not decided yet, the best supported first."""
-        offer, names = self._session.proposals, self._session.names
-        points = [
-            {
-                "number": number,
-                "in": [point.clicks.get(name) for name in names],
-                "views": len(point.clicks),
-                "rms": round(point.rms, 2),
-            }
-            for number, point in offer.points.items()
-        ]
-        edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
-        return {"type": "proposals", "offer": {"points": points, "edges": edges}}
+    def symmetry(self) -> Message:
+        """Return the symmetry that the object has by its geometry, and what was said of it."""
+        session = self._session
+        found = session.symmetry()
+        entry = None if found is None else symmetry_entry(found, session.symmetry_said)
+        return {"type": "symmetry", "symmetry": entry}
 
     def distance(self, a: int, b: int) -> Message:
         """Return the distance of two points with its standard deviation."""
@@ -261,10 +252,9 @@ class Conversation:
 
     def grasp_at(self, view: str, pixel: Any, depth: float = 0.01) -> Message:
         """Place a grasp where a pixel's ray meets the nearest face that is turned to the view."""
-        face, point = self._face_under(view, pixel)
-        plane = self._plane(face)
+        face, point = face_under(self._session, view, pixel)
         # Kept relative to the face, so that the grasp follows when clicks move the face.
-        offset = plane.coordinates(point[None])[0].tolist()
+        offset = drawn_plane(self._session, face).coordinates(point[None])[0].tolist()
         number = self._session.add_grasp(face, offset=offset, depth=depth)
         return {**self.update(), "new": number}
 
@@ -272,65 +262,20 @@ class Conversation:
         """Turn a grasp so that its fingers open towards a pixel; kept only on `commit`."""
         session = self._session
         placed = session.document.existing("grasps", grasp)
-        plane = self._plane(placed.face)
-        origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
-        # Where the pixel's ray meets the face's plane; the fingers open towards that place.
-        x, y = plane.coordinates((origin + _meets(plane, origin, direction) * direction)[None])[0]
-        angle = float(np.arctan2(y - placed.offset[1], x - placed.offset[0]))
+        angle = angle_towards(session, placed, view, pixel)
         if commit:
             session.change_grasp(grasp, angle=angle)
             return self.update()
         # While the mouse moves nothing is kept: the journal gets one turn, not hundreds.
-        turned = PlacedGrasp(**{**vars(placed), "angle": angle})
+        turned = dataclasses.replace(placed, angle=angle)
         made = placed_grasp(session.model(), self._face_index(placed.face), turned)
         entry = grasp_entry(made, placed.face, session)
         return {"type": "preview", "grasp": grasp, "entry": entry}
 
-    def _plane(self, face: int) -> FacePlane:
-        """Return the plane of a face with an id."""
-        session = self._session
-        loop, estimates = session.document.existing("faces", face).loop, session.estimates()
-        vertices = np.array([estimates[p].position for p in loop])
-        return face_plane(vertices, Face(tuple(range(len(loop)))))
-
-    def _face_under(self, view: str, pixel: Any) -> tuple[int, np.ndarray]:
-        """Return the nearest face under a pixel that is turned to the view, and the point on it."""
-        session = self._session
-        origin, direction = session.geometry.ray(view, session.checked_pixel(view, pixel))
-        estimates, hits = session.estimates(), []
-        for number, face in session.document.faces.items():
-            if face_problem(face.loop, estimates):
-                continue
-            plane = self._plane(number)
-            # A hit counts if it is in front of the camera, inside the loop, and on the face's
-            # outside.
-            depth = _meets(plane, origin, direction)
-            point = origin + depth * direction
-            loop = plane.coordinates(np.array([estimates[p].position for p in face.loop]))
-            inside = points_in_loops(plane.coordinates(point[None]), [loop])[0]
-            if plane.normal @ direction < 0.0 and depth > 0.0 and inside:
-                hits.append((depth, number, point))
-        if not hits:
-            raise ValueError("there is no face here that is turned to this view; draw one first")
-        # Other faces are hidden behind the nearest one.
-        _, number, point = min(hits, key=lambda hit: hit[0])
-        return number, point
-
-
-def _meets(plane: FacePlane, origin: np.ndarray, direction: np.ndarray) -> float:
-    """Return how far along a ray it meets a plane, m; infinite where it never does."""
-    # normal . (origin + s direction - p) = 0 for a point p of the plane.
-    slope = float(plane.normal @ direction)
-    return float(plane.normal @ (plane.origin - origin)) / slope if slope else float("inf")
-
 
 def _same(one: tuple | None, other: tuple) -> bool:
     """Return whether two tuples have the same objects, not only equal ones."""
-    return one is not None and len(one) == len(other) and all(map(_is, one, other))
-
-
-def _is(a: object, b: object) -> bool:
-    return a is b
+    return one is not None and len(one) == len(other) and all(map(operator.is_, one, other))
 
 
 _COMMANDS: dict[str, Callable[..., Message]] = {
@@ -341,6 +286,7 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "redo": Conversation.redo,
     "save": Conversation.save,
     "distance": Conversation.distance,
+    "symmetry": Conversation.symmetry,
     "propose": Conversation.propose,
     "accept": Conversation.accept,
     "reject": Conversation.reject,
@@ -349,5 +295,5 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
 }
 """The commands of a page, by name, besides the changes of a document."""
 
-SLOW_COMMANDS = ("features", "propose")
+SLOW_COMMANDS = ("features", "propose", "symmetry")
 """Commands that change nothing of the document and may take seconds."""

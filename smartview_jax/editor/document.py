@@ -10,64 +10,15 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from .drawn_parts import DrawnConstraint as DrawnConstraint
+from .drawn_parts import DrawnFace as DrawnFace
+from .drawn_parts import PlacedGrasp as PlacedGrasp
+
 Clicks = Mapping[str, tuple[float, float]]
 """The pixel of a point by the name of the view."""
 
 KINDS = ("points", "edges", "faces", "grasps", "constraints")
 """The parts of a document that have ids, by which they are deleted."""
-
-
-@dataclasses.dataclass(frozen=True)
-class DrawnFace:
-    """A face that was drawn by clicking its points.
-
-    Attributes:
-        loop: ids of its points, counter-clockwise as seen from outside.
-        name: for people.
-        graspable: whether a finger may touch it; None if nobody has said so.
-    """
-
-    loop: tuple[int, ...]
-    name: str = ""
-    graspable: bool | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class PlacedGrasp:
-    """A grasp on a face, placed relative to the face so that it moves with it.
-
-    Attributes:
-        face: id of the face.
-        offset: of its position from the mean of the face's corners, along the face's x and y, m.
-        angle: of the opening direction from the face's x, rad.
-        opening: distance between the open fingers, m; None for 1.2 times the object's width.
-        depth: of the fingertips below the face, m.
-        name: for people.
-    """
-
-    face: int
-    offset: tuple[float, float] = (0.0, 0.0)
-    angle: float = math.pi / 2
-    opening: float | None = None
-    depth: float = 0.01
-    name: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class DrawnConstraint:
-    """A fact that a person knows about the object.
-
-    Attributes:
-        kind: name of the constraint.
-        items: ids of the points that it binds, in groups.
-        value: known length, m; None where there is none.
-        sigma: standard deviation of the fact; None if it is exact.
-    """
-
-    kind: str
-    items: tuple[tuple[int, ...], ...]
-    value: float | None = None
-    sigma: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +32,7 @@ class Document:
         next_id: the id of what is added next.
         name: of the object.
         symmetry_confirmed: whether the symmetry that was found is meant; None if not said.
+        symmetry_order: the number of turns of the symmetry of which that was said; None is any.
     """
 
     points: Mapping[int, Clicks] = dataclasses.field(default_factory=dict)
@@ -91,6 +43,7 @@ class Document:
     next_id: int = 0
     name: str = ""
     symmetry_confirmed: bool | None = None
+    symmetry_order: int | None = None
 
     def existing(self, kind: str, number: int) -> Any:
         """Return a part by its id, or raise a ValueError that names it."""
@@ -166,6 +119,7 @@ def _delete(document: Document, kind: str, id: int) -> Document:
     """Delete a part, and with it every other part that needs it."""
     if kind not in KINDS:
         raise ValueError(f"expected one of {', '.join(KINDS)}; found {kind!r}")
+    # Kept apart from the original mappings, which earlier documents still have.
     document.existing(kind, id)
     kept = {name: dict(getattr(document, name)) for name in KINDS}
     del kept[kind][id]
@@ -186,6 +140,7 @@ def _delete(document: Document, kind: str, id: int) -> Document:
 
 def _add_edge(document: Document, ends: Any) -> Document:
     """Add an edge between two points."""
+    # Numbers from JSON may be floats, which name no point.
     a, b = (int(end) for end in ends)
     for point in (a, b):
         document.existing("points", point)
@@ -271,9 +226,14 @@ def _rename(document: Document, name: str) -> Document:
     return dataclasses.replace(document, name=name)
 
 
-def _confirm_symmetry(document: Document, confirmed: bool | None) -> Document:
-    """Say whether the symmetry that was found is meant."""
-    return dataclasses.replace(document, symmetry_confirmed=confirmed)
+def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> Document:
+    """Say whether the symmetry that was found, of so many turns, is meant."""
+    # From the page and the journal anything may come.
+    if confirmed not in (True, False, None):
+        raise ValueError(f"a symmetry is confirmed, refused or left open; found {confirmed!r}")
+    if order is not None and (not isinstance(order, int) or order < 1):
+        raise ValueError(f"a symmetry has 1 turn or more; found {order!r}")
+    return dataclasses.replace(document, symmetry_confirmed=confirmed, symmetry_order=order)
 
 
 def _several(document: Document, changes: Any) -> Document:

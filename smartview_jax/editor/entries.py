@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..modeling import Face, Grasp, face_plane, width_between_fingers
+from ..modeling import EpipolarCurve, Face, Grasp, Symmetry, face_plane, width_between_fingers
 from .document import Clicks, DrawnFace
 from .session import ModelSession
 from .view_geometry import PointEstimate, ViewGeometry
@@ -57,6 +57,20 @@ def _ellipse(covariance: Float[np.ndarray, "2 2"]) -> list[float]:
     values, vectors = np.linalg.eigh(covariance)
     short, long = np.sqrt(values.clip(0.0)).tolist()
     return [round(long, 3), round(short, 3), round(float(np.arctan2(*vectors[::-1, 1])), 4)]
+
+
+def curve_entry(curve: EpipolarCurve) -> list[dict[str, list[float]]]:
+    """Return the pieces of a curve in one view, with the depth of every sample, mm."""
+    return [
+        {
+            "pixels": curve.pixels[curve.piece == k].round(1).ravel().tolist(),
+            # A depth may be infinite, which JSON has no number for.
+            "mm": np.nan_to_num(1e3 * curve.depths[curve.piece == k], posinf=-1.0)
+            .round(2)
+            .tolist(),
+        }
+        for k in np.unique(curve.piece)
+    ]
 
 
 def edge_entries(
@@ -152,4 +166,33 @@ def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any
         "width_mm": None if width is None else round(1e3 * width, 2),
         "lines": lines.round(_METRE_DIGITS).tolist(),
         "in": _polylines(session.geometry, lines),
+    }
+
+
+def offer_message(session: ModelSession) -> dict[str, Any]:
+    """Return the proposed points that are not decided yet, the best supported first."""
+    offer, names = session.proposals, session.names
+    points = [
+        {
+            "number": number,
+            "in": [point.clicks.get(name) for name in names],
+            "views": len(point.clicks),
+            "rms": round(point.rms, 2),
+        }
+        for number, point in offer.points.items()
+    ]
+    # An edge is drawn while both of its ends are open.
+    edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
+    return {"type": "proposals", "offer": {"points": points, "edges": edges}}
+
+
+def symmetry_entry(found: Symmetry, said: bool | None) -> dict[str, Any]:
+    """Return a symmetry in words, with its axes; said is None where the person has said nothing."""
+    return {
+        "order": found.order,
+        "words": found.words,
+        "round": found.axis is not None,
+        "centre": found.centre.round(_METRE_DIGITS).tolist(),
+        "axes": [one.direction.round(6).tolist() for one in found.axes],
+        "said": said,
     }

@@ -1,5 +1,6 @@
 """Make an object model of what a person has clicked and drawn, and say what is missing."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,7 +12,6 @@ from ..modeling import (
     ObjectModel,
     check_face,
     face_plane,
-    find_symmetry,
     grasp_on_face,
     oriented_outward,
 )
@@ -25,7 +25,7 @@ Estimates = Mapping[int, PointEstimate]
 def build_model(document: Document, estimates: Estimates, names: Sequence[str]) -> ObjectModel:
     """Return the model of all points that have a position, with what can be made of them.
 
-    Parts for which `problems_of` gives a reason are left out.
+    Parts for which `problems_of` gives a reason are left out; the symmetry is not looked for.
 
     Args:
         document: the clicks and what was drawn.
@@ -56,7 +56,7 @@ def build_model(document: Document, estimates: Estimates, names: Sequence[str]) 
         factors = np.concatenate([estimates[point].calibration_factor for point in placed])
         # Without a covariance of the calibration there are no columns, and no second part.
         factor = factors if factors.shape[1] else None
-    # Grasps and symmetry are computed from the model that they belong to, so that comes first.
+    # Grasps are computed from the model that they belong to, so that comes first.
     bare = ObjectModel(
         vertices,
         np.array(edges, int).reshape(-1, 2),
@@ -71,19 +71,7 @@ def build_model(document: Document, estimates: Estimates, names: Sequence[str]) 
         for key, grasp in document.grasps.items()
         if ("grasps", key) not in wrong
     )
-    symmetry = None
-    if document.symmetry_confirmed is not None:
-        found = find_symmetry(bare)
-        symmetry = type(found)(
-            found.rotations, found.centre, found.axis, document.symmetry_confirmed
-        )
-    return ObjectModel(
-        **{
-            **{name: getattr(bare, name) for name in bare.__dataclass_fields__},
-            "grasps": grasps,
-            "symmetry": symmetry,
-        }
-    )
+    return dataclasses.replace(bare, grasps=grasps)
 
 
 def placed_grasp(model: ObjectModel, face: int, grasp: PlacedGrasp) -> Grasp:

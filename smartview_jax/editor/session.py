@@ -8,9 +8,7 @@ session.save()
 
 import contextlib
 import dataclasses
-import operator
 import os
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -22,20 +20,29 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..features import Features
-from ..features import find as find_features
 from ..io import save_object_model
-from ..modeling import ConstraintVerdict, EpipolarCurve, ObjectModel, propose_model
-from .document import Document, apply_change
+from ..modeling import (
+    ConstraintVerdict,
+    EpipolarCurve,
+    ObjectModel,
+    Region,
+    Symmetry,
+    propose_model,
+)
+from .click_checks import check_view
+from .document import Document
+from .document_estimates import DocumentEstimates
+from .drawing import AbstractDrawing
+from .edit_history import EditHistory
 from .given_views import check_poses, checked_names, checked_picture
-from .journal import Journal
-from .known_facts import constraint_of
-from .model_building import build_model, checked_loop, problems_of
-from .owner_lock import OwnerLock
+from .model_building import build_model, problems_of
+from .picture_features import PictureFeatures
 from .proposals import Proposals
+from .stated_symmetry import StatedSymmetry
 from .view_geometry import PointEstimate, ViewGeometry
 
 
-class ModelSession:
+class ModelSession(AbstractDrawing):
     """Views with pictures, clicks, and the object model that they make.
 
     Every change is on the disk before the call returns, in a journal beside the model's file; a
@@ -47,7 +54,6 @@ class ModelSession:
         pictures: grey pictures by view.
         calibration: of the camera that took them.
         path: of the model's file; None for a session that is kept in memory only.
-        document: what the person has made.
         geometry: where points and curves are.
         notes: sentences on what happened when the session was opened.
         proposals: points and edges that are offered and not decided yet.
@@ -90,240 +96,34 @@ class ModelSession:
             name: checked_picture(picture, name, size)
             for name, picture in zip(self.names, pictures, strict=True)
         }
-        self.calibration, self.notes = calibration, []
+        self.calibration = calibration
         self.geometry = ViewGeometry(
             calibration, base_from_tool, self.names, covariance, click_sigma
         )
-        self.document = Document()
-        # Documents share what they have in common, so that keeping all of them costs little.
-        self._history: list[Document] = [self.document]
-        self._position = 0
-        self._saved: Document | None = None
-        self._features: dict[str, Features] = {}
-        self._refinement: tuple[tuple, dict, dict] | None = None
-        self._finding = {name: threading.Lock() for name in self.names}
+        # What was computed or found once is kept in these two.
+        self._estimates = DocumentEstimates(self.geometry)
+        self._symmetry = StatedSymmetry()
+        self._features = PictureFeatures(calibration.camera, self.pictures)
         self._covariance = covariance
-        self.proposals = Proposals(None, self.names, self.document)
-        # Rounded, because the same poses read from two formats differ in the last digit.
-        self._reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
         self.path = None if path is None else Path(path)
-        self._lock: OwnerLock | None = None
-        self._journal: Journal | None = None
-        if self.path is not None:
-            self._open_journal(self.path)
-
-    def _open_journal(self, path: Path) -> None:
-        """Take the file's lock and repeat the changes of its journal."""
-        journal_path = path.with_name(path.name + ".journal")
-        if path.is_file() and not journal_path.is_file():
-            raise ValueError(
-                f"{path} exists, and its journal {journal_path.name} does not: the clicks that it "
-                "was made from are gone, so it cannot be edited; choose another file"
-            )
-        # The lock comes first: a second editor must not even read a journal that is being written.
-        self._lock = OwnerLock(path.with_name(path.name + ".lock"))
-        try:
-            header = {"views": self.names, "base_from_tool": self._reported}
-            self._journal = Journal(journal_path, header)
-            for number, entry in enumerate(self._journal.entries, start=2):
-                # A line that was accepted once is accepted again, unless someone edited the file.
-                try:
-                    self._apply(entry)
-                except ValueError as error:
-                    raise ValueError(f"{journal_path}: line {number}: {error}") from None
-        # Or a session that could not be opened would keep others from opening it.
-        except BaseException:
-            self.close()
-            raise
-        if self._journal.cut_off:
-            self.notes.append(
-                f"the last change was torn ({self._journal.cut_off} bytes) and is cut off"
-            )
-
-    def _apply(self, entry: Mapping[str, Any]) -> None:
-        """Change the session in memory by one entry of the journal."""
-        if "undo" in entry:
-            self._position = max(self._position - 1, 0)
-        elif "redo" in entry:
-            self._position = min(self._position + 1, len(self._history) - 1)
-        elif "saved" in entry:
-            self._saved = self.document
-        else:
-            changed = apply_change(self.document, entry)
-            # A new change ends what could be redone.
-            self._history[self._position + 1 :] = [changed]
-            self._position += 1
-        self.document = self._history[self._position]
-
-    def change(self, change: Mapping[str, Any]) -> None:
-        """Make one change, as `document.apply_change` describes it, and keep it on disk.
-
-        Raises:
-            ValueError: the change is not possible; nothing was changed.
-            OSError: it cannot be written; nothing was changed.
-        """
-        self._check_clicks(change)
-        changed = apply_change(self.document, change)
-        # Everything that can fail is tried before the journal has the change.
-        self.estimates(changed)
-        self._write(change)
-        self._history[self._position + 1 :] = [changed]
-        self._position += 1
-        self.document = changed
-
-    def _write(self, entry: Mapping[str, Any]) -> None:
-        """Append an entry to the journal, if the session has a file."""
-        if self._journal is not None:
-            self._journal.append(entry)
-
-    def _check_clicks(self, change: Mapping[str, Any]) -> None:
-        """Raise an error for a click in an unknown view or outside of its picture."""
-        # A change of several parts is checked as a whole before any of it is made.
-        clicks = dict(change.get("clicks") or {})
-        if change.get("do") == "click":
-            clicks[change.get("view")] = change.get("pixel")
-        for view, pixel in clicks.items():
-            self.checked_pixel(view, pixel)
-        for part in change.get("changes") or ():
-            self._check_clicks(part)
-
-    def checked_pixel(self, view: Any, pixel: Any) -> tuple[float, float]:
-        """Return a pixel of a view, or raise an error that names both."""
-        if view not in self.pictures:
-            raise ValueError(f"there is no view {view!r}; the views are {', '.join(self.names)}")
-        try:
-            u, v = (float(number) for number in pixel)
-        except (TypeError, ValueError):
-            raise ValueError(f"view {view}: a pixel is two numbers; found {pixel!r}") from None
-        width, height = self.calibration.camera.image_size
-        # NaN fails the comparison, too.
-        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
-            raise ValueError(
-                f"view {view}: the click ({u:g}, {v:g}) is outside of the picture of "
-                f"{width} x {height} px"
-            )
-        return u, v
-
-    def click(self, view: str, pixel: Sequence[float], point: int | None = None) -> int:
-        """Click a feature in a view, and return the id of its point.
-
-        Args:
-            view: name of the view.
-            pixel: u and v, px.
-            point: the point that this is a further click of; None for a new point.
-        """
-        u, v = self.checked_pixel(view, pixel)
-        if point is None:
-            # Ids are given in order.
-            number = self.document.next_id
-            self.change({"do": "add_point", "clicks": {view: [u, v]}})
-            return number
-        self.change({"do": "click", "point": point, "view": view, "pixel": [u, v]})
-        return point
-
-    def add_edge(self, a: int, b: int) -> int:
-        """Draw an edge between two points, and return its id."""
-        number = self.document.next_id
-        self.change({"do": "add_edge", "ends": [a, b]})
-        return number
-
-    def add_face(self, loop: Sequence[int], name: str = "", graspable: bool | None = None) -> int:
-        """Draw a face around points, and return its id; its normal is towards the cameras.
-
-        Raises:
-            ValueError: a point without a position, or a face that is not planar or crosses itself.
-        """
-        # The journal gets the loop as it was turned, so that repeating it needs no geometry.
-        outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
-        number = self.document.next_id
-        self.change({"do": "add_face", "loop": list(outward), "name": name, "graspable": graspable})
-        return number
-
-    def add_grasp(self, face: int, **values: Any) -> int:
-        """Place a grasp on a face, and return its id; `PlacedGrasp` lists the values."""
-        number = self.document.next_id
-        change = {"do": "add_grasp", "face": face, **values}
-        self._check_grasps(apply_change(self.document, change), number)
-        self.change(change)
-        return number
-
-    def change_grasp(self, grasp: int, **values: Any) -> None:
-        """Move, turn, open or rename a grasp."""
-        change = {"do": "change_grasp", "id": grasp, **values}
-        self._check_grasps(apply_change(self.document, change), grasp)
-        self.change(change)
-
-    def _check_grasps(self, document: Document, grasp: int) -> None:
-        """Raise an error if a grasp cannot be made on its face as it is now."""
-        # Other grasps may have problems of their own, which are no reason to refuse this one.
-        only = dataclasses.replace(document, grasps={grasp: document.existing("grasps", grasp)})
-        reason = problems_of(only, self.estimates(only)).get(("grasps", grasp))
-        if reason is not None:
-            raise ValueError(f"grasp: {reason}")
-
-    def delete(self, kind: str, number: int) -> None:
-        """Delete a point, an edge, a face, a grasp or a constraint, and what needs it."""
-        self.change({"do": "delete", "kind": kind, "id": number})
-
-    def undo(self) -> bool:
-        """Take back the last change; return whether there was one."""
-        if self._position == 0:
-            return False
-        self._write({"undo": True})
-        self._apply({"undo": True})
-        return True
-
-    def redo(self) -> bool:
-        """Make the change again that was taken back last; return whether there was one."""
-        if self._position == len(self._history) - 1:
-            return False
-        self._write({"redo": True})
-        self._apply({"redo": True})
-        return True
+        # Rounded, because the same poses read from two formats differ in the last digit.
+        reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
+        self._journal = EditHistory(self.path, {"views": self.names, "base_from_tool": reported})
+        self.notes = self._journal.notes
+        self.proposals = Proposals(None, self.names, self.document)
 
     @property
-    def can_undo(self) -> bool:
-        """Whether there is a change to take back."""
-        return self._position > 0
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether there is a change to make again."""
-        return self._position < len(self._history) - 1
-
-    @property
-    def is_saved(self) -> bool:
-        """Whether the model's file has all changes; the journal has them in any case."""
-        return self._saved is not None and self._saved is self.document
+    def picture_size(self) -> tuple[int, int]:
+        """Width and height of the pictures, px."""
+        return self.calibration.camera.image_size
 
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
         """Return where all points are, by id."""
-        document = document or self.document
-        points = document.points
-        if document.constraints:
-            return self._refined(document)[0]
-        found = self.geometry.estimates(list(points.values()))
-        return dict(zip(points, found, strict=True))
+        return self._estimates.points(document or self.document)
 
     def verdicts(self) -> dict[int, ConstraintVerdict]:
         """Return how each constraint agrees with the pictures and the others, by id."""
-        return self._refined(self.document)[1] if self.document.constraints else {}
-
-    def _refined(
-        self, document: Document
-    ) -> tuple[dict[int, PointEstimate], dict[int, ConstraintVerdict]]:
-        """Return points and verdicts of a document with constraints, refined together."""
-        made_from = (document.points, document.constraints)
-        # The same objects mean the same answer; a document shares what a change left alone.
-        if self._refinement is None or not all(map(operator.is_, self._refinement[0], made_from)):
-            number = {point: k for k, point in enumerate(document.points)}
-            constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
-            points = list(document.points.values())
-            found, verdicts = self.geometry.refined(points, constraints)
-            named = dict(zip(document.points, found, strict=True))
-            judged = dict(zip(document.constraints, verdicts, strict=True))
-            self._refinement = (made_from, named, judged)
-        return self._refinement[1], self._refinement[2]
+        return self._estimates.verdicts(self.document)
 
     def curves(self, view: str, pixel: Sequence[float]) -> dict[str, EpipolarCurve]:
         """Return the epipolar curves of a pixel in all other views, by the view's name."""
@@ -331,18 +131,32 @@ class ModelSession:
 
     def features(self, view: str) -> Features:
         """Return the corners and segments found in a view's picture, which clicks snap to."""
-        # The page asks for them while a server's thread prepares them: one waits for the other.
-        with self._finding[view]:
-            if view not in self._features:
-                camera = self.calibration.camera
-                self._features[view] = find_features(self.pictures[view], camera)
-        return self._features[view]
+        return self._features.of(view)
 
-    def propose(self) -> Proposals:
+    def propose(
+        self,
+        box: Float[np.ndarray, "2 3"] | Sequence[Sequence[float | int]] | None = None,
+        rectangles: Mapping[str, Any] | None = None,
+    ) -> Proposals:
         """Match the corners of all views by themselves, and offer the points and edges found.
 
         The offer is not part of the session's file; what is accepted of it is.
+
+        Args:
+            box: smallest and largest x, y and z of the object in the world, m; None is anywhere.
+            rectangles: around the object by the view's name, px: smallest u and v, largest u and
+                v. One is enough to leave out what stands beside the object; see `Region`.
+
+        Raises:
+            ValueError: an unknown view, a box or a rectangle with nothing inside, or a picture
+                without features.
         """
+        for name in rectangles or {}:
+            check_view(name, self.names)
+        numbers = {self.names.index(name): one for name, one in (rectangles or {}).items()}
+        region = Region(box, numbers)
+        # Here and not only in `propose_model`, which knows the views by their numbers.
+        region.check(self.names, self.picture_size)
         # Features were found for snapping; they are not searched for again.
         found = propose_model(
             self.calibration,
@@ -351,6 +165,7 @@ class ModelSession:
             self.geometry.common_depths,
             features=[self.features(name) for name in self.names],
             covariance=self._covariance,
+            region=region,
         )
         self.proposals = Proposals(found, self.names, self.document)
         return self.proposals
@@ -379,9 +194,45 @@ class ModelSession:
         return estimates[a].distance_to(estimates[b])
 
     def model(self, document: Document | None = None) -> ObjectModel:
-        """Return the object model of everything that has a position."""
+        """Return the object model of everything that has a position, with what was said of it."""
         document = document or self.document
-        return build_model(document, self.estimates(document), self.names)
+        model = build_model(document, self.estimates(document), self.names)
+        # Most models are asked for while somebody draws: only what was said is looked for.
+        if document.symmetry_confirmed is None:
+            return model
+        return dataclasses.replace(model, symmetry=self._symmetry.stated(document, model))
+
+    def symmetry(self) -> Symmetry | None:
+        """Return the turns that map the object onto itself, for the person to confirm or refuse.
+
+        Returns:
+            The group found from vertices, edges and faces, `confirmed` if the person has confirmed
+            it; None while there are not three vertices that span a plane.
+        """
+        document, model = self.document, self.model()
+        found = self._symmetry.found(document, model)
+        if found is None:
+            return None
+        return dataclasses.replace(found, confirmed=bool(self._symmetry.said(document, model)))
+
+    @property
+    def symmetry_said(self) -> bool | None:
+        """Whether the symmetry as found now was confirmed or refused; None if nothing was said."""
+        return self._symmetry.said(self.document, self.model())
+
+    def confirm_symmetry(self, confirmed: bool | None = True) -> None:
+        """Confirm the symmetry that is found now, refuse it (False), or take that back (None).
+
+        A refused symmetry is saved as that of an object whose poses can all be told apart. An edit
+        that changes the symmetry ends what was said of it.
+
+        Raises:
+            ValueError: there is nothing yet of which a symmetry could be found.
+        """
+        found = self.symmetry()
+        if found is None:
+            raise ValueError("symmetry: fewer than three vertices that are not on one line")
+        self.change({"do": "confirm_symmetry", "confirmed": confirmed, "order": found.order})
 
     def save(self, path: str | os.PathLike[str] | None = None) -> Path:
         """Write the model as JSON, completely or not at all.
@@ -392,24 +243,19 @@ class ModelSession:
         target = self.path if path is None else Path(path)
         if target is None:
             raise ValueError("save: this session has no file; give a path")
+        # Made before the file is opened: a model that cannot be made leaves the old file alone.
         model = self.model()
         if not len(model.vertices):
             raise ValueError("save: no point has a position yet; click each in two views")
         written = save_object_model(model, target)
         # A copy elsewhere does not make this file saved.
         if target == self.path:
-            self._write({"saved": target.name})
-            self._saved = self.document
+            self._journal.mark_saved(target.name)
         return written
 
     def close(self) -> None:
         """Let go of the file, so that another editor can open it."""
-        if self._journal is not None:
-            self._journal.close()
-            self._journal = None
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
+        self._journal.close()
 
     def __enter__(self) -> "ModelSession":
         return self

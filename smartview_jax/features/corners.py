@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from .edge_points import SMOOTHING, gradient, noise_of
@@ -53,8 +53,16 @@ CORRELATED_AREA = 4.0 * np.pi * SMOOTHING**2
 MAX_REFINEMENT = 2.5
 """Largest distance by which refinement may move a corner, px; beyond it is another one's."""
 
-MAX_VERTEX_SIGMA = 0.3
-"""Largest standard deviation of a vertex, px: the edges around it do not meet in one point."""
+CERTAIN_VERTEX_SIGMA = 0.3
+"""Standard deviation of a vertex, px, below which it takes the place of the peaks beside it."""
+
+MAX_VERTEX_SIGMA = 1.2
+"""Largest standard deviation of a vertex, px; beyond it the edges do not meet in one point.
+
+Blurred edges do not quite meet the equations of a vertex. Where several cross, those of both sides
+cancel; where two end, 0.8 to 1 px is left, though the vertex is within 0.4 px on drawn pictures.
+The peak of the structure is then 1.3 to 2.4 px inside, or farther with a texture beside it.
+"""
 
 VERTEX_MODEL_SIGMA, PEAK_MODEL_SIGMA = 0.1, 0.3
 """Standard deviations of vertices and of peaks beyond what noise explains, px.
@@ -63,7 +71,7 @@ Blur rounds vertices off, and the peak of the structure is where a picture's pat
 """
 
 MIN_PEAK_DISTANCE = 1.0
-"""Distance from a vertex, px, within which a peak of the structure adds no candidate."""
+"""Distance from a candidate, px, within which one that is less certain adds nothing."""
 
 
 class LineCorners(NamedTuple):
@@ -167,22 +175,47 @@ def gradient_corners(
 ) -> tuple[Float[np.ndarray, "corners 2"], Float[np.ndarray, "corners 2 2"]]:
     """Return pixels and covariances (px^2) of the corners that the picture's gradient shows.
 
-    The vertices come first: where the edges of a window meet in one point. Peaks of the structure
-    tensor that are no vertices follow, such as dots and the grain of a texture.
+    The certain vertices come first: where the edges of a window meet in one point. Peaks of the
+    structure tensor that are no vertices follow, such as dots and the grain of a texture, and then
+    uncertain vertices, most of them of two edges that end in a corner.
     """
     slopes = gradient(grey)
     peaks = _structure_peaks(slopes, noise_of(grey))
     if not len(peaks):
         return np.zeros((0, 2)), np.zeros((0, 2, 2))
     vertices, covariances = _vertices(grey, slopes, peaks)
-    away = np.ones(len(peaks), dtype=bool)
-    if len(vertices):
-        away = KDTree(vertices).query(peaks)[0] > MIN_PEAK_DISTANCE
-    peak_covariances = np.tile(PEAK_MODEL_SIGMA**2 * np.eye(2), (int(away.sum()), 1, 1))
+    sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, 1])
+    certain = _first_of_groups(vertices, sigmas < CERTAIN_VERTEX_SIGMA)
+    is_uncertain = (sigmas >= CERTAIN_VERTEX_SIGMA) & (sigmas < MAX_VERTEX_SIGMA)
+    # A certain vertex stands for the peaks beside it; an uncertain one is only added, because dots
+    # and grain, too, have edges that seem to meet somewhere beside them.
+    peaks = peaks[_is_away(peaks, vertices[certain])]
+    known = np.concatenate([vertices[certain], peaks])
+    uncertain = _first_of_groups(vertices, is_uncertain)
+    uncertain = uncertain[_is_away(vertices[uncertain], known)]
+    covariances = covariances + VERTEX_MODEL_SIGMA**2 * np.eye(2)
+    peak_covariances = np.tile(PEAK_MODEL_SIGMA**2 * np.eye(2), (len(peaks), 1, 1))
     return (
-        np.concatenate([vertices, peaks[away]]),
-        np.concatenate([covariances, peak_covariances]),
+        np.concatenate([known, vertices[uncertain]]),
+        np.concatenate([covariances[certain], peak_covariances, covariances[uncertain]]),
     )
+
+
+def _first_of_groups(
+    points: Float[np.ndarray, "points 2"], wanted: Bool[np.ndarray, "points"]
+) -> Int[np.ndarray, "first"]:
+    """Return the first of the wanted points of each place, of which several may be found."""
+    index = np.flatnonzero(wanted)
+    return index[np.array([group.min() for group in _groups(points[index])], dtype=int)]
+
+
+def _is_away(
+    points: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"]
+) -> Bool[np.ndarray, "points"]:
+    """Return which points are no repetition of another one's place."""
+    if not len(others):
+        return np.ones(len(points), dtype=bool)
+    return np.asarray(KDTree(others).query(points)[0]) > MIN_PEAK_DISTANCE
 
 
 def _structure_peaks(
@@ -223,21 +256,18 @@ def _vertices(
     slopes: Float[np.ndarray, "rows columns 2"],
     peaks: Float[np.ndarray, "peaks 2"],
 ) -> tuple[Float[np.ndarray, "vertices 2"], Float[np.ndarray, "vertices 2 2"]]:
-    """Return the points near peaks in which the edges around them meet, with covariances."""
+    """Return the points near peaks in which the edges around them meet, with covariances.
+
+    They are in the order of the peaks, of which several may lead to one vertex.
+    """
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
     window = (REFINEMENT_RADIUS, REFINEMENT_RADIUS)
     start = peaks[:, None].astype(np.float32)
     refined = cv2.cornerSubPix(grey.astype(np.float32), start, window, (-1, -1), stop)
     refined = refined[:, 0].astype(float)
-    covariances = _meeting_covariances(slopes, refined)
-    # A vertex far from its peak belongs to another one, and one that is uncertain is an edge.
-    good = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
-    good &= np.linalg.eigvalsh(covariances)[:, 1] < MAX_VERTEX_SIGMA**2
-    refined, covariances = refined[good], covariances[good]
-    # Several peaks may lead to one vertex: the first is the strongest.
-    first = np.array([group.min() for group in _groups(refined)], dtype=int)
-    covariances = covariances[first] + VERTEX_MODEL_SIGMA**2 * np.eye(2)
-    return refined[first], covariances
+    # A vertex far from its peak belongs to another one.
+    own = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
+    return refined[own], _meeting_covariances(slopes, refined[own])
 
 
 def _meeting_covariances(

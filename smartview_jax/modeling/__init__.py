@@ -46,13 +46,15 @@ from .object_model import edges_of_faces as edges_of_faces
 from .picture_equations import ModelObservations as ModelObservations
 from .pixel_jacobians import PixelJacobians as PixelJacobians
 from .pixel_jacobians import pixel_jacobians as pixel_jacobians
-from .point_estimation import PointStatus as PointStatus
+from .point_status import PointStatus as PointStatus
 from .projection import project_points as project_points
 from .proposal import ModelProposal as ModelProposal
 from .proposal import propose_model as propose_model
 from .refined_features import RefinedFeatures as RefinedFeatures
 from .refinement import refine as refine
+from .region import Region as Region
 from .symmetry import Symmetry as Symmetry
+from .symmetry import SymmetryAxis as SymmetryAxis
 from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points

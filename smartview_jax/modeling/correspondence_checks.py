@@ -20,7 +20,7 @@ from ..evaluation import CalibrationEstimate
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
 from .pixel_jacobians import pixel_jacobians
-from .point_estimation import PointStatus
+from .point_status import PointStatus
 from .triangulation import CLICK_SIGMA, solve_points
 from .view_poses import SeenViews, whitening_of
 

@@ -21,13 +21,8 @@ from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
 from .line_jacobians import Lines, line_jacobians, unit_rays
-from .point_estimation import (
-    CONVERGED_DECREMENT,
-    MAX_RELATIVE_STD,
-    MAX_STEPS,
-    PointStatus,
-    failure_messages,
-)
+from .point_estimation import CONVERGED_DECREMENT, MAX_STEPS
+from .point_status import MAX_RELATIVE_STD, PointStatus, failure_messages
 from .triangulation import CLICK_SIGMA
 from .view_poses import SeenViews, padded_count, padded_to
 

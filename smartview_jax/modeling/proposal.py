@@ -15,19 +15,14 @@ from ..evaluation import CalibrationEstimate
 from ..features import Features, IdealPlane, describe, find
 from ..robots import CommandLike
 from .projection import project_points
-from .segment_support import joined_points
+from .region import Region
+from .segment_support import joined_edges, junction_counts
+from .track_points import corner_pixels, track_rms, triangulated_tracks, without_misfits
 from .tracks import CornerView, Pairs, Tracks, epipolar_pairs, supported_tracks
-from .triangulation import TriangulatedPoints, triangulate_points
 from .view_poses import SeenViews
 
 MIN_VIEWS = 3
 """Smallest number of views of a proposed point, unless there are only two views."""
-
-MATCH_SIGMA = 0.3
-"""Standard deviation of a corner of one view from the same corner of another, px."""
-
-MAX_DISTANCE = 2.0
-"""Distance of a corner from its point, px, beyond which the worst corner of a point is left out."""
 
 MAX_RMS = 1.0
 """Largest RMS reprojection error of a proposed point, px."""
@@ -84,6 +79,7 @@ def propose_model(
     features: Sequence[Features] | None = None,
     min_views: int | None = None,
     covariance: CalibrationEstimate | None = None,
+    region: Region | None = None,
 ) -> ModelProposal:
     """Match the corners of all views by themselves, and propose points and edges.
 
@@ -97,15 +93,19 @@ def propose_model(
             where there are only two views.
         covariance: the fit of the calibration, for the points' covariances; None takes the
             calibration as exact.
+        region: where the points are looked for; None is everywhere within `depths`.
 
     Raises:
         ValueError: fewer than two views, numbers of poses, pictures and features that differ, wrong
-            depths, or a picture that `features.find` refuses; the view is named.
+            depths, a region with nothing inside, or a picture that `features.find` refuses; the
+            view is named.
     """
     # Poses are checked before pictures, which take longer.
     seen = SeenViews.of(calibration, poses)
     count = len(seen.camera_from_world)
     needed = _checked(count, pictures, features, depths, min_views)
+    region = region or Region()
+    region.check([str(k) for k in range(count)], seen.camera.image_size)
     found = tuple(features or _found(pictures, calibration))
     views = _corner_views(seen, pictures, found)
     # Every two views, since a point may be hidden or missed in any of them.
@@ -113,8 +113,16 @@ def propose_model(
         epipolar_pairs(views, a, b, depths) for a in range(count) for b in range(a + 1, count)
     ]
     pairs = Pairs(*(np.concatenate(parts) for parts in zip(*all_pairs, strict=True)))
-    tracks = supported_tracks(views, pairs, project_points(seen, pairs.points), needed)
-    return _proposal(calibration, poses, seen, found, tracks, needed, covariance)
+    projected = project_points(seen, pairs.points)
+    # Before corners are given to points: what is outside takes none of them away.
+    inside = region.contains(pairs.points, projected)
+    pairs = Pairs(*(part[inside] for part in pairs))
+    tracks = supported_tracks(views, pairs, projected[:, inside], needed)
+    proposal = _proposal(calibration, poses, seen, found, tracks, needed, covariance)
+    # The final points are not those of the pairs; on the border one may have moved out.
+    return _within(
+        proposal, region.contains(proposal.points, project_points(seen, proposal.points))
+    )
 
 
 def _checked(
@@ -187,22 +195,22 @@ def _proposal(
 ) -> ModelProposal:
     """Return the triangulated tracks that agree with their pictures, and the edges between them."""
     corners = tracks.corners
-    corners, kept = _without_misfits(calibration, poses, found, corners, needed)
+    corners, kept = without_misfits(calibration, poses, found, corners, needed)
     similarity = tracks.similarity[kept]
-    points = _triangulated(calibration, poses, found, corners, covariance)
-    rms = _rms(points)
+    points = triangulated_tracks(calibration, poses, found, corners, covariance)
+    rms = track_rms(points)
     # What fits badly or looks different is not worth a person's time.
     good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
     order = np.flatnonzero(good)
     order = order[_distinct(project_points(seen, points.points[order]))]
     # Dots and grain on an edge would divide it into pieces: edges run between junctions.
-    ends = np.flatnonzero(_junction_counts(found, corners[:, order]) >= 2)
-    edges, edge_segments = _edges(seen, found, points.points[order[ends]])
+    ends = np.flatnonzero(junction_counts(found, corners[:, order]) >= 2)
+    edges, edge_segments = joined_edges(seen, found, points.points[order[ends]])
     return ModelProposal(
         points.points[order],
         points.covariance()[order],
         corners[:, order],
-        _pixels_of(found, corners[:, order]),
+        corner_pixels(found, corners[:, order]),
         rms[order],
         similarity[order],
         ends[edges],
@@ -211,66 +219,20 @@ def _proposal(
     )
 
 
-def _pixels_of(
-    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
-) -> Float[np.ndarray, "views points 2"]:
-    """Return the pixels of corners by view, NaN where there is none."""
-    pixels = np.full((*corners.shape, 2), np.nan)
-    for k, features in enumerate(found):
-        own = corners[k] >= 0
-        pixels[k, own] = features.corners[corners[k, own]]
-    return pixels
-
-
-def _triangulated(
-    calibration: Calibration,
-    poses: CommandLike,
-    found: tuple[Features, ...],
-    corners: Int[np.ndarray, "views points"],
-    covariance: CalibrationEstimate | None = None,
-) -> TriangulatedPoints:
-    """Return the points of corners, each weighted by its own covariance."""
-    sigmas = np.tile(np.eye(2), (*corners.shape, 1, 1))
-    for k, features in enumerate(found):
-        own = corners[k] >= 0
-        # Corners of different views are never quite the same point of a surface.
-        sigmas[k, own] = features.corner_covariances[corners[k, own]] + MATCH_SIGMA**2 * np.eye(2)
-    return triangulate_points(
-        calibration,
-        poses,
-        _pixels_of(found, corners),
-        corners >= 0,
-        covariance=covariance,
-        pixel_sigma=sigmas,
+def _within(proposal: ModelProposal, inside: Bool[np.ndarray, "points"]) -> ModelProposal:
+    """Return the part of a proposal with only some of its points, and the edges between them."""
+    number = np.cumsum(inside) - 1
+    kept = inside[proposal.edges].all(axis=1)
+    return proposal._replace(
+        points=proposal.points[inside],
+        covariances=proposal.covariances[inside],
+        corners=proposal.corners[:, inside],
+        pixels=proposal.pixels[:, inside],
+        rms=proposal.rms[inside],
+        similarity=proposal.similarity[inside],
+        edges=number[proposal.edges[kept]],
+        edge_segments=proposal.edge_segments[:, kept],
     )
-
-
-def _rms(points: TriangulatedPoints) -> Float[np.ndarray, "points"]:
-    """Return the RMS reprojection error of each point over its views, px; infinite if it failed."""
-    squared = (points.residuals**2).sum(axis=-1)
-    count = np.isfinite(squared).sum(axis=0)
-    # A point that failed has no residuals, and its error is infinite.
-    mean = np.nansum(squared, axis=0) / np.maximum(count, 1)
-    return np.where(points.ok & (count > 0), np.sqrt(mean), np.inf)
-
-
-def _without_misfits(
-    calibration: Calibration,
-    poses: CommandLike,
-    found: tuple[Features, ...],
-    corners: Int[np.ndarray, "views points"],
-    needed: int,
-) -> tuple[Int[np.ndarray, "views kept"], Int[np.ndarray, "kept"]]:
-    """Return the tracks without corners that are too far from their point, and which remain."""
-    points = _triangulated(calibration, poses, found, corners)
-    distance = np.linalg.norm(points.residuals, axis=-1)
-    # One wrong corner moves the point, and with it all distances: only the worst one goes.
-    distance = np.where(np.isfinite(distance), distance, -np.inf)
-    worst = np.argmax(distance, axis=0), np.arange(corners.shape[1])
-    corners = corners.copy()
-    corners[worst] = np.where(distance[worst] > MAX_DISTANCE, -1, corners[worst])
-    kept = np.flatnonzero((corners >= 0).sum(axis=0) >= needed)
-    return corners[:, kept], kept
 
 
 def _distinct(projected: Float[np.ndarray, "views points 2"]) -> Bool[np.ndarray, "points"]:
@@ -283,34 +245,3 @@ def _distinct(projected: Float[np.ndarray, "views points 2"]) -> Bool[np.ndarray
         largest = np.where(np.isfinite(gap), gap, 0.0).max(axis=0)
         keep[k] = not (np.isfinite(gap).any(axis=0) & (largest < SAME_POINT_DISTANCE)).any()
     return keep
-
-
-def _junction_counts(
-    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
-) -> Int[np.ndarray, "points"]:
-    """Return in how many views two or more segments meet in the corner of each point."""
-    joins = [
-        (row >= 0) & (features.corner_segments[row, 1] >= 0)
-        for row, features in zip(corners, found, strict=True)
-    ]
-    return np.sum(joins, axis=0)
-
-
-def _edges(
-    seen: SeenViews, found: tuple[Features, ...], points: Float[np.ndarray, "points 3"]
-) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, "views edges"]]:
-    """Return pairs of points that segments of two or more views join, and those segments."""
-    # Points are looked for where they are seen, found there or not: segments tell more.
-    projected, plane = project_points(seen, points), IdealPlane(seen.camera)
-    segment_of: dict[tuple[int, int], Int[np.ndarray, "views"]] = {}
-    for k, features in enumerate(found):
-        matrix = seen.camera_from_world[k]
-        rays = points @ matrix[:3, :3].T + matrix[:3, 3]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        pairs, segments = joined_points(features, projected[k], rays, plane.focal_length)
-        for pair, segment in zip(map(tuple, pairs.tolist()), segments, strict=True):
-            segment_of.setdefault(pair, np.full(len(found), -1))[k] = segment
-    kept = sorted(pair for pair, views in segment_of.items() if (views >= 0).sum() >= 2)
-    edges = np.array(kept, dtype=int).reshape(-1, 2)
-    columns = [segment_of[pair] for pair in kept]
-    return edges, np.array(columns, dtype=int).reshape(-1, len(found)).T

@@ -11,7 +11,7 @@ from ..fit_result import FitResult
 from .constrained_system import Factorisation
 from .constraint_verdicts import ConstraintVerdict
 from .line_jacobians import Lines
-from .point_estimation import PointStatus, failure_messages
+from .point_status import PointStatus, failure_messages
 
 
 class RefinedFeatures(NamedTuple):

@@ -26,7 +26,7 @@ from .constraints import AbstractConstraint, check_constraints, check_edges
 from .line_jacobians import Lines
 from .line_triangulation import triangulate_lines, world_rays
 from .picture_equations import CheckedObservations, ModelObservations, picture_equations
-from .point_estimation import MAX_RELATIVE_STD, PointStatus
+from .point_status import MAX_RELATIVE_STD, PointStatus
 from .refined_features import RefinedFeatures
 from .refinement_problem import (
     RefinementEquations,

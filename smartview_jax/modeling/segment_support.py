@@ -5,7 +5,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..features import Features
+from ..features import Features, IdealPlane
+from .projection import project_points
+from .view_poses import SeenViews
 
 MAX_OFFSET = 1.5
 """Largest distance of a point from the line of a segment that joins it, px."""
@@ -55,3 +57,34 @@ def joined_points(
                 pairs.append(sorted((seen[p], seen[q])))
                 segments.append(k)
     return np.array(pairs, dtype=int).reshape(-1, 2), np.array(segments, dtype=int)
+
+
+def junction_counts(
+    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
+) -> Int[np.ndarray, "points"]:
+    """Return in how many views two or more segments meet in the corner of each point."""
+    joins = [
+        (row >= 0) & (features.corner_segments[row, 1] >= 0)
+        for row, features in zip(corners, found, strict=True)
+    ]
+    return np.sum(joins, axis=0)
+
+
+def joined_edges(
+    seen: SeenViews, found: tuple[Features, ...], points: Float[np.ndarray, "points 3"]
+) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, "views edges"]]:
+    """Return pairs of points that segments of two or more views join, and those segments."""
+    # Points are looked for where they are seen, found there or not: segments tell more.
+    projected, plane = project_points(seen, points), IdealPlane(seen.camera)
+    segment_of: dict[tuple[int, int], Int[np.ndarray, "views"]] = {}
+    for k, features in enumerate(found):
+        matrix = seen.camera_from_world[k]
+        rays = points @ matrix[:3, :3].T + matrix[:3, 3]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        pairs, segments = joined_points(features, projected[k], rays, plane.focal_length)
+        for pair, segment in zip(map(tuple, pairs.tolist()), segments, strict=True):
+            segment_of.setdefault(pair, np.full(len(found), -1))[k] = segment
+    kept = sorted(pair for pair, views in segment_of.items() if (views >= 0).sum() >= 2)
+    edges = np.array(kept, dtype=int).reshape(-1, 2)
+    columns = [segment_of[pair] for pair in kept]
+    return edges, np.array(columns, dtype=int).reshape(-1, len(found)).T

@@ -26,6 +26,27 @@ A mesh has a cylinder as a prism; no object made of few flat faces has so many.
 """
 
 
+_SAME_DIRECTION = 1e-3
+"""Angle of a turn, or between two axes, below which there is none, rad."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SymmetryAxis:
+    """An axis about which equal turns map an object onto itself.
+
+    Attributes:
+        direction: unit vector in the object's frame.
+        fold: number of turns about it, with the identity: 4 are quarter turns.
+    """
+
+    direction: Float[np.ndarray, "3"]
+    fold: int
+
+    def is_along(self, direction: Float[np.ndarray, "3"]) -> bool:
+        """Return whether a unit vector is along this axis, either way."""
+        return bool(np.linalg.norm(np.cross(self.direction, direction)) < _SAME_DIRECTION)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Symmetry:
     """The rotations that map an object onto itself.
@@ -47,6 +68,38 @@ class Symmetry:
     def order(self) -> int:
         """The number of rotations, with the identity."""
         return len(self.rotations)
+
+    @property
+    def axes(self) -> tuple["SymmetryAxis", ...]:
+        """The axes of the turns, those with the most turns first."""
+        vectors = Rotation.from_matrix(self.rotations).as_rotvec()
+        angles = np.linalg.norm(vectors, axis=1)
+        found: list[SymmetryAxis] = []
+        for vector, angle in zip(vectors, angles, strict=True):
+            direction = vector / max(angle, 1e-30)
+            # The identity has no axis, and each axis has several turns.
+            if angle < _SAME_DIRECTION or any(one.is_along(direction) for one in found):
+                continue
+            about = np.linalg.norm(np.cross(vectors, direction), axis=1) < _SAME_DIRECTION
+            # The way in which it points up, where it does: one axis has two unit vectors.
+            sign = np.sign(direction[np.flatnonzero(np.abs(direction) > 1e-6)[-1]])
+            # With the identity, which is a turn about any axis.
+            found.append(SymmetryAxis(sign * direction, int(about.sum())))
+        return tuple(sorted(found, key=lambda one: -one.fold))
+
+    @property
+    def words(self) -> str:
+        """The turns in words, such as "4-fold about (0, 0, 1); 2-fold about 4 axes"."""
+        if self.axis is not None:
+            return f"round about {_coordinates(self.axis)}"
+        folds = [one.fold for one in self.axes]
+        parts = []
+        for fold in dict.fromkeys(folds):
+            same = [one for one in self.axes if one.fold == fold]
+            # One axis is named; many are counted.
+            where = _coordinates(same[0].direction) if len(same) == 1 else f"{len(same)} axes"
+            parts.append(f"{fold}-fold about {where}")
+        return "; ".join(parts) or "no turn maps it onto itself"
 
     @property
     def object_from_object(self) -> Float[np.ndarray, "K 4 4"]:
@@ -150,3 +203,8 @@ def _revolution_axis(rotations: Float[np.ndarray, "K 3 3"]) -> Float[np.ndarray,
         if turns.sum() >= AXIS_ORDER:
             return axis
     return None
+
+
+def _coordinates(direction: Float[np.ndarray, "3"]) -> str:
+    """Return a direction in few digits, without negative zeros."""
+    return "(" + ", ".join(f"{x:g}" for x in direction.round(2) + 0.0) + ")"

@@ -20,7 +20,8 @@ from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
 from .pixel_jacobians import pixel_jacobians
-from .point_estimation import PointStatus, estimate_points, failure_messages
+from .point_estimation import estimate_points
+from .point_status import PointStatus, failure_messages
 from .view_poses import (
     SeenViews,
     padded_count,

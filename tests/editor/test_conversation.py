@@ -116,12 +116,50 @@ def test_what_a_page_should_not_ask_is_an_error(session, message, said):
     assert session.document is before
 
 
-def test_proposals_are_accepted_one_by_one():
+@pytest.fixture(scope="module")
+def example():
+    return object_example()
+
+
+@pytest.fixture
+def example_session(example):
+    poses = np.asarray(example.base_from_tool.as_matrix())
+    return ModelSession(example.calibration, poses, example.pictures)
+
+
+def test_a_rectangle_limits_what_is_proposed(example_session):
+    session = example_session
+    conversation = Conversation(session)
+    ask(conversation, do="hello")
+    everywhere = ask(conversation, do="propose")["offer"]["points"]
+    places = np.array([p["in"][0] for p in everywhere if p["in"][0] is not None])
+    left, top = np.median(places, axis=0)
+    right, bottom = places.max(axis=0) + 5.0
+    rectangle = [float(x) for x in (left, top, right, bottom)]
+    offer = ask(conversation, do="propose", rectangles={"v1": rectangle})["offer"]["points"]
+    assert 0 < len(offer) < 0.6 * len(everywhere)
+    seen = np.array([p["in"][0] for p in offer if p["in"][0] is not None])
+    assert (seen > [left - 2.0, top - 2.0]).all()
+    # In the library also a box, in the world.
+    box = np.array([[-1.0, -1.0, 0.004], [1.0, 1.0, 1.0]])
+    points = session.propose(box=box).points
+    assert 0 < len(points) < len(everywhere)
+    for rectangles, said in (
+        ({"v9": rectangle}, "no view 'v9'; the views are v1, v2"),
+        ({"v2": [5, 5, 5, 9]}, "region: view v2: expected u 5 below 5"),
+        ({"v2": "all"}, "region: view v2: a rectangle is four numbers"),
+        ({"v2": [None, 1, 2, 3]}, "region: view v2: a rectangle is four numbers"),
+    ):
+        answer = ask(conversation, do="propose", rectangles=rectangles)
+        assert answer["type"] == "error"
+        assert said in answer["text"]
+    # What was refused leaves the last offer.
+    assert session.proposals.points == points
+
+
+def test_proposals_are_accepted_one_by_one(example_session):
     """On the example's rendered pictures."""
-    example = object_example()
-    session = ModelSession(
-        example.calibration, np.asarray(example.base_from_tool.as_matrix()), example.pictures
-    )
+    session = example_session
     conversation = Conversation(session)
     ask(conversation, do="hello")
     answer = ask(conversation, do="propose")

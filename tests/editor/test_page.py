@@ -192,6 +192,70 @@ def test_undo_help_errors_and_grasp(session, scene, chromium):
     assert page.faults == []
 
 
+def drag(page, view, start, end):
+    page.page.mouse.move(*page.place(view, start))
+    page.page.mouse.down()
+    page.page.mouse.move(*page.place(view, (np.array(start) + end) / 2))
+    page.page.mouse.move(*page.place(view, end))
+    page.page.mouse.up()
+    page.settle()
+
+
+def test_a_rectangle_is_drawn_and_proposals_keep_to_it(session, scene, chromium):
+    page = Page(chromium(), serve_in_thread(session))
+    page.key("r")
+    low, high = scene.pixels[0].min(axis=0) - 12.0, scene.pixels[0].max(axis=0) + 12.0
+    # From the lower right to the upper left, which is as good.
+    drag(page, 0, high, low)
+    drag(page, 1, [20.0, 20.0], [90.0, 60.0])
+    shown = page.page.evaluate("Object.fromEntries(smartviewEditor.rectangles)")
+    np.testing.assert_allclose(shown["v1"], [*low, *high], atol=2.0)
+    assert "all 2 rectangles" in page.said()
+    # A click without a drag takes the second one away again; no point was clicked.
+    page.page.mouse.click(*page.place(1, [50.0, 40.0]))
+    page.settle()
+    assert page.page.evaluate("[...smartviewEditor.rectangles.keys()]") == ["v1"]
+    assert page.counts() == [0, 0, 0, 0]
+    page.page.click('text="Propose in region"')
+    page.page.wait_for_function("smartviewEditor.offer.points.length > 0", timeout=60_000)
+    seen = [p["in"][0] for p in page.page.evaluate("smartviewEditor.offer.points") if p["in"][0]]
+    assert (np.array(seen) > low - 4.0).all()
+    assert (np.array(seen) < high + 4.0).all()
+    assert page.faults == []
+
+
+def test_the_symmetry_is_shown_and_confirmed(session, scene, chromium, tmp_path):
+    ids = []
+    for vertex in range(len(scene.truth.vertices)):
+        point = None
+        for view in separate_views(scene, vertex):
+            point = session.click(session.names[view], scene.click(view, vertex), point)
+        ids.append(point)
+    for face in scene.truth.faces:
+        session.add_face([ids[vertex] for vertex in face.loop])
+    page = Page(chromium(), serve_in_thread(session))
+    page.page.wait_for_selector(".symmetry:not([hidden])")
+    shown = page.page.inner_text(".symmetry")
+    assert "2 poses look alike" in shown
+    assert "2-fold about (0, 0, 1)" in shown
+    assert "Is it meant?" in shown
+    page.page.click('.symmetry >> text="Confirm"')
+    page.page.wait_for_selector(".symmetry >> text=confirmed: saved with the model")
+    page.key("Control+s")
+    assert load_object_model(tmp_path / "house.json").symmetry.order == 2
+    page.page.click('.symmetry >> text="Refuse"')
+    page.page.wait_for_selector(".symmetry >> text=all poses can be told apart")
+    page.key("Control+s")
+    assert load_object_model(tmp_path / "house.json").symmetry.order == 1
+    # An object that no turn maps onto itself has nothing to be asked about.
+    session.add_edge(ids[scene.truth.faces[3].loop[0]], ids[scene.truth.faces[3].loop[2]])
+    page.page.reload()
+    page.wait_until_complete()
+    page.page.wait_for_function("smartviewEditor.symmetry?.order === 1")
+    assert not page.page.is_visible(".symmetry")
+    assert page.faults == []
+
+
 def test_a_second_page_shows_what_the_first_does(session, scene, chromium):
     """What one page does, another one shows."""
     address = serve_in_thread(session)

@@ -382,3 +382,78 @@ def test_a_fact_that_cannot_be_is_refused(session, scene, fact, said):
     with pytest.raises(ValueError, match=said):
         session.change({"do": "add_constraint", **fact})
     assert session.document is before
+
+
+def drawn_house(session, scene):
+    """All points and faces of the house."""
+    ids = click_all(session, scene)
+    for face in scene.truth.faces:
+        session.add_face([ids[vertex] for vertex in face.loop])
+    return ids
+
+
+def test_a_symmetry_is_found_confirmed_and_saved(session, scene, tmp_path):
+    assert session.symmetry() is None
+    with pytest.raises(ValueError, match="fewer than three vertices"):
+        session.confirm_symmetry()
+    drawn_house(session, scene)
+    # The house is the same after half a turn about the vertical through the middle of its ridge.
+    found = session.symmetry()
+    assert found.order == 2
+    assert not found.confirmed
+    (axis,) = found.axes
+    np.testing.assert_allclose(axis.direction, [0, 0, 1], atol=0.01)
+    assert session.symmetry_said is None
+    session.save()
+    assert load_object_model(tmp_path / "house.json").symmetry is None
+    session.confirm_symmetry()
+    assert session.symmetry().confirmed
+    session.save()
+    symmetry = load_object_model(tmp_path / "house.json").symmetry
+    assert symmetry.order == 2
+    assert symmetry.confirmed
+    session.undo()
+    assert session.symmetry_said is None
+
+
+def test_a_refused_symmetry_is_saved_as_none(session, scene, tmp_path):
+    """Whoever localises the object then tells its two poses apart."""
+    drawn_house(session, scene)
+    session.confirm_symmetry(False)
+    assert session.symmetry_said is False
+    assert not session.symmetry().confirmed
+    session.save()
+    symmetry = load_object_model(tmp_path / "house.json").symmetry
+    assert symmetry.order == 1
+    assert symmetry.confirmed
+
+
+def test_an_edit_that_changes_the_symmetry_ends_what_was_said_of_it(session, scene, tmp_path):
+    ids = drawn_house(session, scene)
+    session.confirm_symmetry()
+    # A diagonal on one wall only.
+    a, _, c, _ = scene.truth.faces[3].loop
+    session.add_edge(ids[a], ids[c])
+    assert session.symmetry().order == 1
+    assert session.symmetry_said is None
+    assert session.model().symmetry is None
+    session.undo()
+    assert session.symmetry_said is True
+    # Points that are left on one line have none, and that is no error.
+    for vertex in range(2, len(ids)):
+        session.delete("points", ids[vertex])
+    assert session.symmetry() is None
+    assert session.model().symmetry is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"confirmed": "yes"}, "confirmed, refused or left open; found 'yes'"),
+        ({"confirmed": True, "order": 0}, "1 turn or more; found 0"),
+        ({}, "confirm_symmetry: missing"),
+    ],
+)
+def test_what_cannot_be_said_of_a_symmetry_is_refused(session, change, said):
+    with pytest.raises(ValueError, match=said):
+        session.change({"do": "confirm_symmetry", **change})

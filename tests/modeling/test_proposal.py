@@ -6,7 +6,7 @@ import pytest
 from smartview_jax import features
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_object_views, object_sample_folder
-from smartview_jax.modeling import propose_model
+from smartview_jax.modeling import Region, propose_model
 from smartview_jax.simulation import example_solid, paper_calibration
 
 CALIBRATION = paper_calibration()
@@ -132,3 +132,83 @@ def test_the_view_of_a_bad_picture_is_named(views):
     poses = host_matrices(views.base_from_tool)
     with pytest.raises(ValueError, match="view 2: picture: blank"):
         propose_model(CALIBRATION, poses, pictures, DEPTHS)
+
+
+def around(pixels, margin=12.0):
+    return [*(pixels.min(axis=0) - margin), *(pixels.max(axis=0) + margin)]
+
+
+def pixels_of(views, points):
+    """Pixels of points in all views."""
+    return np.asarray(CALIBRATION.project(host_matrices(views.base_from_tool), points)[0])
+
+
+@pytest.fixture(scope="module")
+def projected(views):
+    """Pixels of the solid's vertices in all views."""
+    return pixels_of(views, example_solid().vertices)
+
+
+def test_a_box_leaves_out_what_is_outside_and_keeps_what_is_inside(views, found, proposal):
+    vertices = example_solid().vertices
+    box = np.array([vertices.min(axis=0) - 2e-3, vertices.max(axis=0) + 2e-3])
+    # The table under the solid is within its box in z, so only above it.
+    box[0, 2] = 1e-3
+    poses = host_matrices(views.base_from_tool)
+    within = propose_model(
+        CALIBRATION, poses, views.pictures, DEPTHS, features=found, region=Region(box)
+    )
+    assert ((within.points >= box[0]) & (within.points <= box[1])).all()
+    everywhere = ((proposal.points >= box[0]) & (proposal.points <= box[1])).all(axis=1)
+    assert len(within.points) >= everywhere.sum()
+    assert len(within.points) < 0.9 * len(proposal.points)
+    # Numbers of edges are those of the points that are left.
+    ends = within.points[within.edges]
+    lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+    assert len(lengths) > 5
+    assert lengths.max() < np.linalg.norm(box[1] - box[0])
+    assert within.edge_segments.shape == (5, len(within.edges))
+    top = vertices[:, 2] > 2e-3
+    gap = np.linalg.norm(within.points[None] - vertices[:, None], axis=2).min(axis=1)
+    assert (gap[top] < 5e-4).sum() >= 5
+
+
+def test_one_rectangle_leaves_out_what_is_beside_the_object_in_all_views(
+    views, found, projected, proposal
+):
+    rectangle = around(projected[1])
+    region = Region(rectangles={1: rectangle})
+    poses = host_matrices(views.base_from_tool)
+    within = propose_model(
+        CALIBRATION, poses, views.pictures, DEPTHS, features=found, region=region
+    )
+    assert 20 < len(within.points) < 0.8 * len(proposal.points)
+    (low, high) = np.reshape(rectangle, (2, 2))
+    seen = within.pixels[1]
+    # A corner is up to 2 px from where its point is seen.
+    with np.errstate(invalid="ignore"):
+        assert not ((seen < low - 2.0) | (seen > high + 2.0)).any()
+    # Points that this view does not see are within the rectangle, too.
+    pixels = pixels_of(views, within.points)
+    assert ((pixels[1] >= low) & (pixels[1] <= high)).all()
+    vertices = example_solid().vertices
+    gap = np.linalg.norm(within.points[None] - vertices[:, None], axis=2).min(axis=1)
+    assert (gap < 5e-4).sum() >= 9
+
+
+@pytest.mark.parametrize(
+    ("region", "said"),
+    [
+        (Region([[0, 0, 1], [1, 1, 0]]), r"smallest x, y and z \(m\) below .* found \[\[0.0, 0.0"),
+        (Region([[0, 0, np.nan], [1, 1, 1]]), "a box has"),
+        (Region(rectangles={7: (0, 0, 9, 9)}), "no view number 7, only 0 to 4"),
+        (Region(rectangles={-1: (0, 0, 9, 9)}), "no view number -1"),
+        (Region(rectangles={2: (9, 0, 9, 9)}), "view 2: expected u 9 below 9"),
+        (Region(rectangles={2: (0, 0, 9)}), "view 2: a rectangle is four numbers"),
+        (Region(rectangles={2: (9000, 0, 9001, 9)}), "view 2: .* outside of the picture of"),
+    ],
+)
+def test_a_region_with_nothing_inside_is_refused(views, found, region, said):
+    poses = host_matrices(views.base_from_tool)
+    with pytest.raises(ValueError, match=said):
+        propose_model(CALIBRATION, poses, views.pictures, DEPTHS, features=found, region=region)

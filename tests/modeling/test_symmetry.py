@@ -66,3 +66,26 @@ def test_chirality_counts():
 def test_points_on_one_line_have_no_finite_group():
     with pytest.raises(ValueError, match="one line"):
         find_symmetry(ObjectModel(np.outer(np.arange(4.0), [0.01, 0.02, 0.0])))
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (box(0.04, 0.04, 0.03), "4-fold about (0, 0, 1); 2-fold about 4 axes"),
+        (box(0.03, 0.03, 0.03), "4-fold about 3 axes; 3-fold about 4 axes; 2-fold about 6 axes"),
+        (prism(24), "round about (0, 0, 1)"),
+        (dataclasses.replace(box(), edges=np.array([[4, 7]]), faces=()), "2-fold about (0, 0, 1)"),
+    ],
+)
+def test_a_symmetry_is_told_in_words(model, words):
+    assert find_symmetry(model).words.startswith(words)
+
+
+def test_axes_count_the_turns_about_them():
+    found = find_symmetry(box(0.04, 0.04, 0.03))
+    assert [one.fold for one in found.axes] == [4, 2, 2, 2, 2]
+    np.testing.assert_allclose(found.axes[0].direction, [0, 0, 1], atol=1e-12)
+    # Every turn but the identity is about one of them: sum of fold - 1.
+    assert sum(one.fold - 1 for one in found.axes) == found.order - 1
+    odd = ObjectModel(np.array([[0.0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]]))
+    assert find_symmetry(odd).words == "no turn maps it onto itself"

@@ -14,11 +14,13 @@ const TOOLS = {
     help: "Click the corners of a flat surface around it; the first corner again, or Enter, closes it." },
   grasp: { key: "g", label: "Grasps", icon: '<path d="M4 18V9a6 6 0 0 1 12 0v9M10 3V1"/>',
     help: "Click on a face to place the gripper, and drag to turn it." },
+  region: { key: "r", label: "Region", icon: '<rect x="3" y="5" width="14" height="10" stroke-dasharray="3 2"/>',
+    help: "Drag a rectangle around the object in one view or in several: only points seen inside are proposed. A click in a view removes its rectangle." },
   select: { key: "s", label: "Select", icon: '<path d="M5 3l11 6-5 1.5L8.5 16z"/>',
     help: "Click points or edges, with Shift for several: see distances, say what you know of them, or delete them." },
 };
 const KEYS = [
-  ["P E F G S", "tools: points, edges, faces, grasps, select"],
+  ["P E F G R S", "tools: points, edges, faces, grasps, region, select"],
   ["N  or  Esc", "next point; end a line or a face"],
   ["Enter", "close a face"],
   ["Del", "delete what is chosen"],
@@ -32,6 +34,7 @@ const KEYS = [
   ["?", "this help"],
 ];
 const HOVER_PAUSE = 25;  // ms between two curves that follow the mouse
+const SYMMETRY_PAUSE = 400;  // ms without a change before the symmetry is asked for
 
 export function start(root, connection) { return new Editor(root, connection); }
 
@@ -40,7 +43,7 @@ class Editor {
     this.connection = connection;
     this.model = new Model();
     this.tool = "point"; this.active = null; this.selection = new Set(); this.chain = [];
-    this.curves = null; this.previews = new Map(); this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
+    this.curves = null; this.previews = new Map(); this.rectangles = new Map(); this.symmetry = null; this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
     this.build(root);
     connection.onUpdate = (message) => this.accept(message);
     connection.onState = (state) => this.connected(state);
@@ -67,7 +70,7 @@ class Editor {
         <button data-do="propose" title="match all views and offer points">Propose all</button><button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
         <button data-do="save" class="sv-save" title="Ctrl S">Save</button><button data-do="help" title="?">?</button></div>
       <div class="sv-tools">${tools}</div><div class="sv-views"></div>
-      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
+      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><div class="symmetry" hidden><h3>Symmetry</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
       <div class="sv-foot"><span class="grow said"></span><span class="counts"></span></div>
       <div class="sv-help" hidden><div><h2>Keys</h2><table>${keys}</table></div></div>
       <div class="sv-veil"><span>connecting …</span></div></div>`);
@@ -100,6 +103,7 @@ class Editor {
       if (!this.views.length) this.arrange();
       this.find(".sv-veil").hidden = true;
       this.refresh();
+      this.askSymmetry();
       if (greeting.notes.length) this.say(greeting.notes.join("; "));
       this.ready = Promise.all(this.views.map((view) => this.loadPicture(view)));
       await this.ready;
@@ -173,6 +177,7 @@ class Editor {
   accept(message) {
     this.model.update(message);
     if (message.offer) this.offer = message.offer;
+    this.askSymmetry();
     for (const key of this.selection) {
       const [kind, id] = key.split(":");
       if (!this.model[kind].has(+id)) this.selection.delete(key);
@@ -234,6 +239,29 @@ class Editor {
     for (const button of box.querySelectorAll("[data-decide]")) button.onclick = () => this.decide(button.dataset.decide);
   }
 
+  // Asked for when the model has been left alone for a moment: Python may take a while to find it.
+  askSymmetry() {
+    clearTimeout(this.symmetryTimer);
+    this.symmetryTimer = setTimeout(async () => {
+      const found = this.model.points.size < 3 ? null : await this.connection.ask({ do: "symmetry" }).catch(() => null);
+      this.symmetry = found?.symmetry ?? null;
+      this.showSymmetry();
+      this.space3d?.update();
+    }, SYMMETRY_PAUSE);
+  }
+
+  // What the geometry says, for the person to confirm: a label may tell two poses apart.
+  showSymmetry() {
+    const box = this.find(".symmetry"), one = this.symmetry;
+    box.hidden = !one || (one.order === 1 && !one.round);
+    if (box.hidden) return;
+    const say = (label, confirmed) => this.button(label, { do: "confirm_symmetry", confirmed: one.said === confirmed ? null : confirmed, order: one.order }, one.said === confirmed);
+    box.querySelector(".box").innerHTML = `<div class="big">${one.round ? "round" : `${one.order} <small>poses look alike</small>`}</div><span class="dim">${this.escape(one.words)}</span>
+      <div class="${one.said === null ? "" : "dim"}">${one.said === null ? "Is it meant? Until you say so, the file has none." : one.said ? "confirmed: saved with the model" : "refused: all poses can be told apart"}</div>
+      <div class="sv-buttons">${say("Confirm", true)}${say("Refuse", false)}</div>`;
+    for (const button of box.querySelectorAll("[data-change]")) button.onclick = () => this.change(JSON.parse(button.dataset.change));
+  }
+
   async decide(how) {
     const numbers = this.offer.points.map((point) => point.number);
     if (!numbers.length) return;
@@ -242,8 +270,9 @@ class Editor {
   }
 
   async propose() {
-    this.say("matching the corners of all views …");
-    const answer = await this.connection.ask({ do: "propose" }).catch((error) => { this.say(error.message, true); });
+    const rectangles = Object.fromEntries(this.rectangles);
+    this.say(this.rectangles.size ? `matching the corners of all views within the region (${[...this.rectangles.keys()].join(", ")}) …` : "matching the corners of all views …");
+    const answer = await this.connection.ask({ do: "propose", rectangles }).catch((error) => { this.say(error.message, true); });
     if (!answer) return;
     this.accept(answer);
     this.say(answer.offer.points.length ? "Accept or reject the proposed points one by one, or all of them." : "Nothing was found that is not there already.");
@@ -349,6 +378,7 @@ class Editor {
     clearTimeout(this.hoverTimer);  // a click is answered before any curve
     this.hovering = false;
     if (this.tool === "grasp") drag.grasp = this.placeGrasp(view, target.pixel);
+    if (this.tool === "region") drag.corner = view.toPixel(drag.from);
     if (this.tool === "point" && target.point !== null) drag.point = target.point;
     this.root.focus({ preventScroll: true });
   }
@@ -362,6 +392,7 @@ class Editor {
   }
 
   async dragged(view, pixel, drag) {
+    if (drag.corner) this.rectangles.set(view.name, this.rectangle(drag.corner, pixel));
     if (drag.grasp && !drag.asking) {
       drag.asking = true;
       const grasp = await drag.grasp;
@@ -380,7 +411,22 @@ class Editor {
     }
   }
 
+  // Smallest u and v, then largest: within the picture, whichever way it was drawn.
+  rectangle([a, b], [c, d]) {
+    const [width, height] = this.model.size, within = (x, most) => Math.min(Math.max(x, -0.5), most - 0.5);
+    return [within(Math.min(a, c), width), within(Math.min(b, d), height), within(Math.max(a, c), width), within(Math.max(b, d), height)];
+  }
+
+  releasedRegion(view, drag) {
+    if (!drag.moved) this.rectangles.delete(view.name);
+    const count = this.rectangles.size;
+    this.find('[data-do="propose"]').textContent = count ? "Propose in region" : "Propose all";
+    this.say(count ? `Points are proposed that are seen in ${count === 1 ? "the rectangle" : `all ${count} rectangles`}. A click in a view removes its rectangle.` : TOOLS.region.help);
+    view.redraw("live");
+  }
+
   async released(view, target, drag, event) {
+    if (this.tool === "region") return this.releasedRegion(view, drag);
     if (this.tool === "grasp") return this.releasedGrasp(view, target, drag);
     if (this.tool === "point") return this.releasedPoint(view, target, drag);
     if (target.point === null) { if (this.tool === "select") { if (!event.shiftKey && !event.ctrlKey) this.selection.clear(); this.chooseOther(view, target.pixel); this.refresh(); } return; }

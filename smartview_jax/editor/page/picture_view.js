@@ -258,6 +258,8 @@ export class PictureView {
       context.strokeStyle = COLOURS.curve; context.lineWidth = 1.5;
       context.beginPath(); context.arc(x, y, 6, 0, 2 * Math.PI); context.stroke();
     }
+    const rectangle = this.owner.rectangles.get(this.name);
+    if (rectangle) this.drawRectangle(context, rectangle, tool === "region");
     if (chain.length) {
       const corners = chain.map((id) => model.pixel(id, this.index)).filter(Boolean).flat();
       if (this.cursor) corners.push(...this.toPixel(this.cursor));
@@ -272,6 +274,19 @@ export class PictureView {
         context.strokeRect(x - 6, y - 6, 12, 12);
       }
     }
+  }
+
+  // The region of proposals: what is outside is dimmed while it is being chosen.
+  drawRectangle(context, [left, top, right, bottom], chosen) {
+    const [x, y] = this.toScreen([left, top]), [x2, y2] = this.toScreen([right, bottom]);
+    if (chosen) {
+      const box = this.element.getBoundingClientRect();
+      context.fillStyle = "rgba(8,9,12,.45)";
+      context.beginPath(); context.rect(0, 0, box.width, box.height); context.rect(x, y, x2 - x, y2 - y); context.fill("evenodd");
+    }
+    context.strokeStyle = COLOURS.offered; context.lineWidth = 1.5; context.setLineDash([6, 4]);
+    context.strokeRect(x, y, x2 - x, y2 - y);
+    context.setLineDash([]);
   }
 
   path(context, pixels) {

@@ -71,6 +71,7 @@ export class SpaceView {
     for (const [, grasp] of model.grasps) {
       if (grasp.lines) this.addLines(this.parts, grasp.lines.flat(2), null, 0xffb224);
     }
+    this.addAxes(this.owner.symmetry, placed);
     this.addPoints(placed);
     this.draw();
   }
@@ -95,6 +96,15 @@ export class SpaceView {
     geometry.computeVertexNormals();
     const colour = selected ? 0xffb224 : face.graspable === true ? 0x58d68d : face.graspable === false ? 0xff6b5e : 0xa78bfa;
     this.parts.add(new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity: 0.42, side: THREE.DoubleSide, depthWrite: false })));
+  }
+
+  // The axes of the symmetry that was found, through its centre and a little beyond the object.
+  addAxes(symmetry, placed) {
+    if (!symmetry || symmetry.said === false || placed.length < 3) return;
+    const centre = new THREE.Vector3(...symmetry.centre);
+    const reach = 1.25 * Math.max(...placed.map(([, point]) => centre.distanceTo(new THREE.Vector3(...point.at))));
+    const lines = symmetry.axes.flatMap((axis) => [-reach, reach].flatMap((s) => new THREE.Vector3(...axis).multiplyScalar(s).add(centre).toArray()));
+    this.addLines(this.parts, lines, null, 0xff5fa8);
   }
 
   addPoints(placed) {

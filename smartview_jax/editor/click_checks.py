@@ -1,0 +1,48 @@
+"""Check clicks before they are kept: a view that exists, and a pixel within its picture."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+def check_clicks(change: Mapping[str, Any], names: Sequence[str], size: tuple[int, int]) -> None:
+    """Raise an error for a change with a click in an unknown view or outside of its picture.
+
+    Args:
+        change: as `document.apply_change` describes it.
+        names: of the views.
+        size: width and height of their pictures, px.
+    """
+    # A change of several parts is checked as a whole before any of it is made.
+    clicks = dict(change.get("clicks") or {})
+    if change.get("do") == "click":
+        clicks[change.get("view")] = change.get("pixel")
+    for view, pixel in clicks.items():
+        checked_pixel(view, pixel, names, size)
+    for part in change.get("changes") or ():
+        check_clicks(part, names, size)
+
+
+def check_view(view: Any, names: Sequence[str]) -> None:
+    """Raise an error for a view that does not exist."""
+    if view not in names:
+        raise ValueError(f"there is no view {view!r}; the views are {', '.join(names)}")
+
+
+def checked_pixel(
+    view: Any, pixel: Any, names: Sequence[str], size: tuple[int, int]
+) -> tuple[float, float]:
+    """Return a pixel of a view, or raise an error that names both."""
+    check_view(view, names)
+    # From a page anything may come: text, null, three numbers.
+    try:
+        u, v = (float(number) for number in pixel)
+    except (TypeError, ValueError):
+        raise ValueError(f"view {view}: a pixel is two numbers; found {pixel!r}") from None
+    width, height = size
+    # NaN fails the comparison, too.
+    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+        raise ValueError(
+            f"view {view}: the click ({u:g}, {v:g}) is outside of the picture of "
+            f"{width} x {height} px"
+        )
+    return u, v

@@ -1,0 +1,100 @@
+"""Limit a search for points to a part of space: a box of the cell, and rectangles in pictures."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Region:
+    """The part of space in which an object's points are looked for.
+
+    A rectangle stands for everything in space that is seen in it. So one rectangle around the
+    object in one picture leaves out what stands beside it in all views; a second one, in a view
+    from elsewhere, leaves out what is in front of it or behind.
+
+    Attributes:
+        box: smallest and largest x, y and z in the world, m; infinite where a side is open. None
+            limits nothing.
+        rectangles: around the object in pictures, by the view's index: smallest u and v, then
+            largest u and v, px. What is no rectangle is refused by `check`, in words.
+    """
+
+    box: Float[np.ndarray, "2 3"] | Sequence[Sequence[float | int]] | None = None
+    rectangles: Mapping[int, Any] = dataclasses.field(default_factory=dict)
+
+    def check(self, names: Sequence[str], image_size: tuple[int, int]) -> None:
+        """Raise an error for a box or a rectangle that has nothing inside.
+
+        Args:
+            names: of the views, for the message.
+            image_size: width and height of the pictures, px.
+
+        Raises:
+            ValueError: what was found, with the view's name.
+        """
+        if self.box is not None:
+            box = np.asarray(self.box, dtype=float)
+            # NaN fails the comparison, too.
+            if box.shape != (2, 3) or not (box[0] < box[1]).all():
+                raise ValueError(
+                    "region: a box has smallest x, y and z (m) below its largest ones; "
+                    f"found {box.tolist()}"
+                )
+        for view, rectangle in self.rectangles.items():
+            # A negative index would silently mean another view, counted from the end.
+            if view not in range(len(names)):
+                raise ValueError(
+                    f"region: there is no view number {view}, only 0 to {len(names) - 1}"
+                )
+            _check_rectangle(rectangle, names[view], image_size)
+
+    def contains(
+        self,
+        points: Float[np.ndarray, "points 3"],
+        projected: Float[np.ndarray, "views points 2"],
+    ) -> Bool[np.ndarray, "points"]:
+        """Return which points are in the box and are seen within all rectangles.
+
+        Args:
+            points: in the world, m.
+            projected: their pixels in all views; NaN outside of a picture, which is in none of
+                its rectangles.
+        """
+        inside = np.ones(len(points), dtype=bool)
+        if self.box is not None:
+            low, high = np.asarray(self.box, dtype=float)
+            inside &= ((points >= low) & (points <= high)).all(axis=1)
+        # Comparisons with NaN are false, as they should be, but NumPy warns of them.
+        with np.errstate(invalid="ignore"):
+            for view, rectangle in self.rectangles.items():
+                low, high = np.reshape(np.asarray(rectangle, dtype=float), (2, 2))
+                pixels = projected[view]
+                inside &= ((pixels >= low) & (pixels <= high)).all(axis=1)
+        return inside
+
+
+def _check_rectangle(rectangle: Any, view: str, image_size: tuple[int, int]) -> None:
+    """Raise an error for a rectangle without a pixel of its picture."""
+    try:
+        left, top, right, bottom = (float(number) for number in rectangle)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"region: view {view}: a rectangle is four numbers, smallest u and v and largest u "
+            f"and v (px); found {rectangle!r}"
+        ) from None
+    if not (left < right and top < bottom):
+        raise ValueError(
+            f"region: view {view}: expected u {left:g} below {right:g} and v {top:g} below "
+            f"{bottom:g} px"
+        )
+    # Beyond the border it may reach: people draw rectangles generously.
+    width, height = image_size
+    if right < 0 or bottom < 0 or left > width - 1 or top > height - 1:
+        raise ValueError(
+            f"region: view {view}: the rectangle ({left:g}, {top:g}) to ({right:g}, {bottom:g}) "
+            f"is outside of the picture of {width} x {height} px"
+        )
