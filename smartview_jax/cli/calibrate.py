@@ -18,7 +18,7 @@ from .fit_options import (
     parse_fit_options,
 )
 from .json_document import print_document
-from .load import load_named
+from .load import load_named, with_estimated_clock
 from .options import (
     BadViews,
     BadViewsOption,
@@ -29,6 +29,7 @@ from .options import (
     LensOption,
     NoiseModel,
     NoiseOption,
+    TimeOffsetOption,
 )
 from .terminal import errors_reported, progress_line
 
@@ -56,6 +57,7 @@ def calibrate(
     start: StartOption = None,
     bad_views: BadViewsOption = BadViews.RAISE,
     base_from_world: BaseFromWorldOption = None,
+    time_offset: TimeOffsetOption = False,
     json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -76,6 +78,8 @@ def calibrate(
 
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
+            if time_offset:
+                data = with_estimated_clock(data, dataset, lens, progress)
             known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
 
             def fit_views(

@@ -27,3 +27,27 @@ def load_named(
         return load_dataset(sample_folder(), progress=progress, keep_detections=False), "the sample"
     data = load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
     return data, dataset.resolve().name
+
+
+def with_estimated_clock(
+    data: "Dataset", dataset: Path | None, lens: str, progress: Callable[[str], None]
+) -> "Dataset":
+    """Return a data set with the poses at the times that the robot's clock most probably had.
+
+    Raises:
+        ValueError: the data set has a pose for each view instead of a robot's log.
+    """
+    import dataclasses
+
+    from ..io import load_pose_log
+    from ..time_offset import estimate_time_offset
+
+    log = None if dataset is None else load_pose_log(dataset)
+    if log is None:
+        raise ValueError(
+            "--time-offset: expected a data set whose robot logged its poses over time "
+            "(poses.picture_times); this one has a pose for each view"
+        )
+    found = estimate_time_offset(data, log.trajectory, log.picture_times, lens, progress=progress)
+    note = f"{found} (in dataset.yaml: poses.time_offset: {found.seconds:.6f})"
+    return dataclasses.replace(found.data, notes=(*data.notes, note))

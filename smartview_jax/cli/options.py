@@ -41,6 +41,13 @@ BaseFromWorldOption = Annotated[
         "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world if the camera stands)."
     ),
 ]
+TimeOffsetOption = Annotated[
+    bool,
+    typer.Option(
+        "--time-offset",
+        help="Estimate how much later the robot's clock is, where it logged poses in motion.",
+    ),
+]
 PoseFormatOption = Annotated[
     str,
     typer.Option(
