@@ -388,7 +388,7 @@ ASKS = (
     Ask("Remove bad samples", "fit.rejected", _bad_samples),
     Ask("Pictures and poses are shifted", "sv.calibrate(data)", _shifted_pairs),
     Ask("Save, load, repeat", "fit.save; sv.load_estimate; sv.save_dataset", _save_and_repeat),
-    Ask("The robot was still moving", "fit.rejected", _still_moving),
+    Ask("The robot was still moving", "fit.rejected; sv.estimate_time_offset", _still_moving),
     Ask("The board is not detected", "sv.io.import_correspondences", _detections),
     Ask("Poses of a flat board flip", "sv.calibrate(data)", _pose_flips),
     Ask("Into URDF and tf", "smartview export --to ros, urdf", _publish),
