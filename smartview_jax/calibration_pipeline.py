@@ -224,7 +224,7 @@ def calibrate(
     require_instance("data", data, Dataset)
     if camera is not None:
         require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
-        require_picture_size("the known camera", camera, data)
+        require_picture_size("the known camera", camera, data.image_size)
     if step2 not in STEP2_METHODS:
         raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
     if camera is not None:

@@ -135,15 +135,18 @@ def parse_fit_options(
 
 def _units_by_name(lens: str, mount: str, camera: "Camera | None") -> dict[str, str]:
     """Return the names of the parameters of such a fit, with the unit in which each is shown."""
-    from jaxlie import SE3
+    import numpy as np
 
     from ..calibration import Calibration
     from ..cameras import Camera, lens_by_name
+    from ..geometry import host_transforms
     from ..joint import displayed_values
 
     # Any camera of this lens: only the names are used.
     template = camera or Camera(1e3, 1e3, 320.0, 240.0, lens_by_name(lens), (640, 480))
-    calibration = Calibration(template, SE3.identity(), SE3.identity(), mount)
+    # By NumPy: jaxlie's identity would be a program to compile.
+    anywhere = host_transforms(np.eye(4))
+    calibration = Calibration(template, anywhere, anywhere, mount)
     return {name: unit for name, (_, unit) in displayed_values(calibration).items()}
 
 
@@ -238,24 +241,37 @@ def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, S
     import dataclasses
 
     from ..calibration import Calibration, transform_names
+
+    files = [text for text in texts if "=" not in text]
+    if len(files) > 1:
+        raise ValueError(f"--start: one calibration file, found {files[1]!r} too")
+    transforms = parse_transforms([text for text in texts if "=" in text], mount)
+    if not files:
+        return transforms or None
+    # The transforms of the options take the place of the file's, whichever came first.
+    parts = dict(
+        zip(transform_names(mount), ("camera_from_mount", "holder_from_world"), strict=True)
+    )
+    changed = {parts[name]: pose for name, pose in transforms.items()}
+    return dataclasses.replace(Calibration.load(files[0]), **changed)
+
+
+def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
+    """Return rough transforms by name from NAME=x,y,z,yaw,pitch,roll (m, degrees).
+
+    Raises:
+        ValueError: a text without a name, or a transform that the mount does not have.
+    """
+    from ..calibration import transform_names
     from ..io import parse_rough_pose
 
-    names, transforms, loaded = transform_names(mount), {}, None
+    names, transforms = transform_names(mount), {}
     for text in texts:
-        name, equals, pose = text.partition("=")
-        if not equals:
-            if loaded is not None:
-                raise ValueError(f"--start: one calibration file, found {text!r} too")
-            loaded = Calibration.load(text)
-            continue
+        name, _, pose = text.partition("=")
         # A drawing may have either direction: camera_from_tool is the inverse of tool_from_camera.
         reverse = "_from_".join(reversed(name.split("_from_")))
         if name not in names and reverse not in names:
             raise ValueError(f"--start: expected {' or '.join(names)} before =, found {name!r}")
         found = parse_rough_pose(f"--start {name}", pose)
         transforms[name if name in names else reverse] = found if name in names else found.inverse()
-    if loaded is None:
-        return transforms or None
-    # The transforms of the options take the place of the file's, whichever came first.
-    parts = dict(zip(names, ("camera_from_mount", "holder_from_world"), strict=True))
-    return dataclasses.replace(loaded, **{parts[name]: pose for name, pose in transforms.items()})
+    return transforms

@@ -13,6 +13,7 @@ from .export import export
 from .grasp import grasp
 from .model import model
 from .new import new
+from .plan import plan
 from .schema import schema
 from .simulate import simulate
 from .stylus import stylus
@@ -56,6 +57,7 @@ for _subcommand in (
     grasp,
     model,
     new,
+    plan,
     schema,
     simulate,
     stylus,

@@ -13,6 +13,8 @@ from .export import opencv_yaml as opencv_yaml
 from .export import ros_camera_info as ros_camera_info
 from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
+from .folder_description import FolderDescription as FolderDescription
+from .folder_description import read_folder_description as read_folder_description
 from .known_camera import read_camera as read_camera
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log

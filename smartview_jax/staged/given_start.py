@@ -11,10 +11,10 @@ from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
 
 
-def require_picture_size(what: str, camera: Camera, data: Dataset) -> None:
+def require_picture_size(what: str, camera: Camera, image_size: tuple[int, int]) -> None:
     """Raise a ValueError if a camera takes pictures of another size than those of the data."""
-    if tuple(camera.image_size) != tuple(data.image_size):
-        sizes = [" x ".join(map(str, size)) for size in (camera.image_size, data.image_size)]
+    if tuple(camera.image_size) != tuple(image_size):
+        sizes = [" x ".join(map(str, size)) for size in (camera.image_size, image_size)]
         raise ValueError(
             f"{what} takes pictures of {sizes[0]} px, those of the data are {sizes[1]}"
         )
@@ -24,7 +24,7 @@ def check_start(start: Calibration | Mapping[str, PoseLike] | None, data: Datase
     """Raise a ValueError for a start that is not of these data, before anything is fitted."""
     names = transform_names(data.mount)
     if isinstance(start, Calibration):
-        require_picture_size("the start's camera", start.camera, data)
+        require_picture_size("the start's camera", start.camera, data.image_size)
         if start.mount != data.mount:
             raise ValueError(f"the start is {start.mount}, the data {data.mount}")
     elif unknown := set(start or ()) - set(names):

@@ -17,6 +17,12 @@ from .commands import ViewpointCommands as ViewpointCommands
 from .commands import predict as predict
 from .commands import viewpoint_commands as viewpoint_commands
 from .information_model import InformationModel as InformationModel
+from .next_views import TYPICAL_NOISE as TYPICAL_NOISE
+from .next_views import ViewPlan as ViewPlan
+from .next_views import first_view_distances as first_view_distances
+from .next_views import model_from_estimate as model_from_estimate
+from .next_views import plan_views as plan_views
+from .next_views import with_assumed_region as with_assumed_region
 from .optimality_criteria import OptimalityCriterion as OptimalityCriterion
 from .optimality_criteria import a_optimal as a_optimal
 from .optimality_criteria import d_optimal as d_optimal

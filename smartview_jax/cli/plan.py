@@ -1,0 +1,163 @@
+"""Define `smartview plan`, which says which views to take first, or next, and what they bring."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..files import refuse_unwritable
+from .fit_options import StartOption
+from .json_document import print_document
+from .options import (
+    ArmOption,
+    BelowOption,
+    CommandsOutOption,
+    DebugOption,
+    ForceOption,
+    JsonOption,
+    NearOption,
+    PoseFormatOption,
+)
+from .plan_situation import ViewLimits, first_views, next_views
+from .plan_words import plan_entries, plan_words
+from .robot_commands import CommandSheet, arm_from_option, parse_joint_readings
+from .terminal import errors_reported, progress_line
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..viewpoints import InformationModel, ViewPlan
+
+
+def plan(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            help="calibration.yaml and its data-set folder, for the next views; with --start the "
+            "folder alone (smartview new), for the first."
+        ),
+    ],
+    start: StartOption = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="With --start: a known camera, as for calibrate.")
+    ] = None,
+    views: Annotated[
+        int | None, typer.Option(min=1, max=50, help="Most views; by default 10, with --start 15.")
+    ] = None,
+    goal: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop where the error is this small, mm.")
+    ] = None,
+    gain: Annotated[
+        float, typer.Option(min=0.0, max=100.0, help="Stop where one more view gains less, %.")
+    ] = 5.0,
+    distance: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Least and greatest distance from the target, m."),
+    ] = None,
+    tilt: Annotated[
+        float, typer.Option(min=1.0, max=80.0, help="Greatest, from straight above, degrees.")
+    ] = 40.0,
+    roll: Annotated[
+        float, typer.Option(min=1.0, max=180.0, help="Greatest, about the optical axis, degrees.")
+    ] = 90.0,
+    below: BelowOption = None,
+    arm: ArmOption = None,
+    near: NearOption = None,
+    out: CommandsOutOption = None,
+    pose_format: PoseFormatOption = "val_oat",
+    force: ForceOption = False,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Print commands of the views to take next, and what they bring; best first.
+
+    The error that is made small is that of a point before the camera, as the hand-eye transform
+    places it; what is promised holds to some 20 % where only few views were taken. With --start
+    the first views, from where camera and target roughly are.
+    """
+    with errors_reported(debug):
+        import math
+
+        from ..geometry import host_transforms, pose_codec
+        from ..viewpoints import SAFETY_CHECKS, plan_views, viewpoint_commands
+
+        if out is not None:
+            refuse_unwritable(out.parent, "--out")
+        codec = pose_codec(pose_format)
+        span = ViewLimits(distance, math.radians(tilt), math.radians(roll), below)
+        with progress_line() as progress:
+            if start:
+                situation = first_views(paths, start, camera, span)
+            else:
+                situation = next_views(paths, camera, span, arm, near)
+            serial_arm = arm_from_option(arm, situation.calibration)
+            readings = parse_joint_readings(near, serial_arm)
+            found = plan_views(
+                _near(situation.model, readings),
+                situation.views,
+                views or (15 if start else 10),
+                goal=None if goal is None else 1e-3 * goal,
+                # First views are all needed; the rule is about views that come on top.
+                least_gain=0.0 if start else 0.01 * gain,
+                border_margin=situation.border_margin,
+                arm=serial_arm,
+                progress=progress,
+            )
+        words = (*situation.assumptions, *plan_words(found, 0.01 * gain, goal, bool(start)))
+        sheet = None
+        if len(found.camera_from_world):
+            wanted = host_transforms(found.camera_from_world)
+            commands = viewpoint_commands(
+                situation.calibration, wanted, situation.points, serial_arm, readings
+            )
+            names = _new_names(situation.names, len(found.camera_from_world))
+            sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
+        _give(sheet, found, words, out, force, json)
+
+
+def _give(
+    sheet: CommandSheet | None,
+    found: "ViewPlan",
+    words: tuple[str, ...],
+    out: Path | None,
+    force: bool,
+    json: bool,
+) -> None:
+    """Print and write a plan, or print that there is nothing to take."""
+    if sheet is not None and not json:
+        sheet.print()
+    # The words come after the table: they are what a person is to remember.
+    if not json:
+        for text in words:
+            typer.echo(text)
+    if sheet is not None:
+        sheet.refuse_unsafe(force)
+        if out is not None:
+            sheet.write(out)
+    if json:
+        commands = [] if sheet is None else sheet.document()
+        written = None if sheet is None else out
+        content = {"commands": commands, **plan_entries(found), "words": words, "file": written}
+        print_document("plan", content)
+    elif out is not None and sheet is not None:
+        typer.echo(out)
+
+
+def _near(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
+    """Return the model with the readings near which an arm takes its views."""
+    import equinox as eqx
+
+    from ..array_namespace import to_device
+
+    # A calibration of an arm's joints has its readings already.
+    if readings is None or model.near is not None:
+        return model
+    near = to_device(readings)
+    return eqx.tree_at(lambda m: m.near, model, near, is_leaf=lambda leaf: leaf is None)
+
+
+def _new_names(taken: tuple[str, ...], count: int) -> tuple[str, ...]:
+    """Return names of views that the data set does not have: v16, v17, ..."""
+    numbers = range(1 + len(taken), 1 + 2 * len(taken) + count)
+    # A name that exists already would make two rows of one view.
+    return tuple(f"v{k}" for k in numbers if f"v{k}" not in taken)[:count]

@@ -1,0 +1,182 @@
+"""Find out what is known before views are planned: from a calibration, or from rough transforms."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .fit_options import parse_transforms
+from .robot_commands import arm_from_option, parse_joint_readings
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..calibration import Calibration
+    from ..viewpoints import InformationModel, ViewRange
+
+ASSUMED_FOCAL_LENGTH = 1.2
+"""Focal length over the picture's width that a camera nobody knows is taken to have."""
+
+FIRST_BORDER = 0.1
+"""Part of the shorter side that first views leave free: rough transforms may be off by as much."""
+
+
+class ViewLimits(NamedTuple):
+    """The limits of views that a person set.
+
+    Attributes:
+        distance: least and greatest distance from the target, m; None for those that suit it.
+        tilt: greatest tilt, rad.
+        roll: greatest roll, rad.
+        below: the side from which the target is seen; None where it follows from what is known.
+    """
+
+    distance: tuple[float, float] | None
+    tilt: float
+    roll: float
+    below: bool | None
+
+
+class Situation(NamedTuple):
+    """The state of knowledge before the views of a plan are taken.
+
+    Attributes:
+        calibration: the calibration, or a rough one.
+        model: what its parameters are known to, and what a view tells.
+        points: the target's points, m.
+        views: range of the views.
+        border_margin: part of the picture's border that has to stay free, px.
+        names: names of the views that exist already.
+        assumptions: what was assumed, in sentences.
+    """
+
+    calibration: "Calibration"
+    model: "InformationModel"
+    points: "np.ndarray"
+    views: "ViewRange"
+    border_margin: float
+    names: tuple[str, ...]
+    assumptions: tuple[str, ...]
+
+
+def next_views(
+    paths: list[Path], camera: Path | None, limits: ViewLimits, arm: str | None, near: str | None
+) -> Situation:
+    """Return what a calibration and its data set say."""
+    import numpy as np
+
+    from ..io import load_dataset
+    from ..joint import load_estimate
+    from ..viewpoints import model_from_estimate
+
+    if camera is not None:
+        raise ValueError("--camera: only with --start; a calibration has its camera")
+    if len(paths) != 2 or not paths[1].is_dir():
+        raise ValueError("expected calibration.yaml and its data-set folder, or a folder --start")
+    estimate = load_estimate(paths[0])
+    data = load_dataset(paths[1], "mask", keep_detections=False)
+    points = np.asarray(data.points[0])
+    readings = parse_joint_readings(near, arm_from_option(arm, estimate.calibration))
+    # Without an arm there are no readings, and the robot is commanded by poses.
+    model = model_from_estimate(estimate, points, readings)
+    region = estimate.calibration.region
+    if region is None:
+        raise ValueError(f"{paths[0]}: region: missing; calibrate again to have it")
+    distances = tuple(float(x) for x in np.asarray(region.distance_range))
+    below = limits.below
+    above = bool(float(region.side) >= 0.0) if below is None else not below
+    # A tenth on either side: views at one distance only would leave no range.
+    widened = (0.9 * distances[0], 1.1 * distances[1])
+    views = _view_range(points, limits, widened, above)
+    return Situation(estimate.calibration, model, points, views, 0.0, data.view_ids, ())
+
+
+def first_views(
+    paths: list[Path], start: list[str], camera_file: Path | None, limits: ViewLimits
+) -> Situation:
+    """Return what rough transforms and the description of a folder say."""
+    import numpy as np
+
+    from ..calibration import Calibration
+    from ..cameras import Camera, Pinhole
+    from ..io import read_camera, read_folder_description
+    from ..staged import require_picture_size
+    from ..viewpoints import (
+        TYPICAL_NOISE,
+        InformationModel,
+        first_view_distances,
+        with_assumed_region,
+    )
+
+    if len(paths) != 1:
+        raise ValueError("--start: expected the data-set folder alone (smartview new begins one)")
+    described = read_folder_description(paths[0])
+    transforms = parse_transforms(start, described.mount)
+    points, assumptions = np.asarray(described.target.points), []
+    if camera_file is None:
+        width, height = described.image_size
+        focal = ASSUMED_FOCAL_LENGTH * max(width, height)
+        camera = Camera(
+            focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), Pinhole(), (width, height)
+        )
+        assumptions.append(f"camera not known: a focal length of {focal:.0f} px is assumed")
+    else:
+        camera = read_camera(camera_file)
+        require_picture_size("--camera", camera, described.image_size)
+    mount, holder = _both_transforms(transforms, described)
+    rough = Calibration(camera, mount, holder, described.mount)
+    above = _side(rough, limits.below)
+    distances = limits.distance or first_view_distances(rough, points)
+    # The checks of commands need to know on which side of the target the robot may be.
+    rough = with_assumed_region(rough, points, distances, above)
+    model = InformationModel.from_calibration(
+        rough, points, TYPICAL_NOISE, fixed=() if camera_file is None else ("camera",)
+    )
+    noise = TYPICAL_NOISE
+    assumptions.append(
+        f"assumed errors: {noise.pixel:g} px, {1e3 * noise.translation:g} mm and "
+        f"{np.rad2deg(noise.rotation):g} degrees of the robot; the transforms are rough: go slowly"
+    )
+    views = _view_range(points, limits, distances, above)
+    margin = FIRST_BORDER * min(described.image_size)
+    return Situation(rough, model, points, views, margin, (), tuple(assumptions))
+
+
+def _both_transforms(transforms: dict[str, Any], described: Any) -> tuple[Any, Any]:
+    """Return camera_from_mount and holder_from_world, the latter also from the description."""
+    from ..calibration import transform_names
+
+    mount_name, holder_name = transform_names(described.mount)
+    # Where the target stands may be in dataset.yaml already; the option comes first.
+    holder = transforms.get(holder_name, described.holder_from_world)
+    missing = [
+        name
+        for name, found in ((mount_name, transforms.get(mount_name)), (holder_name, holder))
+        if found is None
+    ]
+    if missing:
+        raise ValueError(f"--start {missing[0]}=x,y,z,yaw,pitch,roll (m, degrees): missing")
+    return transforms[mount_name], holder
+
+
+def _side(rough: "Calibration", below: bool | None) -> bool:
+    """Return whether the first views look from where the world's z is positive."""
+    if below is not None:
+        return not below
+    up = float(rough.holder_from_world.rotation().as_matrix()[2, 2])
+    # A target that lies in front of an arm is seen from above; one that hangs may face anywhere.
+    if rough.mount != "eye_in_hand" or abs(up) < 0.5:
+        raise ValueError(
+            "from which side is the target seen? --above if its z axis points to the camera, "
+            "--below if away from it (as a chessboard's does)"
+        )
+    return up > 0.0
+
+
+def _view_range(
+    points: "np.ndarray", limits: ViewLimits, distances: tuple[float, float], above: bool
+) -> "ViewRange":
+    """Return the range of views about the middle of the target."""
+    from ..viewpoints import ViewRange
+
+    # Distances of the option come before those of the calibration or of the target's size.
+    span = limits.distance or distances
+    return ViewRange(points.mean(axis=0), span, limits.tilt, limits.roll, above=above)

@@ -1,0 +1,49 @@
+"""Read what `dataset.yaml` says of a folder, before there are pictures in it."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxlie import SE3
+
+from ..files import read_yaml
+from ..targets import AbstractTarget, target_from_dict
+from .dataset_folder import DESCRIPTION_FILE
+from .rough_pose import rough_pose
+
+
+class FolderDescription(NamedTuple):
+    """The description of a data set whose pictures may not have been taken yet.
+
+    Attributes:
+        target: the target.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height of the pictures, px.
+        holder_from_world: where the target stands, roughly; None where it is not said.
+    """
+
+    target: AbstractTarget
+    mount: str
+    image_size: tuple[int, int]
+    holder_from_world: SE3 | None
+
+
+def read_folder_description(folder: str | Path) -> FolderDescription:
+    """Read target, mount and picture size from a folder that `smartview new` began.
+
+    Raises:
+        FileNotFoundError: the folder has no `dataset.yaml`.
+        ValueError: naming the file and the entry that is wrong.
+    """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import validate_content
+
+    path = Path(folder) / DESCRIPTION_FILE
+    content = read_yaml(path)
+    description = validate_content(content, DATASET_SCHEMA, path)
+    width, height = description.camera.image_size
+    try:
+        target, pose = target_from_dict(content["target"]), rough_pose(description)
+    except ValueError as error:
+        # These two read parts of the file and do not know its name.
+        raise ValueError(f"{path}: {error}") from error
+    return FolderDescription(target, description.mount, (width, height), pose)

@@ -1,0 +1,199 @@
+"""Plan the next views of a calibration, or the first of a rough one, with what they will bring."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..array_namespace import to_device
+from ..calibration import Calibration
+from ..engine import Noise, parameter_names
+from ..geometry import ViewedRegion
+from ..joint import SavedEstimate
+from ..robots import JointsLike, SerialArm
+from .candidate_selection import views_needed
+from .checks import Limits
+from .commands import viewpoint_commands
+from .information_model import InformationModel
+from .optimality_criteria import OptimalityCriterion, a_optimal, i_optimal
+from .view_planning import choose_views
+from .view_range import ViewRange
+
+TYPICAL_NOISE = Noise(0.3, 1e-4, float(np.deg2rad(0.02)))
+"""Errors of pixels and of an industrial arm that are assumed before any picture is taken."""
+
+PICTURE_PARTS = (0.35, 0.6)
+"""Least and greatest part of the picture's shorter side that the target fills in first views."""
+
+
+class ViewPlan(NamedTuple):
+    """The views to take next, best first, and what each of them brings.
+
+    Attributes:
+        camera_from_world: camera poses of the views as matrices, `(count, 4, 4)`.
+        before: value of the criterion without them; infinite where something is undetermined.
+        values: its value after the first of all views that were considered, after two, and so on.
+        unit: unit of the criterion: m, or px where the hand-eye transform is held.
+        distance: distance from the camera of the point whose displacement is meant, m.
+    """
+
+    camera_from_world: Float[np.ndarray, "count 4 4"]
+    before: float
+    values: tuple[float, ...]
+    unit: str
+    distance: float
+
+    @property
+    def after(self) -> float:
+        """The value of the criterion after the views of the plan."""
+        count = len(self.camera_from_world)
+        return self.values[count - 1] if count else self.before
+
+
+def model_from_estimate(
+    estimate: SavedEstimate,
+    points: Float[np.ndarray, "points 3"],
+    near: JointsLike | None = None,
+) -> InformationModel:
+    """Return the information model whose prior is the covariance that an estimate states.
+
+    Args:
+        estimate: a calibration with its covariance and noise.
+        points: target points, m.
+        near: joint readings, where the estimate is of an arm's joints.
+
+    Raises:
+        ValueError: the estimate has parameters that its calibration lacks.
+    """
+    calibration, noise = estimate.calibration, estimate.noise
+    field = calibration.field
+    if noise is not None:
+        # What is known of the robot's smooth error is in the covariance; no other prior counts.
+        groups = () if field is None else field.groups
+        noise = dataclasses.replace(noise, field=(1.0,) * len(groups))
+    estimated = set(estimate.parameter_names)
+    model = InformationModel.from_calibration(
+        calibration,
+        points,
+        estimate.pixel_sigma if noise is None else noise,
+        field=field,
+        fixed=tuple(name for name in parameter_names(calibration) if name not in estimated),
+        free=tuple(name for name in ("target_scale",) if name in estimated),
+        near=near,
+    )
+    # The file's order need not be the model's.
+    order = [estimate.parameter_names.index(name) for name in model.parameter_names]
+    covariance = estimate.covariance[np.ix_(order, order)]
+    # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
+    scale = np.sqrt(np.diagonal(covariance))
+    information = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    return eqx.tree_at(lambda m: m.prior_information, model, to_device(information))
+
+
+def first_view_distances(
+    calibration: Calibration, points: Float[np.ndarray, "points 3"]
+) -> tuple[float, float]:
+    """Return the distances, m, from which the target fills `PICTURE_PARTS` of the picture."""
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    focal = min(float(calibration.camera.alpha_u), float(calibration.camera.alpha_v))
+    shorter_side = min(calibration.camera.image_size)
+    # Size in the picture = focal * extent / distance.
+    far, near = (focal * extent / (part * shorter_side) for part in PICTURE_PARTS)
+    return near, far
+
+
+def with_assumed_region(
+    calibration: Calibration,
+    points: Float[np.ndarray, "points 3"],
+    distances: tuple[float, float],
+    above: bool,
+) -> Calibration:
+    """Return a rough calibration with the side from which its first views look at the target.
+
+    Views and tool are then checked to stay on that side, as those of a fitted calibration are.
+    """
+    side = 1.0 if above else -1.0
+    # The plane is that of the points which are farthest from the cameras.
+    height = points[:, 2]
+    plane_z = height.min() if above else height.max()
+    centroid = points.mean(axis=0) + np.array([0.0, 0.0, side * float(np.mean(distances))])
+    region = ViewedRegion(side, plane_z, centroid, distances[1], distances, 0.0)
+    return dataclasses.replace(calibration, region=region)
+
+
+def plan_views(
+    model: InformationModel,
+    views: ViewRange,
+    count: int,
+    *,
+    goal: float | None = None,
+    least_gain: float = 0.05,
+    border_margin: float = 0.0,
+    min_visible_fraction: float = 1.0,
+    arm: SerialArm | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ViewPlan:
+    """Choose views that the robot may take, up to where one more is not worth its time.
+
+    Args:
+        model: what is known, and what a view tells.
+        views: range of the views.
+        count: most views to choose.
+        goal: value of the criterion at which to stop, m or px.
+        least_gain: relative decrease by one more view below which to stop.
+        border_margin: smallest distance from the picture's border of a point that counts, px.
+        min_visible_fraction: smallest fraction of the target's points that a view has to show.
+        arm: the arm, where its joints are known; it is solved near the model's readings.
+        seed: seed of the random candidates.
+        progress: called with a text for each stage.
+
+    Raises:
+        ValueError: fewer than `count` candidates may be taken.
+    """
+    limits = Limits(border_margin=border_margin, min_visible_fraction=min_visible_fraction)
+
+    # The checks that refuse a command later are those that a candidate has to pass now.
+    def is_safe(poses) -> Bool[Array, "views"]:
+        near = model.near if arm is not None else None
+        commands = viewpoint_commands(model.calibration, poses, None, arm, near, limits)
+        return jnp.asarray(commands.checks.safe)
+
+    distance = 0.5 * sum(views.distance)
+    criterion = _criterion(model, views, distance, seed)
+    chosen = choose_views(
+        model,
+        criterion,
+        count,
+        views,
+        border_margin,
+        min_visible_fraction,
+        is_safe,
+        seed,
+        # Candidates are checked one by one; moved by the gradient they might fail the checks.
+        refine=False,
+        progress=progress,
+    )
+    before = float(criterion(model.prior_information))
+    before = before if np.isfinite(before) else float("inf")
+    values = tuple(float(value) for value in chosen.cumulative_criterion)
+    # The state before counts too: it may be that no view at all is worth taking.
+    needed = views_needed(jnp.array([before, *values]), least_gain, goal) - 1
+    matrices = np.asarray(chosen.camera_from_world.as_matrix())[:needed]
+    return ViewPlan(matrices, before, values, criterion.unit, distance)
+
+
+def _criterion(
+    model: InformationModel, views: ViewRange, distance: float, seed: int
+) -> OptimalityCriterion:
+    """Return what is to be made small: the error of a point before the camera, m, or px."""
+    mount = model.calibration.transform_names[0]
+    if any(name.startswith(f"{mount}.") for name in model.parameter_names):
+        return a_optimal(model, distance)
+    # With a held hand-eye transform only the prediction of pixels is left to improve.
+    coordinates = views.sample(np.random.default_rng(seed), 50)
+    return i_optimal(model, views.poses(coordinates))
