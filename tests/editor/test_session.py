@@ -145,6 +145,58 @@ def test_what_is_wrong_is_said_and_changes_nothing(session, scene):
     assert session._journal.path.read_bytes() == lines
 
 
+def test_a_point_of_one_view_has_no_distance_and_makes_no_file(session, scene):
+    one, other = (session.click("v1", scene.click(0, vertex)) for vertex in (0, 3))
+    with pytest.raises(ValueError, match=f"point {one} has no position: fewer than two views"):
+        session.distance(one, other)
+    with pytest.raises(ValueError, match="no point has a position yet; click each in two views"):
+        session.save()
+    assert not session.path.exists()
+    # A view in which the person clicked nothing changes nothing.
+    session.click("v3", scene.click(2, 0), one)
+    assert set(session.estimates()[one].residuals) == {"v1", "v3"}
+
+
+def test_a_blank_picture_is_named_and_can_still_be_clicked(scene):
+    pictures = [*scene.pictures[:3], np.full_like(scene.pictures[3], 90), scene.pictures[4]]
+    session = ModelSession(scene.calibration, scene.base_from_tool, pictures)
+    said = "view v4: picture: blank, its grey levels are between 90 and 90"
+    for ask in (lambda: session.features("v4"), session.propose):
+        with pytest.raises(ValueError, match=said):
+            ask()
+    session.prepare()
+    point = session.click("v4", scene.click(3, 3))
+    session.click("v1", scene.click(0, 3), point)
+    assert not session.estimates()[point].failure
+
+
+def test_a_file_that_is_no_journal_is_named_with_its_line(scene, tmp_path):
+    path = tmp_path / "house.json"
+    journal = tmp_path / "house.json.journal"
+    for text, said in (
+        ('{"name": "mine"}\n', r"journal: line 1: not a journal of the object-model editor"),
+        ("some notes\nof mine\n", r"journal: line 1 is not a change: b'some notes'"),
+    ):
+        journal.write_text(text)
+        with pytest.raises(ValueError, match=said):
+            open_session(scene, path)
+        # It is somebody's file: it is left as it was, and so is the lock.
+        assert journal.read_text() == text
+        assert not (tmp_path / "house.json.lock").exists()
+
+
+def test_a_change_that_was_edited_in_the_journal_is_named_with_its_line(scene, tmp_path):
+    path = tmp_path / "house.json"
+    with open_session(scene, path) as session:
+        for vertex in (0, 3):
+            session.click("v1", scene.click(0, vertex))
+        session.add_edge(0, 1)
+    journal = tmp_path / "house.json.journal"
+    journal.write_text(journal.read_text().replace('"ends": [0, 1]', '"ends": [0, 7]'))
+    with pytest.raises(ValueError, match=r"journal: line 4: there is no point 7"):
+        open_session(scene, path)
+
+
 def test_a_grasp_stays_on_its_face(session, scene):
     ids = click_all(session, scene)
     faces = [session.add_face([ids[v] for v in face.loop]) for face in scene.truth.faces]
