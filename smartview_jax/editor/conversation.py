@@ -133,7 +133,7 @@ class Conversation:
             return {k: point_entry(document.points[k], estimates[k]) for k in numbers}
         if kind == "edges":
             edges = {k: document.edges[k] for k in numbers}
-            return edge_entries(edges, estimates, session.geometry)
+            return edge_entries(edges, estimates, session)
         if kind == "faces":
             return {
                 k: face_entry(

@@ -76,7 +76,7 @@ def curve_entry(curve: EpipolarCurve) -> list[dict[str, list[float]]]:
 def edge_entries(
     edges: Mapping[int, tuple[int, int]],
     estimates: Mapping[int, PointEstimate],
-    geometry: ViewGeometry,
+    session: ModelSession,
 ) -> dict[int, dict[str, Any]]:
     """Return edges with their lengths, and as polylines in every view, by id."""
     found: dict[int, dict[str, Any]] = {}
@@ -88,14 +88,15 @@ def edge_entries(
             found[number]["problem"] = f"point {missing[0]} has no position"
         else:
             whole[number] = (a, b)
-            length, sigma = estimates[a].distance_to(estimates[b])
-            found[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
+    distances = session.distances(list(whole.values()))
+    for number, (length, sigma) in zip(whole, distances, strict=True):
+        found[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
     # All edges in one program, however many there are.
     if whole:
         ends = np.array([[estimates[p].position for p in pair] for pair in whole.values()])
         t = np.linspace(0.0, 1.0, EDGE_SAMPLES)[None, :, None]
         samples = (1.0 - t) * ends[:, :1] + t * ends[:, 1:]
-        for number, polylines in zip(whole, _polylines(geometry, samples), strict=True):
+        for number, polylines in zip(whole, _polylines(session.geometry, samples), strict=True):
             found[number]["in"] = polylines
     return found
 

@@ -22,7 +22,18 @@ Estimates = Mapping[int, PointEstimate]
 """The estimates of points by id."""
 
 
-def build_model(document: Document, estimates: Estimates, names: Sequence[str]) -> ObjectModel:
+def placed_points(document: Document, estimates: Estimates) -> list[int]:
+    """Return the points that are vertices of the model: those that have a position."""
+    # A point clicked once waits for its second view.
+    return [point for point in document.points if not estimates[point].failure]
+
+
+def build_model(
+    document: Document,
+    estimates: Estimates,
+    names: Sequence[str],
+    picture_covariance: Float[np.ndarray, "coordinates coordinates"] | None = None,
+) -> ObjectModel:
     """Return the model of all points that have a position, with what can be made of them.
 
     Parts for which `problems_of` gives a reason are left out; the symmetry is not looked for.
@@ -31,10 +42,11 @@ def build_model(document: Document, estimates: Estimates, names: Sequence[str]) 
         document: the clicks and what was drawn.
         estimates: of all points.
         names: of the views, for the provenance.
+        picture_covariance: of the coordinates of all `placed_points` together, m^2; None where
+            they are independent, and their estimates say all.
     """
     wrong = problems_of(document, estimates)
-    # A vertex needs a position; a point clicked once waits for its second view.
-    placed = [point for point in document.points if not estimates[point].failure]
+    placed = placed_points(document, estimates)
     number = {point: k for k, point in enumerate(placed)}
     face_ids = [face for face in document.faces if ("faces", face) not in wrong]
     drawn = [document.faces[face] for face in face_ids]
@@ -52,7 +64,9 @@ def build_model(document: Document, estimates: Estimates, names: Sequence[str]) 
     clicks = sum(len(document.points[point]) for point in placed)
     covariance, factor = None, None
     if placed:
-        covariance = np.stack([estimates[point].picture_covariance for point in placed])
+        covariance = picture_covariance
+        if covariance is None:
+            covariance = np.stack([estimates[point].picture_covariance for point in placed])
         factors = np.concatenate([estimates[point].calibration_factor for point in placed])
         # Without a covariance of the calibration there are no columns, and no second part.
         factor = factors if factors.shape[1] else None

@@ -20,9 +20,17 @@ class PictureFeatures:
         self._finding = {name: threading.Lock() for name in pictures}
 
     def of(self, view: str) -> Features:
-        """Return the corners and segments found in a view's picture, which clicks snap to."""
+        """Return the corners and segments found in a view's picture, which clicks snap to.
+
+        Raises:
+            ValueError: the picture is blank, over-exposed or under-exposed; the view is named.
+        """
         # The page asks for them while a server's thread prepares them: one waits for the other.
         with self._finding[view]:
             if view not in self._found:
-                self._found[view] = find_features(self._pictures[view], self._camera)
+                try:
+                    self._found[view] = find_features(self._pictures[view], self._camera)
+                # Of several pictures, one may be of a lens cap.
+                except ValueError as error:
+                    raise ValueError(f"view {view}: {error}") from None
         return self._found[view]

@@ -35,7 +35,7 @@ from .document_estimates import DocumentEstimates
 from .drawing import AbstractDrawing
 from .edit_history import EditHistory
 from .given_views import check_poses, checked_names, checked_picture
-from .model_building import build_model, problems_of
+from .model_building import build_model, placed_points, problems_of
 from .picture_features import PictureFeatures
 from .proposals import Proposals
 from .stated_symmetry import StatedSymmetry
@@ -186,17 +186,30 @@ class ModelSession(AbstractDrawing):
 
     def distance(self, a: int, b: int) -> tuple[float, float]:
         """Return the distance of two points and its standard deviation, m."""
-        estimates = self.estimates()
-        for point in (a, b):
-            self.document.existing("points", point)
+        return self.distances([(a, b)])[0]
+
+    def distances(self, pairs: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
+        """Return the distances of pairs of points and their standard deviations, m.
+
+        Both points' errors are taken together: what constraints and the calibration do to both of
+        them alike is no error of their distance.
+
+        Raises:
+            ValueError: a point that does not exist or has no position.
+        """
+        document, estimates = self.document, self.estimates()
+        for point in dict.fromkeys(point for pair in pairs for point in pair):
+            document.existing("points", point)
             if estimates[point].failure:
                 raise ValueError(f"point {point} has no position: {estimates[point].failure}")
-        return estimates[a].distance_to(estimates[b])
+        return self._estimates.distances(document, pairs)
 
     def model(self, document: Document | None = None) -> ObjectModel:
         """Return the object model of everything that has a position, with what was said of it."""
         document = document or self.document
-        model = build_model(document, self.estimates(document), self.names)
+        estimates = self.estimates(document)
+        joint = self._estimates.correlations(document, placed_points(document, estimates))
+        model = build_model(document, estimates, self.names, joint)
         # Most models are asked for while somebody draws: only what was said is looked for.
         if document.symmetry_confirmed is None:
             return model

@@ -14,7 +14,6 @@ from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..modeling import (
     AbstractConstraint,
-    ConstraintVerdict,
     EpipolarCurve,
     ModelObservations,
     RefinedFeatures,
@@ -63,18 +62,6 @@ class PointEstimate(NamedTuple):
     def covariance(self) -> Float[np.ndarray, "3 3"]:
         """The covariance due to clicks and calibration, m^2."""
         return self.picture_covariance + self.calibration_factor @ self.calibration_factor.T
-
-    def distance_to(self, other: "PointEstimate") -> tuple[float, float]:
-        """Return the distance of two points and its standard deviation, m.
-
-        What the calibration's error does to both alike cancels, as in `ObjectModel.distance`.
-        """
-        difference = other.position - self.position
-        length = float(np.linalg.norm(difference))
-        n = difference / max(length, 1e-30)
-        variance = n @ (self.picture_covariance + other.picture_covariance) @ n
-        common = n @ (other.calibration_factor - self.calibration_factor)
-        return length, float(np.sqrt(max(variance + common @ common, 0.0)))
 
 
 class ViewGeometry:
@@ -138,8 +125,8 @@ class ViewGeometry:
 
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
-    ) -> tuple[list[PointEstimate], tuple[ConstraintVerdict, ...]]:
-        """Return where points are under constraints, and how each constraint agrees with the rest.
+    ) -> tuple[list[PointEstimate], RefinedFeatures]:
+        """Return where points are under constraints, and the refinement that says so.
 
         Raises:
             ValueError: a constraint that cannot be used.
@@ -151,7 +138,7 @@ class ViewGeometry:
             pixel_sigma=self._click_sigma,
         )
         found = refine(None, observations, constraints, covariance=self._covariance)
-        return self._estimates_from(found, points), found.verdicts
+        return self._estimates_from(found, points), found
 
     def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
         """Return the clicks of points as an array, NaN where a point was not clicked."""

@@ -16,3 +16,4 @@ from .picture_evidence import EdgeMaps as EdgeMaps
 from .picture_evidence import PictureEvidence as PictureEvidence
 from .picture_evidence import edge_maps as edge_maps
 from .picture_evidence import picture_evidence as picture_evidence
+from .resampling import resampled as resampled

@@ -4,6 +4,8 @@ from .calibration_uncertainty import CalibrationUncertainty as CalibrationUncert
 from .candidates import Candidates as Candidates
 from .candidates import direction_turn as direction_turn
 from .candidates import rank_candidates as rank_candidates
+from .common_camera import CommonCamera as CommonCamera
+from .common_camera import common_camera as common_camera
 from .constraint_geometry import Edge as Edge
 from .constraint_geometry import LineIndex as LineIndex
 from .constraint_verdicts import ConstraintVerdict as ConstraintVerdict

@@ -103,7 +103,7 @@ def propose_model(
     # Poses are checked before pictures, which take longer.
     seen = SeenViews.of(calibration, poses)
     count = len(seen.camera_from_world)
-    needed = _checked(count, pictures, features, depths, min_views)
+    needed = _checked(count, pictures, features, depths, min_views, seen.camera.image_size)
     region = region or Region()
     region.check([str(k) for k in range(count)], seen.camera.image_size)
     found = tuple(features or _found(pictures, calibration))
@@ -131,6 +131,7 @@ def _checked(
     features: Sequence[Features] | None,
     depths: tuple[float, float],
     min_views: int | None,
+    image_size: tuple[int, int],
 ) -> int:
     """Return the smallest number of views of a point; raise a ValueError for wrong arguments."""
     if count < 2:
@@ -139,6 +140,12 @@ def _checked(
         raise ValueError(f"pictures: expected one for each of {count} poses, found {len(pictures)}")
     if features is not None and len(features) != count:
         raise ValueError(f"features: expected one for each of {count} views, found {len(features)}")
+    for k, own in enumerate(features or ()):
+        if tuple(own.image_size) != tuple(image_size):
+            raise ValueError(
+                f"view {k}: features of a picture of {own.image_size[0]} x {own.image_size[1]} px; "
+                f"the camera's have {image_size[0]} x {image_size[1]} px"
+            )
     if not 0.0 <= depths[0] < depths[1]:
         raise ValueError(f"depths: expected 0 <= near < far, found {depths[0]} and {depths[1]}")
     needed = min(MIN_VIEWS, count) if min_views is None else min_views
@@ -168,7 +175,11 @@ def _corner_views(
     reference = rotations[:, 0].mean(axis=0)
     views = []
     for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
-        look = describe(picture, seen.camera, features, rotations[k] @ reference)
+        try:
+            look = describe(picture, seen.camera, features, rotations[k] @ reference)
+        # Where the features were given, nobody has looked at the picture before.
+        except ValueError as error:
+            raise ValueError(f"view {k}: {error}") from error
         rays = plane.rays(plane.from_pixels(features.corners)) @ rotations[k]
         views.append(
             CornerView(

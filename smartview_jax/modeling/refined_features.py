@@ -92,13 +92,19 @@ class RefinedFeatures(NamedTuple):
     ) -> Float[np.ndarray, "coordinates coordinates"]:
         """Return the covariance of the coordinates of some points, or of all, m^2."""
         chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
-        rows = (
-            np.concatenate([self._rows(int(k)) for k in chosen])
-            if len(chosen)
-            else np.zeros(0, int)
-        )
         J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
-        return self.posterior.covariance(rows) + J @ self.calibration_covariance @ J.T
+        own = self.joint_picture_covariance(chosen.tolist())
+        return own + J @ self.calibration_covariance @ J.T
+
+    def joint_picture_covariance(
+        self, points: Sequence[int]
+    ) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the part of it that is due to the pictures, the constraints and what was free.
+
+        Unlike triangulated points, those that a constraint binds have errors in common here.
+        """
+        rows = [self._rows(int(k)) for k in points]
+        return self.posterior.covariance(np.concatenate(rows) if rows else np.zeros(0, int))
 
     def _rows(self, point: int) -> np.ndarray:
         """Return the rows of a point's coordinates among the unknowns of the posterior."""

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from ..features import Features, IdealPlane
 from .projection import project_points
+from .tracks import flags_of
 from .view_poses import SeenViews
 
 MAX_OFFSET = 1.5
@@ -64,7 +65,7 @@ def junction_counts(
 ) -> Int[np.ndarray, "points"]:
     """Return in how many views two or more segments meet in the corner of each point."""
     joins = [
-        (row >= 0) & (features.corner_segments[row, 1] >= 0)
+        flags_of(row, features.corner_segments[:, 1] >= 0)
         for row, features in zip(corners, found, strict=True)
     ]
     return np.sum(joins, axis=0)

@@ -170,7 +170,7 @@ def supported_tracks(
     mean_similarity = np.nansum(similarity, axis=0) / np.maximum(count, 1)
     spread = np.sqrt(np.nansum(distance**2, axis=0) / np.maximum(count, 1))
     junctions = sum(
-        (row >= 0) & view.is_junction[row] for row, view in zip(corners, views, strict=True)
+        flags_of(row, view.is_junction) for row, view in zip(corners, views, strict=True)
     )
     # More views first, then more junctions; among as many, those that look more alike and lie
     # closer.
@@ -180,6 +180,16 @@ def supported_tracks(
     chosen = _one_to_one(corners[:, order], [len(view.pixels) for view in views])
     order = order[chosen]
     return Tracks(corners[:, order], mean_similarity[order])
+
+
+def flags_of(
+    corners: Int[np.ndarray, "tracks"], flags: Bool[np.ndarray, "corners"]
+) -> Bool[np.ndarray, "tracks"]:
+    """Return the flag of each track's corner in a view; False where it has none there."""
+    found = corners >= 0
+    # Not `flags[corners]` at once: a view in which nothing is seen has no corner -1, either.
+    found[found] = flags[corners[found]]
+    return found
 
 
 def _supporters(

@@ -12,7 +12,9 @@ from editor_scene import drawn_scene
 
 from smartview_jax.editor import ModelSession
 from smartview_jax.editor.document import Document, apply_change
+from smartview_jax.editor.entries import edge_entries
 from smartview_jax.io import load_object_model
+from smartview_jax.modeling import KnownLength, SamePlane, dimension
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +143,58 @@ def test_what_is_wrong_is_said_and_changes_nothing(session, scene):
             call()
     assert session.document is before
     assert session._journal.path.read_bytes() == lines
+
+
+def test_a_point_of_one_view_has_no_distance_and_makes_no_file(session, scene):
+    one, other = (session.click("v1", scene.click(0, vertex)) for vertex in (0, 3))
+    with pytest.raises(ValueError, match=f"point {one} has no position: fewer than two views"):
+        session.distance(one, other)
+    with pytest.raises(ValueError, match="no point has a position yet; click each in two views"):
+        session.save()
+    assert not session.path.exists()
+    # A view in which the person clicked nothing changes nothing.
+    session.click("v3", scene.click(2, 0), one)
+    assert set(session.estimates()[one].residuals) == {"v1", "v3"}
+
+
+def test_a_blank_picture_is_named_and_can_still_be_clicked(scene):
+    pictures = [*scene.pictures[:3], np.full_like(scene.pictures[3], 90), scene.pictures[4]]
+    session = ModelSession(scene.calibration, scene.base_from_tool, pictures)
+    said = "view v4: picture: blank, its grey levels are between 90 and 90"
+    for ask in (lambda: session.features("v4"), session.propose):
+        with pytest.raises(ValueError, match=said):
+            ask()
+    session.prepare()
+    point = session.click("v4", scene.click(3, 3))
+    session.click("v1", scene.click(0, 3), point)
+    assert not session.estimates()[point].failure
+
+
+def test_a_file_that_is_no_journal_is_named_with_its_line(scene, tmp_path):
+    path = tmp_path / "house.json"
+    journal = tmp_path / "house.json.journal"
+    for text, said in (
+        ('{"name": "mine"}\n', r"journal: line 1: not a journal of the object-model editor"),
+        ("some notes\nof mine\n", r"journal: line 1 is not a change: b'some notes'"),
+    ):
+        journal.write_text(text)
+        with pytest.raises(ValueError, match=said):
+            open_session(scene, path)
+        # It is somebody's file: it is left as it was, and so is the lock.
+        assert journal.read_text() == text
+        assert not (tmp_path / "house.json.lock").exists()
+
+
+def test_a_change_that_was_edited_in_the_journal_is_named_with_its_line(scene, tmp_path):
+    path = tmp_path / "house.json"
+    with open_session(scene, path) as session:
+        for vertex in (0, 3):
+            session.click("v1", scene.click(0, vertex))
+        session.add_edge(0, 1)
+    journal = tmp_path / "house.json.journal"
+    journal.write_text(journal.read_text().replace('"ends": [0, 1]', '"ends": [0, 7]'))
+    with pytest.raises(ValueError, match=r"journal: line 4: there is no point 7"):
+        open_session(scene, path)
 
 
 def test_a_grasp_stays_on_its_face(session, scene):
@@ -457,3 +511,65 @@ def test_an_edit_that_changes_the_symmetry_ends_what_was_said_of_it(session, sce
 def test_what_cannot_be_said_of_a_symmetry_is_refused(session, change, said):
     with pytest.raises(ValueError, match=said):
         session.change({"do": "confirm_symmetry", **change})
+
+
+def say(session, kind, *items, **given):
+    change = {"do": "add_constraint", "kind": kind, "items": [list(group) for group in items]}
+    session.change({**change, **given})
+
+
+def test_the_deviation_of_a_length_is_that_of_both_points_together(session, scene, tmp_path):
+    ids = click_all(session, scene, views=(0, 1))
+    say(session, "known_length", (ids[0], ids[5]), value=0.05)
+    say(session, "same_plane", [ids[v] for v in scene.truth.faces[2].loop])
+    # Each of the two is uncertain, and their distance is not.
+    estimates = session.estimates()
+    assert np.sqrt(np.trace(estimates[ids[0]].covariance)) > 1e-4
+    assert session.distance(ids[0], ids[5])[1] < 1e-7
+    # All distances at once are those of the refinement's joint covariance.
+    points = list(session.document.points.values())
+    constraints = [
+        KnownLength((0, 5), 0.05),
+        SamePlane(tuple(scene.truth.faces[2].loop)),
+    ]
+    _, features = session.geometry.refined(points, constraints)
+    pairs = [(0, 1), (0, 4), (1, 6), (5, 9)]
+    for (a, b), found in zip(
+        pairs, session.distances([(ids[a], ids[b]) for a, b in pairs]), strict=True
+    ):
+        np.testing.assert_allclose(found, dimension(features, a, b), rtol=1e-6)
+    # So are those of the file, which keeps the correlations.
+    session.save()
+    model = load_object_model(tmp_path / "house.json")
+    assert model.covariance.shape == (30, 30)
+    for a, b in pairs:
+        np.testing.assert_allclose(
+            model.distance(a, b), session.distance(ids[a], ids[b]), rtol=1e-6
+        )
+    # And what the page is told.
+    ids_of = session.add_edge(ids[0], ids[5])
+    entry = edge_entries({ids_of: (ids[0], ids[5])}, session.estimates(), session)[ids_of]
+    assert (entry["mm"], entry["sigma_mm"]) == (50.0, 0.0)
+
+
+def test_deviations_of_lengths_under_constraints_are_those_of_repeated_clicks(scene):
+    """The sum of both points' own covariances would be far too large."""
+    squares, apart = [], []
+    for seed in range(40):
+        session = open_session(scene, click_sigma=0.3)
+        ids = click_all(session, scene, views=(0, 1), seed=seed)
+        # What the person knows is off by what its sigma says.
+        value = 0.05 + 3e-5 * np.random.default_rng((seed, 1)).standard_normal()
+        say(session, "known_length", (ids[0], ids[5]), value=value, sigma=3e-5)
+        say(session, "equal_length", (ids[0], ids[5]), (ids[4], ids[9]))
+        estimates = session.estimates()
+        for a, b in ((0, 5), (4, 9)):
+            truth = np.linalg.norm(scene.truth.vertices[b] - scene.truth.vertices[a])
+            length, sigma = session.distance(ids[a], ids[b])
+            squares.append(((length - truth) / sigma) ** 2)
+            n = (estimates[ids[b]].position - estimates[ids[a]].position) / length
+            own = estimates[ids[a]].covariance + estimates[ids[b]].covariance
+            apart.append((length - truth) ** 2 / (n @ own @ n))
+    # Both lengths are one number: 40 squares, whose mean has a standard deviation of 0.22.
+    assert 0.4 < np.mean(squares) < 1.8
+    assert np.mean(apart) < 0.2

@@ -103,6 +103,45 @@ def test_pictures_of_different_things_agree_on_nothing(views):
     assert len(proposal.points) <= 3
 
 
+def test_a_view_in_which_nothing_is_seen_takes_nothing_from_the_others(views, found):
+    """Such as one with a hand before the camera."""
+    nothing = features.Features(
+        *(part[:0] if isinstance(part, np.ndarray) else part for part in found[2])
+    )
+    assert len(nothing.corners) == 0
+    poses, others = host_matrices(views.base_from_tool), [0, 1, 3, 4]
+    given = [*found[:2], nothing, *found[3:]]
+    with_it = propose_model(CALIBRATION, poses, views.pictures, DEPTHS, features=given)
+    without = propose_model(
+        CALIBRATION,
+        poses[others],
+        [views.pictures[k] for k in others],
+        DEPTHS,
+        features=[found[k] for k in others],
+    )
+    assert len(without.points) > 50
+    assert (with_it.corners[2] == -1).all()
+    # Patches are turned by the mean of all cameras, so that a few that are just alike differ.
+    gap = np.linalg.norm(with_it.points[None] - without.points[:, None], axis=2).min(axis=1)
+    assert np.mean(gap < 1e-6) > 0.9
+    assert abs(len(with_it.edges) - len(without.edges)) < 0.1 * len(without.edges)
+    blind = propose_model(CALIBRATION, poses, views.pictures, DEPTHS, features=[nothing] * 5)
+    assert len(blind.points) == len(blind.edges) == 0
+
+
+@pytest.mark.parametrize("wrong", ["picture", "features"])
+def test_a_view_of_another_size_is_named(views, found, wrong):
+    poses, pictures, given = host_matrices(views.base_from_tool), list(views.pictures), list(found)
+    if wrong == "picture":
+        pictures[2] = np.ascontiguousarray(pictures[2][:240, :320])
+        said = "view 2: picture: expected 640 x 480 px, the camera's size, found 320 x 240 px"
+    else:
+        given[1] = given[1]._replace(image_size=(320, 240))
+        said = "view 1: features of a picture of 320 x 240 px; the camera's have 640 x 480 px"
+    with pytest.raises(ValueError, match=said):
+        propose_model(CALIBRATION, poses, pictures, DEPTHS, features=given)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
