@@ -190,7 +190,8 @@ def _units(material: Material) -> str:
 
 
 def _which_views(material: Material) -> str:
-    return _expect(material.command("plan", material.saved, "--views", 3), r"\d+ more views|view")
+    text = material.command("plan", material.saved, sv.io.sample_folder(), "--views", 3)
+    return _expect(text, r"more views? brings? .* from \S+ to \S+ mm")
 
 
 def _same_answer(material: Material) -> str:
@@ -376,7 +377,7 @@ ASKS = (
     Ask("The camera stands beside the robot", 'mount="eye_to_hand"', _eye_to_hand),
     Ask("The Euler order of my robot", "smartview new --robot kuka", _angle_conventions),
     Ask("Millimetres or metres?", "sv.calibrate(data)", _units),
-    Ask("How many poses, and which?", "smartview plan CALIBRATION", _which_views),
+    Ask("How many poses, and which?", "smartview plan CALIBRATION DATASET", _which_views),
     Ask("A different answer each time", "sv.calibrate(data.select(order))", _same_answer),
     Ask("Tsai fails, Park does not", "smartview compare", _which_method),
     Ask("An option was ignored", "sv.fit_joint(data, start, *, ...)", _ignored_options),
