@@ -70,7 +70,9 @@ def next_views(
     if camera is not None:
         raise ValueError("--camera: only with --start; a calibration has its camera")
     if len(paths) != 2 or not paths[1].is_dir():
-        raise ValueError("expected calibration.yaml and its data-set folder, or a folder --start")
+        raise ValueError(
+            "expected calibration.yaml and its data-set folder; or, with --start, the folder alone"
+        )
     estimate = load_estimate(paths[0])
     data = load_dataset(paths[1], "mask", keep_detections=False)
     points = np.asarray(data.points[0])
