@@ -29,6 +29,7 @@ import lineax as lx
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
+from ..compilation import is_traced
 from .parameters import Step
 
 
@@ -71,8 +72,10 @@ class BlockArrow(lx.AbstractLinearOperator):
 
     def in_structure(self) -> Any:
         """Return the shapes of the vectors that the operator takes."""
-        # Written out: lineax asks whenever an operator is made, and `jax.eval_shape` would take a
-        # millisecond of a fit that takes twenty.
+        # On the host lineax asks whenever an operator is made, and `jax.eval_shape` would take a
+        # millisecond of a fit that takes twenty. Inside a program it knows the sharding, too.
+        if is_traced(self.shared, self.per_view):
+            return jax.eval_shape(self.diagonal)
         shared, views = self.shared, self.per_view.shape[:-1]
         return Step(
             jax.ShapeDtypeStruct(shared.shape[:-1], shared.dtype),  # pyright: ignore[reportArgumentType]

@@ -1,15 +1,10 @@
-"""Levenberg-Marquardt on the structured normal equations, as an optimistix solver.
+"""Solve the joint problem on the host's behalf: pad it, minimise it, and read the result.
 
-Optimistix provides everything but the linearisation: its damped Newton descent (with the Schur
-complement as linear solver), its trust region, its loop and its implicit differentiation.
-Convergence is tested by the decrease of the cost that one more undamped step predicts. Tests of
-single parameters say little on ill-conditioned data, and tests of the cost alone stop too early on
-data without noise.
+`optimum` is the same inside `jit`, `vmap` and `grad`.
 """
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,27 +13,25 @@ import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array, Bool, Float, Int, Scalar
+from jaxtyping import Array
 
 from ..array_namespace import to_device
 from ..compilation import compiled
 from .losses import Cauchy
 from .parameters import Step
 from .problem import FittedChain, JointProblem, NormalEquations
-from .schur import BlockArrow, SchurCholesky
-
-MAX_RECORDED_COSTS = 64
-"""Largest number of costs recorded along the steps of a fit."""
-
-SCALED_COLUMN_NORM = 1e4
-"""Length to which the Jacobian's columns at the start are scaled.
-
-The diagonal of the normal equations is then 1e8. Optimistix's damping starts at 1, which is a
-hundred-millionth of that.
-"""
-
-MAX_CONSECUTIVE_REJECTIONS = 25
-"""Largest number of rejected steps in a row before a fit is given up."""
+from .schur import BlockArrow
+from .structured_lm import (
+    StructuredLM,
+    decrease_along,
+    gauss_newton_matrix,
+    gauss_newton_step,
+    is_converged,
+    jacobi_scale,
+    ordered_residuals,
+    quadratic_model,
+    rescale,
+)
 
 MIN_UNPADDED_OBSERVATIONS = 40_000
 """Smallest number of observations, visible or not, of a problem that is solved without padding.
@@ -48,202 +41,6 @@ With more, the additional columns cost more than the compilation of a program th
 
 MAXIMUM_STEPS = 200
 """Largest number of solver steps of a fit."""
-
-QuadraticModel = optx.FunctionInfo.EvalGradHessian
-"""Cost, gradient and Gauss-Newton matrix in the form that optimistix expects."""
-
-
-class _State(eqx.Module):
-    """The state of the solver between steps: accepted linearisation, and next step to try."""
-
-    first_step: Bool[Array, ""]
-    y_eval: Step
-    scale: Step
-    search_state: Any
-    f_info: QuadraticModel
-    descent_state: Any
-    steps: Int[Array, ""]
-    rejections: Int[Array, ""]
-    costs: Float[Array, "record"]
-    terminate: Bool[Array, ""]
-    result: optx.RESULTS
-
-
-class StructuredLM(optx.AbstractLeastSquaresSolver):
-    """A Levenberg-Marquardt solver for a `JointProblem`, which is passed as `args`.
-
-    The function to minimise must be that problem's `residuals`; it is linearised by
-    `normal_equations`. Internally the parameters are in units in which the columns of the Jacobian
-    at the start have length `SCALED_COLUMN_NORM`, so that one damping suits all of them.
-
-    Attributes:
-        rtol: relative tolerance: converged if an undamped step predicts a decrease of the cost by
-            at most this fraction.
-        atol: absolute tolerance of the same decrease, added to the relative one.
-        norm: not used; required by optimistix's interface.
-        descent: optimistix's damped Newton descent.
-        search: optimistix's trust region.
-    """
-
-    # Optimistix expects numbers; arrays let one program serve all tolerances.
-    rtol: float | Float[Array, ""] = 1e-10  # pyright: ignore[reportIncompatibleVariableOverride]
-    atol: float | Float[Array, ""] = 1e-14  # pyright: ignore[reportIncompatibleVariableOverride]
-    norm: Callable[[Any], Scalar] = optx.max_norm
-    descent: optx.AbstractDescent = optx.DampedNewtonDescent(linear_solver=SchurCholesky())
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(
-        high_cutoff=0.75, high_constant=10.0, low_constant=0.05
-    )
-
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        """Return the state before the first step.
-
-        Raises:
-            ValueError: the function to minimise is not the residuals of a `JointProblem`.
-        """
-        expected = jax.eval_shape(_residuals, y, args) if isinstance(args, JointProblem) else None
-        if f_struct != expected:
-            raise ValueError(
-                "StructuredLM minimises the residuals of the JointProblem that is given as args, "
-                "and no other function; for others take optimistix.LevenbergMarquardt"
-            )
-        del fn, options, aux_struct, tags
-        struct = jax.eval_shape(_quadratic_model, args, y)
-        return _State(
-            first_step=jnp.array(True),
-            y_eval=y,
-            scale=jax.tree.map(jnp.ones_like, y),
-            search_state=self.search.init(y, struct),
-            f_info=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), struct),
-            descent_state=self.descent.init(y, struct),
-            steps=jnp.array(0),
-            rejections=jnp.array(0),
-            costs=jnp.full(MAX_RECORDED_COSTS, jnp.nan),
-            terminate=jnp.array(False),
-            result=optx.RESULTS.successful,
-        )
-
-    def step(self, fn, y, args, options, state, tags) -> tuple[Step, _State, None]:
-        """Evaluate the step proposed last, accept or reject it, and propose the next one."""
-        del fn, options, tags
-        # Once per step tried, accepted or not: cost, gradient g and matrix H at the new parameters.
-        trial = _quadratic_model(args, state.y_eval)
-        scale = _tree_where(
-            state.first_step, jacobi_scale(_gauss_newton_matrix(trial)), state.scale
-        )
-        trial = _rescale(trial, scale)
-        # rho = actual decrease / predicted decrease. Accepted if rho > 0.01; the damping is divided
-        # by 10 if rho > 0.75, and multiplied by 20 if the step is rejected.
-        step_size, accept, _, search_state = self.search.step(
-            state.first_step,
-            jax.tree.map(jnp.divide, y, scale),
-            jax.tree.map(jnp.divide, state.y_eval, scale),
-            state.f_info,
-            trial,
-            state.search_state,
-        )
-        # After a rejection the last accepted linearisation is used again, with more damping.
-        y, f_info = _tree_where(accept, (state.y_eval, trial), (y, state.f_info))
-        descent_state = self.descent.query(y, f_info, state.descent_state)
-        # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur
-        # elimination, one solve.
-        scaled_step, result = self.descent.step(step_size, descent_state)
-        # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d. It is computed
-        # only if the damped step predicts so little too, since it costs another elimination.
-        tolerance = self.rtol * f_info.f + self.atol
-        is_negligible = _predicted_decrease(f_info, scaled_step) <= tolerance
-        converged = jax.lax.cond(
-            is_negligible,
-            lambda: _predicted_decrease(f_info, _gauss_newton_step(f_info)) <= tolerance,
-            lambda: jnp.array(False),
-        )
-        rejections = jnp.where(accept, 0, state.rejections + 1)
-        failed = (rejections > MAX_CONSECUTIVE_REJECTIONS) | ~jnp.isfinite(f_info.f)
-        result = optx.RESULTS.where(failed & ~converged, optx.RESULTS.nonlinear_divergence, result)
-        return (
-            y,
-            _State(
-                first_step=jnp.array(False),
-                y_eval=jax.tree.map(lambda y, d, s: y + d * s, y, scaled_step, scale),
-                scale=scale,
-                search_state=search_state,
-                f_info=f_info,
-                descent_state=descent_state,
-                steps=state.steps + 1,
-                rejections=rejections,
-                costs=state.costs.at[jnp.minimum(state.steps, MAX_RECORDED_COSTS - 1)].set(
-                    f_info.f
-                ),
-                terminate=converged | failed,
-                result=result,
-            ),
-            None,
-        )
-
-    def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Return whether the solver has converged or given up, and the result code."""
-        del fn, y, args, options, tags
-        return state.terminate, state.result
-
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
-        """Return the result with the recorded costs as statistics."""
-        del fn, args, options, tags, result
-        return y, aux, {"costs": state.costs}
-
-
-# Compiled by itself, it is traced once within a program, and not for each of its two uses.
-@compiled
-def _quadratic_model(problem: JointProblem, z: Step) -> QuadraticModel:
-    """Linearise the problem at a scaled step."""
-    equations = problem.normal_equations(z)
-    return QuadraticModel(equations.cost, equations.gradient, equations.matrix)
-
-
-def _tree_where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
-    """Choose between two pytrees by a scalar condition."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
-
-
-def _gauss_newton_matrix(model: QuadraticModel) -> BlockArrow:
-    """Return the Gauss-Newton matrix as a `BlockArrow`."""
-    assert isinstance(model.hessian, BlockArrow)
-    return model.hessian
-
-
-def jacobi_scale(matrix: BlockArrow) -> Step:
-    """Return the unit of each parameter in which all columns of the Jacobian have the same length.
-
-    The length is `SCALED_COLUMN_NORM`; a zero column is left as it is.
-    """
-    # The diagonal of J^T J holds the squared lengths of the columns.
-    return jax.tree.map(
-        lambda s: SCALED_COLUMN_NORM / jnp.sqrt(jnp.where(s > 0.0, s, 1.0)), matrix.diagonal()
-    )
-
-
-def _rescale(model: QuadraticModel, scale: Step) -> QuadraticModel:
-    """Convert a linearisation to other units: `diag(scale) g`, `diag(scale) H diag(scale)`."""
-    gradient = jax.tree.map(jnp.multiply, model.grad, scale)
-    return QuadraticModel(model.f, gradient, _gauss_newton_matrix(model).scaled(scale))
-
-
-def _predicted_decrease(model: QuadraticModel, step: Step) -> Float[Array, ""]:
-    """Compute the decrease of the linearised problem's cost along a step."""
-    # cost(0) - cost(d) = -g.d - d.H d / 2, with d the step and h = H d
-    hessian_step = _gauss_newton_matrix(model).mv(step)
-    decreases = jax.tree.map(
-        lambda d, g, h: -jnp.sum(d * (g + 0.5 * h)), step, model.grad, hessian_step
-    )
-    return decreases.shared + decreases.per_view
-
-
-def _gauss_newton_step(model: QuadraticModel) -> Step:
-    """Compute the Gauss-Newton step to the linearised optimum, with negligible damping."""
-    solver = SchurCholesky()
-    # Damping of 1e-12 of the diagonal: a singular matrix still has a Cholesky factor.
-    factors = solver.init(
-        _gauss_newton_matrix(model).damped(jnp.asarray(1e-12 * SCALED_COLUMN_NORM**2)), {}
-    )
-    return jax.tree.map(jnp.negative, solver.compute(factors, model.grad, {})[0])
 
 
 class Solution(NamedTuple):
@@ -266,14 +63,6 @@ class Solution(NamedTuple):
     relative_decrease: float
     converged: bool
     chain: FittedChain
-
-
-def is_converged(predicted_decrease: Any, cost: Any) -> Any:
-    """Return whether a fit has converged: a further step predicts a negligible decrease.
-
-    Both are numbers on the host, or scalar arrays inside `jit`; the result is of the same kind.
-    """
-    return (abs(predicted_decrease) < 1e-8 * cost) | (abs(predicted_decrease) < 1e-12)
 
 
 def solve(
@@ -382,18 +171,18 @@ def minimise(
         result, and the decrease of the cost that one more Gauss-Newton step predicts.
     """
     solution = optx.least_squares(
-        _residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
+        ordered_residuals, solver, start, args=problem, max_steps=maximum_steps, throw=False
     )
     z = jax.tree.map(jnp.multiply, solution.value, problem.scale)
     if isinstance(solver, StructuredLM):
         model, scale = solution.state.f_info, solution.state.scale
     else:
-        model, scale = _quadratic_model(problem, solution.value), jax.tree.map(jnp.ones_like, z)
-    predicted_decrease = _predicted_decrease(model, _gauss_newton_step(model))
+        model, scale = quadratic_model(problem, solution.value), jax.tree.map(jnp.ones_like, z)
+    predicted_decrease = decrease_along(model, gauss_newton_step(model))
     # `unscale` converts the normal equations from scaled units to the parameters' own.
     unscale = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
-    unscaled = _rescale(model, unscale)
-    equations = NormalEquations(unscaled.f, unscaled.grad, _gauss_newton_matrix(unscaled))
+    unscaled = rescale(model, unscale)
+    equations = NormalEquations(unscaled.f, unscaled.grad, gauss_newton_matrix(unscaled))
     outputs = (
         z,
         solution.stats["num_steps"],
@@ -423,11 +212,6 @@ def _minimise_and_evaluate(
     if problem.mesh is not None:
         chain = jax.lax.with_sharding_constraint(chain, NamedSharding(problem.mesh, P()))
     return *outputs, chain
-
-
-def _residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
-    """Return the residuals with the arguments in the order that optimistix expects."""
-    return problem.residuals(z)
 
 
 @compiled
@@ -465,7 +249,7 @@ def optimum(
         problem.zero_step() if start is None else jax.tree.map(jnp.divide, start, jacobi_units)
     )
     result = optx.least_squares(
-        _residuals,
+        ordered_residuals,
         StructuredLM() if solver is None else solver,
         initial,
         args=scaled,

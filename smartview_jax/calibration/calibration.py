@@ -20,17 +20,16 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from .array_namespace import AnyArray, as_float_array
-from .cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
-from .compilation import compiled, is_traced
-from .deprecation import DeprecatedAttribute
-from .files import dump_json, dump_yaml, read_yaml, write_atomically
-from .geometry import (
+from ..array_namespace import AnyArray, as_float_array
+from ..cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
+from ..compilation import compiled, is_traced
+from ..deprecation import DeprecatedAttribute
+from ..files import dump_json, dump_yaml, read_yaml, write_atomically
+from ..geometry import (
     PoseLike,
     ViewedRegion,
     as_se3,
     host_matrices,
-    host_transforms,
     region_from_dict,
     region_to_dict,
     transform_from_dict,
@@ -38,8 +37,15 @@ from .geometry import (
     transform_text,
     transform_to_dict,
 )
-from .robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
-from .robots import Command, CommandLike, JointsLike, as_command
+from ..robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
+from ..robots import Command, CommandLike, JointsLike, as_command
+from .chain import chain_matrices, chain_of_transforms
+from .mount import (
+    host_mount_from_holder,
+    mount_frames,
+    mount_from_holder,
+    transform_names,
+)
 
 FORMAT_VERSION = 2
 """Version of the file format.
@@ -48,50 +54,6 @@ Files of version 1 have no end mark; `schemas.calibration` says which of them lo
 
 _END_MARK = "smartview_calibration"
 """Value of the last entry of a file, by which a truncated file is recognised."""
-
-_FRAMES: dict[str, tuple[str, str]] = {
-    "eye_in_hand": ("tool", "base"),
-    "eye_to_hand": ("base", "tool"),
-}
-"""Frames of the camera's mount and of the target's holder, by mount."""
-
-
-def mount_frames(mount: str) -> tuple[str, str]:
-    """Return the frame of the camera's mount and the frame of the target's holder.
-
-    Raises:
-        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
-    """
-    if mount not in _FRAMES:
-        raise ValueError(f"mount is one of {', '.join(_FRAMES)}; found {mount!r}")
-    return _FRAMES[mount]
-
-
-def transform_names(mount: str) -> tuple[str, str]:
-    """Return the names of `camera_from_mount` and `holder_from_world` for a mount.
-
-    Raises:
-        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
-    """
-    mount_frame, holder_frame = mount_frames(mount)
-    return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
-
-
-def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
-    """Return the robot's part of the chain, from the target's holder to the camera's mount.
-
-    The function is its own inverse: applied to its result it returns `base_from_tool`.
-    """
-    # Eye-in-hand: tool_from_base, the inverse of what the robot reports. Eye-to-hand: the camera is
-    # on the base and the target on the tool, so the reported pose itself is the link between them.
-    return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
-
-
-def host_mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
-    """Return what `mount_from_holder` returns, computed with NumPy."""
-    if mount != "eye_in_hand":
-        return base_from_tool
-    return host_transforms(np.linalg.inv(host_matrices(base_from_tool)))
 
 
 class Calibration(eqx.Module):
@@ -250,13 +212,15 @@ class Calibration(eqx.Module):
             corrected: apply the robot error, if one was fitted; False takes poses as reported.
         """
         reported, error = as_command(base_from_tool), self.robot_error if corrected else None
-        return _chain(self.camera_from_mount, self.holder_from_world, self.mount, error, reported)
+        return chain_of_transforms(
+            self.camera_from_mount, self.holder_from_world, self.mount, error, reported
+        )
 
     def camera_from_world_matrices(self, reported: Command) -> Float[AnyArray, "views 4 4"]:
         """Return the extrinsics `(views)` of `camera_from_world` as matrices."""
         camera_from_mount, holder_from_world = self.camera_from_mount, self.holder_from_world
         if self.robot_error is not None or is_traced(self, reported):
-            return _chain_matrices(
+            return chain_matrices(
                 camera_from_mount, holder_from_world, self.mount, self.robot_error, reported
             )
         # The chain of Eq. 10 without a robot error is a product of matrices: nothing to compile.
@@ -415,8 +379,8 @@ class Calibration(eqx.Module):
             ValueError: naming the entry that is missing or wrong.
         """
         # The validation library is imported only where files are read; fits do not need it.
-        from .schemas.calibration import CALIBRATION_SCHEMA
-        from .schemas.validation import validate_content
+        from ..schemas.calibration import CALIBRATION_SCHEMA
+        from ..schemas.validation import validate_content
 
         validate_content(content, CALIBRATION_SCHEMA)
         mount = content["mount"]
@@ -503,31 +467,3 @@ def _points_in_camera(
     # target about its own origin, so it acts before any transform.
     camera_from_world = calibration.camera_from_world(reported, corrected=corrected)
     return transform_points(camera_from_world, calibration.target_scale * points)
-
-
-@compiled
-def _chain(
-    camera_from_mount: SE3,
-    holder_from_world: SE3,
-    mount: str,
-    error: RobotError | None,
-    reported: Command,
-) -> SE3:
-    """Return the extrinsics at the given robot poses by the chain of Eq. 10."""
-    # The command may carry joint angles, on which an arm's own errors depend; a pose alone does
-    # not determine them.
-    pose = reported.base_from_tool if error is None else error.actual_pose(reported)
-    # Eq. 10: camera_from_world = camera_from_tool @ tool_from_base @ base_from_world.
-    return camera_from_mount @ mount_from_holder(mount, pose) @ holder_from_world
-
-
-@compiled
-def _chain_matrices(
-    camera_from_mount: SE3,
-    holder_from_world: SE3,
-    mount: str,
-    error: RobotError | None,
-    reported: Command,
-) -> Float[Array, "views 4 4"]:
-    """Return the extrinsics as matrices; one program for all cameras."""
-    return _chain(camera_from_mount, holder_from_world, mount, error, reported).as_matrix()

@@ -1,0 +1,157 @@
+"""Check the arrays of which a data set is made, on the host, and name the views that are wrong."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..compilation import compiled
+from ..geometry import PoseLike, host_matrices
+from ..robots import SerialArm
+
+FORWARD_KINEMATICS_TOLERANCE = (1e-3, np.deg2rad(0.1))
+"""Largest difference (m, rad) of reported poses from the arm's forward kinematics."""
+
+
+def points_per_view(points: np.ndarray, view_count: int, point_count: int) -> np.ndarray:
+    """Return points as `(views, points, 3)`, or as `(1, points, 3)` if common to all views.
+
+    Raises:
+        ValueError: the shape does not match the pixels.
+    """
+    if points.shape == (point_count, 3):
+        return points[None]
+    if points.shape != (view_count, point_count, 3):
+        raise ValueError(
+            f"points: expected shape ({point_count}, 3) or ({view_count}, {point_count}, 3) to "
+            f"match pixels, found {points.shape}"
+        )
+    return points
+
+
+def forward_kinematics(
+    joints: np.ndarray | Array | None, arm: SerialArm | None, ids: tuple[str, ...]
+) -> SE3:
+    """Compute `base_from_tool` of every view by the arm's forward kinematics.
+
+    Raises:
+        ValueError: joints or arm are missing, or the shape is wrong.
+    """
+    if joints is None or arm is None:
+        raise ValueError(
+            "expected poses, or joints and the arm they are of; found "
+            f"{'neither' if joints is arm else 'joints alone' if arm is None else 'an arm alone'}"
+        )
+    readings = np.asarray(joints, dtype=float)
+    if readings.shape != (len(ids), arm.joint_count):
+        raise ValueError(
+            f"joints: expected shape ({len(ids)}, {arm.joint_count}), one reading a joint in every "
+            f"view, found {readings.shape}"
+        )
+    return arm.base_from_tool(readings)
+
+
+@compiled
+def pose_difference(first: SE3, second: SE3) -> Float[Array, "*views 6"]:
+    """Return the twist from one pose to another, `log(first^-1 second)`."""
+    return (first.inverse() @ second).log()
+
+
+def check_forward_kinematics(
+    computed: SE3, reported: SE3, used: Bool[np.ndarray, "views"], ids: tuple[str, ...]
+) -> None:
+    """Raise a ValueError if a reported pose differs from the arm's forward kinematics.
+
+    The tool frame, the pose convention or the arm is then wrong.
+    """
+    # The difference is the twist log(computed^-1 reported): translation (m), then rotation (rad).
+    twist = np.asarray(pose_difference(computed, reported))
+    # Largest component of each of the two; NaN fails the comparison below.
+    max_components = np.abs(twist).reshape(-1, 2, 3).max(axis=2)
+    for view in np.flatnonzero(used):
+        translation, rotation = max_components[view]
+        if not (
+            translation <= FORWARD_KINEMATICS_TOLERANCE[0]
+            and rotation <= FORWARD_KINEMATICS_TOLERANCE[1]
+        ):
+            raise ValueError(
+                f"view {ids[view]}: the reported pose is {1e3 * translation:.3g} mm and "
+                f"{np.rad2deg(rotation):.3g} deg from where the arm's joints put the tool: another "
+                "tool frame, convention or arm?"
+            )
+
+
+def pose_matrices(base_from_tool: PoseLike, view_count: int) -> np.ndarray:
+    """Return poses as `(views, 4, 4)` matrices, or raise a ValueError for another shape."""
+    # Matrices are kept as given, not converted to SE3 first, which would normalise their rotations
+    # and hide from `check_rigid` those that are not rigid.
+    if not isinstance(base_from_tool, SE3):
+        matrices = np.asarray(base_from_tool, dtype=float)
+    else:
+        matrices = host_matrices(base_from_tool)
+    if matrices.shape != (view_count, 4, 4):
+        raise ValueError(
+            f"base_from_tool: expected shape ({view_count}, 4, 4), one pose a view, "
+            f"found {matrices.shape}"
+        )
+    return matrices
+
+
+def checked_view_ids(view_ids: Sequence[str | int] | None, view_count: int) -> tuple[str, ...]:
+    """Return view ids as text, or raise a ValueError for a wrong number or duplicates."""
+    ids = tuple(str(view) for view in (range(view_count) if view_ids is None else view_ids))
+    if len(ids) != view_count:
+        raise ValueError(f"view_ids: expected {view_count}, found {len(ids)}")
+    # Poses and pictures are paired by id, so a duplicate would pair them wrongly.
+    duplicates = sorted({view for view in ids if ids.count(view) > 1})
+    if duplicates:
+        raise ValueError(f"view_ids: {', '.join(duplicates)} given more than once")
+    return ids
+
+
+def visibility_mask(
+    visible: np.ndarray | Array | None, pixels: np.ndarray, ids: tuple[str, ...]
+) -> np.ndarray:
+    """Return the mask of visible points, or raise a ValueError if a visible one has no pixel."""
+    has_numbers = np.asarray(np.isfinite(pixels).all(axis=-1))
+    if visible is None:
+        return has_numbers
+    seen = np.array(visible, dtype=bool)
+    if seen.shape != has_numbers.shape:
+        raise ValueError(f"visible: expected shape {has_numbers.shape}, found {seen.shape}")
+    # Mask and pixels contradict each other: neither is silently preferred.
+    missing = seen & ~has_numbers
+    if missing.any():
+        view, point = np.argwhere(missing)[0]
+        raise ValueError(f"view {ids[view]}: point {point} is marked visible but has no pixel")
+    return seen
+
+
+def pixel_problems(
+    pixels: np.ndarray, seen: np.ndarray, image_size: tuple[int, int], ids: tuple[str, ...]
+) -> dict[str, str]:
+    """Return the views with a pixel outside the picture, with the reason.
+
+    Detected corners may lie up to one pixel beyond the edge.
+    """
+    width, height = image_size
+    if width <= 0 or height <= 0:
+        raise ValueError(f"image_size: expected a positive width and height, found {image_size}")
+    limits = np.array([width, height], dtype=float)
+    with np.errstate(invalid="ignore"):
+        # Pixel centres are at integers, so the picture ends half a pixel beyond the outermost ones.
+        outside = seen & ((pixels < -1.0) | (pixels > limits)).any(axis=-1)
+    problems = {}
+    for view in np.flatnonzero(outside.any(axis=1)):
+        point = int(np.flatnonzero(outside[view])[0])
+        u, v = pixels[view, point]
+        problems[ids[view]] = (
+            f"point {point} at ({u:.1f}, {v:.1f}) px lies outside the {width} x {height} picture"
+        )
+    return problems
+
+
+def finite_views(matrices: np.ndarray) -> np.ndarray:
+    """Return which matrices are finite, with shape `(views, 1, 1)`."""
+    return np.asarray(np.isfinite(matrices).all(axis=(1, 2), keepdims=True))

@@ -1,0 +1,83 @@
+"""Hold what a fit compares with its predictions, and the residuals, by views."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..array_namespace import AnyArray
+from ..calibration import Calibration
+from ..cameras import Camera
+from ..compilation import compiled
+from ..robots import Command
+
+
+class Observations(eqx.Module):
+    """The arrays of a data set or of one view, without names, for compiled functions.
+
+    Attributes:
+        points: target points in the target frame, m.
+        pixels: measured positions, px; NaN where not visible.
+        visible: mask of the points that were seen.
+        base_from_tool: reported by the robot, one transform per view.
+        joints: readings of the robot's joints, rad or m; None where not known.
+    """
+
+    points: Float[Array, "*views points 3"]
+    pixels: Float[Array, "*views points 2"]
+    visible: Bool[Array, "*views points"]
+    base_from_tool: SE3
+    joints: Float[Array, "*views joints"] | None = None
+
+    @property
+    def command(self) -> Command:
+        """The commands reported by the robot, with joint readings if they are known."""
+        return Command(self.base_from_tool, self.joints)
+
+    def residuals(
+        self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]
+    ) -> Float[Array, "*views points 2"]:
+        """Return measured minus predicted pixels, zero where a point has no pixel or prediction."""
+        # Both terms are masked before subtracting; masking the difference would leave NaN in the
+        # gradient.
+        used = (self.visible & valid)[..., None]
+        return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
+
+
+def chain_residuals(
+    calibration: Calibration, observations: Observations
+) -> Float[Array, "views points 2"]:
+    """Return measured minus predicted pixels through the chain (Eq. 10) at the reported poses.
+
+    They are zero where a point was not seen, and infinite where a point was seen but cannot be
+    predicted.
+    """
+    poses = calibration.camera_from_world_matrices(observations.command)
+    return view_residuals(calibration.camera, calibration.target_scale, poses, observations)
+
+
+@compiled
+def view_residuals(
+    camera: Camera,
+    target_scale: Float[Array, ""],
+    camera_from_world: Float[AnyArray, "views 4 4"],
+    observations: Observations,
+) -> Float[Array, "views points 2"]:
+    """Return measured minus predicted pixels for given camera poses.
+
+    They are zero where a point was not seen, and infinite where a point was seen but cannot be
+    predicted. One program serves every fit, whatever it knows about the robot.
+    """
+
+    def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
+        """Return the residuals of one view."""
+        pose, view = pose_and_view
+        in_camera = (target_scale * view.points) @ pose[:3, :3].T + pose[:3, 3][None]
+        predicted, valid = camera.project(in_camera)
+        # Infinite, not zero: a calibration that cannot predict a seen point must not look good.
+        unpredicted = (view.visible & ~valid)[..., None]
+        return jnp.where(unpredicted, jnp.inf, view.residuals(predicted, valid))
+
+    # View by view: projecting all views at once takes several times the memory of the data.
+    return jax.lax.map(one_view, (camera_from_world, observations))
