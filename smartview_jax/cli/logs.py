@@ -33,6 +33,7 @@ def configure_logs(verbosity: int) -> None:
         handler = _ToStderr()
         handler.setFormatter(logging.Formatter(_FORMAT))
         logger.addHandler(handler)
+    # A level of its own: the root logger belongs to the program, not to a library.
     logger.setLevel({0: logging.WARNING, 1: logging.INFO}.get(verbosity, logging.DEBUG))
     if verbosity < 2:
         for name in NOISY_LOGGERS:
