@@ -229,6 +229,7 @@ def calibrate(
         raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
+    # A start of other data would be found out only by a fit that goes astray.
     check_start(start, data)
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
     views_to_use(data, camera)

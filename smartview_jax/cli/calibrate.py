@@ -80,8 +80,10 @@ def calibrate(
             data, name = load_named(dataset, bad_views, progress, base_from_world)
             if time_offset:
                 data = with_estimated_clock(data, dataset, lens, progress)
+            # The transforms' names depend on the mount, which only the data set says.
             known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
 
+            # Folds and halves are fitted with the same knowledge as the whole.
             def fit_views(
                 part: "Dataset", progress: Callable[[str], None] | None
             ) -> "CalibrationFit":

@@ -85,6 +85,7 @@ def _figures(data: "Dataset") -> DatasetFigures:
         # Cells of a grid of 8 x 8 that any point falls into.
         cells = np.floor(8 * pixels / np.array(data.image_size)).clip(0, 7).astype(int)
         picture_used = len(np.unique(cells, axis=0)) / 64
+    # Plain numbers: the document is written by json, which knows no NumPy.
     points = (int(counts.min()), int(counts.max()), float(np.median(counts)))
     used = data.usable_views()
     if len(used) < 2:

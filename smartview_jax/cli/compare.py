@@ -50,6 +50,7 @@ def compare(
             known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
             methods = standard_methods(lens, **known.arguments())
             rows = compare_methods(data, methods, progress=progress)
+        # The same numbers as in the tables, unrounded.
         if json:
             entries = [method_document(row) for row in rows]
             left_out = views_left_out(data.masked_views)

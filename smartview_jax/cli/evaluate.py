@@ -62,6 +62,7 @@ def evaluate(
             ]
         expected = [_expected(estimate, data) for _, estimate in loaded]
         rows, verdict = _rows(summaries, data, expected), _verdict(summaries[0], name)
+        # People see the figures before the page is drawn, which takes seconds.
         if not json:
             _print(rows, data, verdict)
         if out is not None:

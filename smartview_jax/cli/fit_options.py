@@ -186,6 +186,7 @@ def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, Prior]":
 
     path, _, value = text.partition("=")
     shown = {units[name] for name in _names_of("--prior", path.strip(), units)}
+    # A path such as camera_from_tool has lengths and angles, which cannot share a number.
     match = _PRIOR.fullmatch(value)
     if match is None or len(shown) != 1:
         reason = "several units are in it" if len(shown) != 1 else f"found {value!r}"
@@ -221,6 +222,7 @@ def _refuse_contradictions(
         for path in paths:
             if set(_names_of(option, path, units)) & held:
                 raise ValueError(f"{option} {path}: it is held by --fixed or --camera")
+    # Silence would let a person believe that something has changed.
     for path in free:
         if path != "target_scale":
             raise ValueError(f"--free {path}: it is free already; by default target_scale is held")

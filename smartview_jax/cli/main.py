@@ -11,6 +11,7 @@ from .demo import demo
 from .evaluate import evaluate
 from .export import export
 from .grasp import grasp
+from .logs import configure_logs
 from .model import model
 from .new import new
 from .plan import plan
@@ -39,12 +40,23 @@ def main(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    verbose: Annotated[
+        int,
+        typer.Option(
+            "--verbose",
+            "-v",
+            count=True,
+            help="Also say what is done; -vv everything, also of others.",
+        ),
+    ] = 0,
 ) -> None:
     """Calibrate cameras on robot arms.
 
     What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
     names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
     """
+    # Before anything else is imported: some libraries look at their level once.
+    configure_logs(verbose)
 
 
 for _subcommand in (

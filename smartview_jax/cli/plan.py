@@ -104,6 +104,7 @@ def plan(
                 progress=progress,
             )
         words = (*situation.assumptions, *plan_words(found, 0.01 * gain, goal, bool(start)))
+        # Without a view there is no sheet, and no file that a robot could be given.
         sheet = None
         if len(found.camera_from_world):
             wanted = host_transforms(found.camera_from_world)

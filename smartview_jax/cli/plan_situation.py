@@ -79,6 +79,7 @@ def next_views(
     readings = parse_joint_readings(near, arm_from_option(arm, estimate.calibration))
     # Without an arm there are no readings, and the robot is commanded by poses.
     model = model_from_estimate(estimate, points, readings)
+    # New views are near those that the calibration is known from.
     region = estimate.calibration.region
     if region is None:
         raise ValueError(f"{paths[0]}: region: missing; calibrate again to have it")
@@ -113,6 +114,7 @@ def first_views(
     described = read_folder_description(paths[0])
     transforms = parse_transforms(start, described.mount)
     points, assumptions = np.asarray(described.target.points), []
+    # Many cameras see about 45 degrees, and a tenth of the picture stays free for the difference.
     if camera_file is None:
         width, height = described.image_size
         focal = ASSUMED_FOCAL_LENGTH * max(width, height)
@@ -123,12 +125,14 @@ def first_views(
     else:
         camera = read_camera(camera_file)
         require_picture_size("--camera", camera, described.image_size)
+    # Nothing is fitted here: what is off by centimetres shows in the first picture.
     mount, holder = _both_transforms(transforms, described)
     rough = Calibration(camera, mount, holder, described.mount)
     above = _side(rough, limits.below)
     distances = limits.distance or first_view_distances(rough, points)
     # The checks of commands need to know on which side of the target the robot may be.
     rough = with_assumed_region(rough, points, distances, above)
+    # No prior: what is rough is what the views are to find.
     model = InformationModel.from_calibration(
         rough, points, TYPICAL_NOISE, fixed=() if camera_file is None else ("camera",)
     )

@@ -56,9 +56,11 @@ def _what(plan: "ViewPlan") -> str:
 def _why(plan: "ViewPlan", least_gain: float, goal_mm: float | None) -> str:
     """Return why the plan stops where it does."""
     count = len(plan.camera_from_world)
+    # A goal in mm says nothing of pixels.
     if goal_mm is not None and plan.unit == "m" and 1e3 * plan.after <= goal_mm:
         return f": the goal of {goal_mm:g} mm is reached"
     missed = "" if goal_mm is None else f"; the goal of {goal_mm:g} mm is not reached"
+    # More views were considered than are worth taking.
     if count < len(plan.values):
         return f"; one more would gain less than {least_gain:.0%}: stop there{missed}"
     return f"; more would still gain: plan again after them{missed}"

@@ -1,5 +1,6 @@
 """Report progress, errors and interrupts on the terminal."""
 
+import logging
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -18,6 +19,8 @@ from ..interrupts import (
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+_log = logging.getLogger(__name__)
+
 
 @contextmanager
 def progress_line() -> Iterator[Callable[[str], None]]:
@@ -30,6 +33,10 @@ def progress_line() -> Iterator[Callable[[str], None]]:
 
     # On stderr, so that redirected results contain no progress.
     console = Console(stderr=True)
+    # A moving bar would be torn apart by the lines of --verbose.
+    if logging.getLogger(__package__).isEnabledFor(logging.INFO):
+        yield lambda text: _log.info("%s", text)
+        return
     if not console.is_terminal:
         yield lambda text: console.print(text, highlight=False, soft_wrap=True)
         return

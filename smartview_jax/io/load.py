@@ -1,5 +1,6 @@
 """Load a data set from any kind of folder that the package can read."""
 
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,8 @@ from ..geometry import PoseLike
 from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
+
+_log = logging.getLogger(__name__)
 
 
 def load_dataset(
@@ -44,13 +47,17 @@ def load_dataset(
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if (folder / DESCRIPTION_FILE).is_file():
-        return load_dataset_folder(folder, bad_views, progress, keep_detections, holder_from_world)
-    if (folder / DATA_FILE).is_file():
-        return import_robot_cal_tools(folder, bad_views=bad_views, progress=progress)
-    raise FileNotFoundError(
-        f"{folder}: neither {DESCRIPTION_FILE} nor {DATA_FILE} here: "
-        "not a data set this library knows"
-    )
+        data = load_dataset_folder(folder, bad_views, progress, keep_detections, holder_from_world)
+    elif (folder / DATA_FILE).is_file():
+        data = import_robot_cal_tools(folder, bad_views=bad_views, progress=progress)
+    else:
+        raise FileNotFoundError(
+            f"{folder}: neither {DESCRIPTION_FILE} nor {DATA_FILE} here: "
+            "not a data set this library knows"
+        )
+    seen, masked = data.observation_count, len(data.masked_views)
+    _log.info("%s: %d views, %d points, %d masked", folder, data.view_count, seen, masked)
+    return data
 
 
 def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:

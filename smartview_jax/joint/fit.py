@@ -1,6 +1,7 @@
 """Fit all parameters of the chain to every observation in one nonlinear least squares problem."""
 
 import dataclasses
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -54,6 +55,8 @@ from .gross_errors import remove_gross_errors, without_views
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
 from .view_rejection import inconsistent_view, inflation_reason, suspect_view
+
+_log = logging.getLogger(__name__)
 
 MAX_INLIER_CHI_SQUARE = 2.0 * np.log(1e4)
 """The squared whitened residual that one good point in ten thousand exceeds (chi-square, 2 dof)."""
@@ -188,6 +191,7 @@ def fit_joint(
                 built.problem, solve_problem, variance_factor, SIGMA_TOLERANCE, MAX_SIGMA_FITS
             )
             built = dataclasses.replace(built, problem=problem)
+        _log.info("%d steps to a cost of %.6g", solution.steps, solution.costs[-1])
         joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
         return joint_fit, equations.matrix
 

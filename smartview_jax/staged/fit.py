@@ -4,6 +4,7 @@ Step 1 (`weng.py`, Eq. 8) calibrates each view by itself, Step 2 (`kalman.py`, E
 camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and world transforms.
 """
 
+import logging
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
@@ -26,6 +27,8 @@ from .region import with_region
 from .target_checks import collinear_views, mismatched_views
 from .view_consistency import find_consistent_views, median_reprojection_errors
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
+
+_log = logging.getLogger(__name__)
 
 MINIMUM_POINTS = 6
 """Smallest number of points with which a view can be calibrated by itself."""
@@ -260,6 +263,7 @@ def fit_staged(
         rough_translation,
         length_scale,
     )
+    _log.info("Step 2: %.3f px RMS; Step 3: %d views", float(common_fit.rms), int(consistent.sum()))
     calibration = Calibration(
         common_fit.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
     )

@@ -46,6 +46,7 @@ def merged_start(
         data: the data set, checked by `check_start`.
         camera: a known camera, which a given calibration takes over.
     """
+    # A calibration stands for itself; it may have another lens, which the fit converts.
     if isinstance(start, Calibration):
         return start if camera is None else dataclasses.replace(start, camera=camera)
     if not start:

@@ -98,6 +98,7 @@ def first_view_distances(
     calibration: Calibration, points: Float[np.ndarray, "points 3"]
 ) -> tuple[float, float]:
     """Return the distances, m, from which the target fills `PICTURE_PARTS` of the picture."""
+    # The diagonal: however the target is turned in the picture, it fits.
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     focal = min(float(calibration.camera.alpha_u), float(calibration.camera.alpha_v))
     shorter_side = min(calibration.camera.image_size)
@@ -165,6 +166,7 @@ def plan_views(
 
     distance = 0.5 * sum(views.distance)
     criterion = _criterion(model, views, distance, seed)
+    # Sorted best first, so that any first few of them are a good choice too.
     chosen = choose_views(
         model,
         criterion,

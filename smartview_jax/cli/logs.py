@@ -1,0 +1,47 @@
+"""Show on the terminal what the library logs, and keep off it what other libraries say.
+
+The library's loggers are named by its modules, `smartview_jax.joint.fit` and so on. Importing it
+configures nothing; a program that uses it decides by itself, as the command does here.
+"""
+
+import logging
+import os
+
+LOGGER = "smartview_jax"
+"""Name of the logger above all of the library's."""
+
+NOISY_LOGGERS = ("absl", "jax", "jax._src.xla_bridge", "matplotlib", "trimesh")
+"""Loggers of other libraries whose remarks a person at a robot can do nothing about."""
+
+NOISY_VARIABLES = {"OPENCV_LOG_LEVEL": "SILENT", "TF_CPP_MIN_LOG_LEVEL": "2"}
+"""What libraries written in C++ read when they are loaded, and the value that quietens them."""
+
+_FORMAT = "%(relativeCreated)6.0f ms  %(name)s: %(message)s"
+
+
+def configure_logs(verbosity: int) -> None:
+    """Let the library's loggers write to stderr, and quieten those of other libraries.
+
+    Args:
+        verbosity: 0 for warnings alone, 1 for what is done, 2 for everything, also of others.
+    """
+    logger = logging.getLogger(LOGGER)
+    # One handler, however often this is called in one process.
+    for handler in [one for one in logger.handlers if isinstance(one, _ToStderr)]:
+        logger.removeHandler(handler)
+    if verbosity:
+        handler = _ToStderr()
+        handler.setFormatter(logging.Formatter(_FORMAT))
+        logger.addHandler(handler)
+    # A level of its own: the root logger belongs to the program, not to a library.
+    logger.setLevel({0: logging.WARNING, 1: logging.INFO}.get(verbosity, logging.DEBUG))
+    if verbosity < 2:
+        for name in NOISY_LOGGERS:
+            logging.getLogger(name).setLevel(logging.ERROR)
+        for name, value in NOISY_VARIABLES.items():
+            # What a person has set stays: they want to see it.
+            os.environ.setdefault(name, value)
+
+
+class _ToStderr(logging.StreamHandler):
+    """A handler of this command, told from those that a program has put there."""

@@ -1,0 +1,128 @@
+"""Every verb says what it did and ends with 0, and says what is wrong and ends with its code."""
+
+import shutil
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from smartview_jax import fit_staged
+from smartview_jax.cli import app
+from smartview_jax.io import object_sample_folder
+
+TIP = "--tip 0 0 0.1 --above"
+GRASP = "--grasp-pose 0,0,0.01,0,180,0"
+ROUGH = "--start camera_from_tool=0,0.05,0.06,0,0,0 --start base_from_world=0.5,0.1,0,0,0,180"
+
+
+class Case(NamedTuple):
+    """Words after the verb, the exit code, and what is said: on stdout if it went well."""
+
+    verb: str
+    words: str
+    code: int
+    said: str
+
+
+CASES = (
+    Case("calibrate", "data --no-held-out --out result", 0, "result/calibration.yaml: the"),
+    Case("calibrate", "nowhere", 2, "nowhere: no such folder"),
+    Case("calibrate", "data --lens glass", 2, "lens is one of"),
+    Case("check", "data", 0, "camera and robot agree: smartview calibrate can begin"),
+    Case("check", "inverted", 1, "problem: "),
+    Case("check", "nowhere", 2, "nowhere: no such folder"),
+    Case("compare", "data", 0, "on views that no fit saw"),
+    Case("compare", "nowhere", 2, "nowhere: no such folder"),
+    Case("demo", "--out demo", 0, "in the hand after the lift: yes"),
+    Case("demo", "--out demo --seed 13", 1, "in the hand after the lift: no"),
+    Case("demo", "--views 3", 2, "--views: expected 8 or more, found 3"),
+    Case("evaluate", "data/truth.yaml data", 0, "truth predicts the target in data to"),
+    Case("evaluate", "nowhere.yaml data", 2, "nowhere.yaml"),
+    Case("export", "data/truth.yaml --to urdf", 0, "<origin xyz="),
+    Case("export", "data/truth.yaml --to ouija", 2, "'ouija' is not one of"),
+    Case("export", "data/dataset.yaml --to urdf", 2, "data/dataset.yaml"),
+    Case("grasp", f"data/truth.yaml {GRASP}", 0, "approach"),
+    Case("grasp", "data/truth.yaml", 2, "give one of --grasp-pose and --model"),
+    Case("model", "object --no-browser", 0, "the editor of object/object.json is at"),
+    Case("model", "data --no-browser", 2, "entry 'pictures' is missing"),
+    Case("new", "mine --robot ur", 0, "smartview check mine"),
+    Case("new", "mine --robot ouija", 2, "expected one of abb"),
+    Case("plan", f"data --below --views 3 {ROUGH}", 0, "three views will place a point"),
+    Case("plan", "data", 2, "expected calibration.yaml and its data-set folder"),
+    Case("schema", "dataset", 0, '"$schema"'),
+    Case("schema", "ouija", 2, "'ouija' is not one of"),
+    Case("simulate", "other --views 4", 0, "other: 4 views; other/truth.yaml: the truth"),
+    Case("simulate", "data", 2, "data/dataset.yaml: exists already"),
+    Case("stylus", f"data/truth.yaml {TIP}", 0, "its 95 % ellipse mm"),
+    Case("stylus", "data/truth.yaml", 2, "--tip"),
+    Case("viewpoint", "data/truth.yaml --above", 0, "x mm"),
+    Case("viewpoint", "data/truth.yaml --above --distance -1", 2, "--distance is in metres"),
+)
+
+
+def verbs():
+    return set(typer.main.get_command(app).commands)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A data set, the same with inverted poses, and pictures of an object."""
+    path = tmp_path_factory.mktemp("verbs")
+    run = CliRunner().invoke(app, ["simulate", str(path / "data"), "--views", "5"])
+    assert run.exit_code == 0, run.output
+    shutil.copytree(path / "data", path / "inverted")
+    description = path / "inverted" / "dataset.yaml"
+    description.write_text(description.read_text().replace("base_from_tool", "tool_from_base"))
+    shutil.copytree(object_sample_folder(), path / "object")
+    shutil.copy(path / "data" / "truth.yaml", path / "object" / "calibration.yaml")
+    return path
+
+
+@pytest.fixture
+def short_work(monkeypatch):
+    """What takes minutes or waits for a person has tests of its own: here it answers at once."""
+
+    def run_demo(out, seed, *_):
+        pick = SimpleNamespace(outcome="grasped")
+        return SimpleNamespace(pick=pick, held=seed != 13, position_error=1e-3, page=out / "page")
+
+    evaluation = sys.modules["smartview_jax.evaluation"]
+    methods = {"staged": lambda part: fit_staged(part, "radial")}
+    monkeypatch.setattr(evaluation, "standard_methods", lambda *_, **__: methods)
+    monkeypatch.setattr("smartview_jax.picking.run_demo", run_demo)
+    monkeypatch.setattr(
+        "smartview_jax.editor.serve", lambda _, __, announce: announce("http://127.0.0.1:1")
+    )
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.verb}-{case.code}")
+def test_words_and_exit_code(folder, short_work, tmp_path, monkeypatch, case):
+    for part in ("data", "inverted", "object"):
+        # A copy for each case: some of them write beside what they read.
+        shutil.copytree(folder / part, tmp_path / part)
+    monkeypatch.chdir(tmp_path)
+    run = CliRunner().invoke(app, [case.verb, *case.words.split()])
+    assert run.exit_code == case.code, run.output
+    # Only what a user has to correct is said on stderr; an answer of "no" is an answer.
+    said = run.stderr if case.code == 2 else run.stdout
+    assert case.said in said.replace("\n", " ")
+    assert "Traceback" not in run.output
+    assert (Path("mine").exists()) == (case.verb == "new" and case.code == 0)
+
+
+def test_no_verb_is_without_a_good_and_a_bad_case():
+    for verb in verbs():
+        codes = {case.code for case in CASES if case.verb == verb}
+        assert {0, 2} <= codes, verb
+    assert {case.verb for case in CASES} == verbs()
+
+
+def test_help_names_every_verb():
+    run = CliRunner().invoke(app, ["--help"])
+    assert run.exit_code == 0
+    for verb in verbs():
+        assert f" {verb} " in run.stdout
