@@ -222,7 +222,9 @@ class ModelSession(AbstractDrawing):
             The group found from vertices, edges and faces, `confirmed` if the person has confirmed
             it; None while there are not three vertices that span a plane.
         """
-        document, model = self.document, self.model()
+        # One document throughout: the page's other messages may change it meanwhile.
+        document = self.document
+        model = self.model(document)
         found = self._symmetry.found(document, model)
         if found is None:
             return None
@@ -231,7 +233,8 @@ class ModelSession(AbstractDrawing):
     @property
     def symmetry_said(self) -> bool | None:
         """Whether the symmetry as found now was confirmed or refused; None if nothing was said."""
-        return self._symmetry.said(self.document, self.model())
+        document = self.document
+        return self._symmetry.said(document, self.model(document))
 
     def confirm_symmetry(self, confirmed: bool | None = True) -> None:
         """Confirm the symmetry that is found now, refuse it (False), or take that back (None).
