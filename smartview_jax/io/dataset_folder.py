@@ -153,7 +153,9 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, np.asarray(data.pixels))
+    # A point that was hidden, as a gross error is, has no row: it stays hidden when it is read.
+    seen = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
+    rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, seen)
     extra_entries: dict[str, Any] = {"detections": {"rows": rows}}
     if data.arm is not None and data.joints is not None:
         extra_entries["joints"] = write_joints(

@@ -61,6 +61,15 @@ def test_detections_are_kept_and_made_anew_when_a_picture_changes(folder):
     np.testing.assert_array_equal(third.pixels[0], first.pixels[1])
 
 
+def test_a_point_that_was_hidden_stays_hidden(folder, tmp_path):
+    data = load_dataset(folder, keep_detections=False)
+    visible = np.array(data.visible)
+    visible[1, 7] = visible[2] = False
+    save_dataset(data.with_visible(visible), tmp_path / "saved")
+    again = load_dataset(tmp_path / "saved")
+    np.testing.assert_array_equal(again.visible, visible)
+
+
 def test_what_is_saved_is_loaded(folder, tmp_path):
     data = load_dataset(folder)
     save_dataset(data, tmp_path / "saved")
