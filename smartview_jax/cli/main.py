@@ -37,6 +37,7 @@ def _version(requested: bool) -> bool:
 
 @app.callback()
 def main(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -56,7 +57,8 @@ def main(
     names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
     """
     # Before anything else is imported: some libraries look at their level once.
-    configure_logs(verbose)
+    # A program that calls the command keeps its own loggers as they were.
+    context.call_on_close(configure_logs(verbose))
 
 
 for _subcommand in (

@@ -87,3 +87,16 @@ def test_a_second_call_does_not_say_everything_twice():
         "import logging; logging.getLogger('smartview_jax.here').info('once')"
     )
     assert ended.stderr.count("once") == 1
+
+
+def test_a_program_that_calls_the_command_keeps_its_loggers():
+    ended = python(
+        "import logging\n"
+        "from typer.testing import CliRunner\n"
+        "from smartview_jax.cli import app\n"
+        "levels = lambda: [logging.getLogger(n).level for n in ('smartview_jax', 'jax', 'absl')]\n"
+        "before = levels()\n"
+        "assert CliRunner().invoke(app, ['-v', 'schema', 'dataset']).exit_code == 0\n"
+        "print(levels() == before, logging.getLogger('smartview_jax').handlers)"
+    )
+    assert ended.stdout.strip() == "True []", ended.stderr
