@@ -1,8 +1,9 @@
 """Put the subcommands together to the `smartview` command."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from .calibrate import calibrate
 from .check import check
@@ -20,8 +21,25 @@ from .simulate import simulate
 from .stylus import stylus
 from .viewpoint import viewpoint
 
+
+class _LoggingGroup(TyperGroup):
+    """The subcommands, each of which logs as `--verbose` says."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a subcommand, and leave the loggers of a program that calls it as they were."""
+        # Before anything else is imported: some libraries look at their level once.
+        restore = configure_logs(ctx.params["verbose"])
+        try:
+            return super().invoke(ctx)
+        finally:
+            restore()
+
+
 app = typer.Typer(
-    help="Calibrate cameras on robot arms.", no_args_is_help=True, pretty_exceptions_enable=False
+    cls=_LoggingGroup,
+    help="Calibrate cameras on robot arms.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
 )
 
 
@@ -37,7 +55,6 @@ def _version(requested: bool) -> bool:
 
 @app.callback()
 def main(
-    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -56,9 +73,6 @@ def main(
     What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
     names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
     """
-    # Before anything else is imported: some libraries look at their level once.
-    # A program that calls the command keeps its own loggers as they were.
-    context.call_on_close(configure_logs(verbose))
 
 
 for _subcommand in (
