@@ -8,11 +8,12 @@ the profile likelihood of the offset.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 from scipy.optimize import minimize_scalar
 
 from .calibration import Calibration, host_mount_from_holder
@@ -22,7 +23,7 @@ from .engine import Noise
 from .geometry import as_se3, host_matrices
 from .joint import fit_joint
 from .robots import Trajectory
-from .staged import StagedFit, closure_error, fit_staged, relative_motions, views_to_use
+from .staged import closure_error, fit_staged, relative_motions, views_to_use
 
 COARSE_STEPS = 80
 """Number of intervals into which the range of offsets is divided for the search."""
@@ -110,14 +111,20 @@ def estimate_time_offset(
     """
     say = progress or (lambda _: None)
     times = np.asarray(picture_times, dtype=float)
-    at_zero = at_time_offset(data, trajectory, times, 0.0)
+    data_at = functools.partial(at_time_offset, data, trajectory, times)
+    at_zero = data_at(0.0)
     low = max(-max_offset, float(trajectory.times[0] - times.min()))
     high = min(max_offset, float(trajectory.times[-1] - times.max()))
     say(f"time offset: {COARSE_STEPS + 1} from {1e3 * low:.0f} to {1e3 * high:.0f} ms")
     # The convention checks would refuse poses from the wrong time; what is wrong is to be found.
     seen = fit_staged(at_zero, lens, conventions="report")
+    used = views_to_use(data)
+    camera_from_world = host_matrices(seen.step2.camera_from_world)[used]
     grid = np.linspace(low, high, COARSE_STEPS + 1)
-    scores = [_disagreement(seen, at_zero, trajectory.at(times + shift)) for shift in grid]
+    scores = [
+        _disagreement(data.mount, trajectory.at(times[used] + shift), camera_from_world)
+        for shift in grid
+    ]
     best = int(np.argmin(scores))
     if best in (0, COARSE_STEPS):
         raise ValueError(
@@ -125,72 +132,76 @@ def estimate_time_offset(
             f"the range: is the offset larger, or do the poses belong to other pictures?"
         )
     seconds, step = float(grid[best]), float(grid[1] - grid[0])
-    staged = fit_staged(at_time_offset(data, trajectory, times, seconds), lens)
-    calibration, bounds = staged.calibration, (max(seconds - step, low), min(seconds + step, high))
-    calibration, noise = _fit_at(data, trajectory, times, staged, calibration, seconds)
-    cost = _profile(data, trajectory, times, staged, calibration, noise)
+    staged = fit_staged(data_at(seconds), lens)
+    bounds = (max(seconds - step, low), min(seconds + step, high))
+    profile = _profile(data_at, staged.inliers, staged.calibration, seconds)
     # Twice, because standard deviations that were estimated at another offset are too large.
     for _ in range(NOISE_ROUNDS):
         found = minimize_scalar(
-            cost, bounds=bounds, method="bounded", options={"xatol": OFFSET_TOLERANCE}
+            profile.cost, bounds=bounds, method="bounded", options={"xatol": OFFSET_TOLERANCE}
         )
         seconds = float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
         say(f"time offset: {1e3 * seconds:.2f} ms")
-        calibration, noise = _fit_at(data, trajectory, times, staged, calibration, seconds)
-        cost = _profile(data, trajectory, times, staged, calibration, noise)
-    std = _standard_deviation(cost, seconds, min(seconds - low, high - seconds))
-    return TimeOffset(seconds, std, at_time_offset(data, trajectory, times, seconds), noise)
-
-
-def _fit_at(
-    data: Dataset,
-    trajectory: Trajectory,
-    times: Float[np.ndarray, "views"],
-    staged: StagedFit,
-    start: Calibration,
-    seconds: float,
-) -> tuple[Calibration, Noise]:
-    """Return calibration and standard deviations of pixels and poses at an offset."""
-    at_offset = at_time_offset(data, trajectory, times, seconds)
-    fit = fit_joint(at_offset, start, inliers=staged.inliers, field=None)
-    assert fit.noise is not None
-    return fit.calibration, fit.noise
+        profile = _profile(data_at, staged.inliers, profile.calibration, seconds)
+    std = _standard_deviation(profile.cost, seconds, min(seconds - low, high - seconds))
+    return TimeOffset(seconds, std, data_at(seconds), profile.noise)
 
 
 def _disagreement(
-    seen: StagedFit, data: Dataset, base_from_tool: Float[np.ndarray, "views 4 4"]
+    mount: str,
+    base_from_tool: Float[np.ndarray, "views 4 4"],
+    camera_from_world: Float[np.ndarray, "views 4 4"],
 ) -> float:
     """Return how far the motions of robot and camera disagree, in rotation and in translation."""
-    used = views_to_use(data)
-    robot = host_mount_from_holder(data.mount, as_se3(base_from_tool))
-    camera = host_matrices(seen.step2.camera_from_world)
-    return closure_error(relative_motions(host_matrices(robot)[used], camera[used])).score
+    robot = host_matrices(host_mount_from_holder(mount, as_se3(base_from_tool)))
+    return closure_error(relative_motions(robot, camera_from_world)).score
+
+
+class _Profile(NamedTuple):
+    """The profile likelihood of an offset for given standard deviations.
+
+    Attributes:
+        cost: minus the log-likelihood of an offset, maximised over all other parameters.
+        calibration: the calibration from which its fits start.
+        noise: the standard deviations of pixels and poses.
+    """
+
+    cost: Callable[[float], float]
+    calibration: Calibration
+    noise: Noise
 
 
 def _profile(
-    data: Dataset,
-    trajectory: Trajectory,
-    times: Float[np.ndarray, "views"],
-    staged: StagedFit,
+    data_at: Callable[[float], Dataset],
+    inliers: Bool[Array, "views points"],
     start: Calibration,
-    noise: Noise,
-) -> Callable[[float], float]:
-    """Return minus the log-likelihood of an offset, maximised over all other parameters."""
+    seconds: float,
+) -> _Profile:
+    """Return the profile likelihood with the standard deviations that are estimated at an offset.
 
-    def cost(seconds: float) -> float:
+    Args:
+        data_at: the data set with the poses at an offset.
+        inliers: the observations that all fits use, so that their costs are comparable.
+        start: calibration to start from.
+        seconds: the offset, s.
+    """
+    fitted = fit_joint(data_at(seconds), start, inliers=inliers, field=None)
+    calibration, noise = fitted.calibration, fitted.noise
+    assert noise is not None
+
+    def cost(offset: float) -> float:
         """Return half the sum of squared residuals, in standard deviations."""
-        # The same observations at every offset, so that the costs are comparable.
         fit = fit_joint(
-            at_time_offset(data, trajectory, times, seconds),
-            start,
-            inliers=staged.inliers,
+            data_at(offset),
+            calibration,
+            inliers=inliers,
             noise=noise,
             field=None,
             gross_errors="keep",
         )
         return fit.solution.costs[-1]
 
-    return cost
+    return _Profile(cost, calibration, noise)
 
 
 def _standard_deviation(cost: Callable[[float], float], seconds: float, room: float) -> float:

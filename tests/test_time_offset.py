@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from moving_camera import circling_commands
 
 import smartview_jax as sv
 from smartview_jax.evaluation import reprojection_errors
-from smartview_jax.geometry import as_se3, host_matrices, viewing_direction
+from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.robots import Trajectory
 from smartview_jax.simulation import paper_calibration, paper_points, simulate
 from smartview_jax.time_offset import at_time_offset
@@ -23,13 +24,7 @@ def simulated(seed, views=15):
     phases = rng.uniform(0.0, 6.0, 4)
 
     def commands(times):
-        seconds = times - LOG_TIMES[0]
-        tilt = 0.3 + 0.2 * np.sin(0.8 * seconds + phases[0])
-        roll = 0.8 * np.sin(0.5 * seconds + phases[1])
-        distance = 0.25 + 0.03 * np.sin(0.6 * seconds + phases[2])
-        direction = viewing_direction(tilt, 0.6 * seconds + phases[3])
-        aims = np.broadcast_to(POINTS.mean(axis=0), (len(times), 3))
-        return calibration.command_for(sv.look_at(aims, direction, distance, roll))
+        return circling_commands(times - LOG_TIMES[0], POINTS, phases)
 
     times = np.sort(rng.uniform(LOG_TIMES[0] + 1.0, LOG_TIMES[-1] - 1.0, views))
     errors = rng.normal(size=(views, 6)) * np.repeat([1e-4, 2e-4], 3)

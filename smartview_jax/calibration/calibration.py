@@ -40,12 +40,7 @@ from ..geometry import (
 from ..robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
-from .mount import (
-    host_mount_from_holder,
-    mount_frames,
-    mount_from_holder,
-    transform_names,
-)
+from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
 
 FORMAT_VERSION = 2
 """Version of the file format.

@@ -9,13 +9,13 @@ import os
 from collections.abc import Callable
 
 LOGGER = "smartview_jax"
-"""Name of the logger above all of the library's."""
+"""The name of the logger above all of the library's."""
 
 NOISY_LOGGERS = ("absl", "jax", "jax._src.xla_bridge", "matplotlib", "trimesh")
 """Loggers of other libraries whose remarks a person at a robot can do nothing about."""
 
 NOISY_VARIABLES = {"OPENCV_LOG_LEVEL": "SILENT", "TF_CPP_MIN_LOG_LEVEL": "2"}
-"""What libraries written in C++ read when they are loaded, and the value that quietens them."""
+"""The variables that libraries written in C++ read when loaded, with values that quieten them."""
 
 _FORMAT = "%(relativeCreated)6.0f ms  %(name)s: %(message)s"
 

@@ -50,13 +50,13 @@ class PoseLog(NamedTuple):
             ValueError: a picture outside the logged times, by its view.
         """
         times = self.picture_times + self.time_offset
-        first, last = self.trajectory.times[0], self.trajectory.times[-1]
-        for view, time in zip(self.view_ids, times, strict=True):
-            if not first <= time <= last:
-                raise ValueError(
-                    f"view {view}: its time, {time:.9g} s, is not within those of the robot's "
-                    f"log, {first:.9g} to {last:.9g} s"
-                )
+        outside = self.trajectory.outside(times)
+        if outside.any():
+            k, logged = int(np.argmax(outside)), self.trajectory.times
+            raise ValueError(
+                f"view {self.view_ids[k]}: its time, {times[k]:.9g} s, is not within those of the "
+                f"robot's log, {logged[0]:.9g} to {logged[-1]:.9g} s"
+            )
         return as_se3(self.trajectory.at(times))
 
 

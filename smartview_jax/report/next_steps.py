@@ -13,7 +13,7 @@ CAMERA_LIMITED_RATIO = 1.5
 """Error of the chain over that of the camera alone up to which the camera is what limits it."""
 
 MORE_VIEWS_FACTOR = 2
-"""How many times as many views are asked for where the hand-eye transform is known too badly."""
+"""The multiple of the views that is asked for where the hand-eye transform is known too badly."""
 
 
 def hand_eye_half_widths(fit: JointFit) -> tuple[float, float]:

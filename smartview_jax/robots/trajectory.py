@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -19,10 +19,13 @@ class Trajectory(NamedTuple):
     Attributes:
         times: when the robot was there by its own clock, s, increasing.
         base_from_tool: poses.
+        rotations, positions: the splines, over the times.
     """
 
     times: Float[np.ndarray, "logged"]
     base_from_tool: Float[np.ndarray, "logged 4 4"]
+    rotations: RotationSpline
+    positions: CubicSpline
 
     @classmethod
     def of(cls, times: Float[np.ndarray, "logged"], base_from_tool: PoseLike) -> "Trajectory":
@@ -43,7 +46,13 @@ class Trajectory(NamedTuple):
             raise ValueError(
                 f"trajectory: time {k + 1} is {seconds[k + 1]:.9g} s, not after {seconds[k]:.9g} s"
             )
-        return cls(seconds, poses)
+        # Made once: a search asks for the poses at many times.
+        rotations = RotationSpline(seconds, Rotation.from_matrix(poses[:, :3, :3]))
+        return cls(seconds, poses, rotations, CubicSpline(seconds, poses[:, :3, 3]))
+
+    def outside(self, times: Float[np.ndarray, "views"]) -> Bool[np.ndarray, "views"]:
+        """Return which times are before the first or after the last logged one, or NaN."""
+        return ~((self.times[0] <= times) & (times <= self.times[-1]))
 
     def at(self, times: Float[np.ndarray, "views"]) -> Float[np.ndarray, "views 4 4"]:
         """Return the poses at some times, which must be within those that were logged.
@@ -51,16 +60,14 @@ class Trajectory(NamedTuple):
         Raises:
             ValueError: a time before the first or after the last logged one.
         """
-        first, last = self.times[0], self.times[-1]
-        outside = ~((first <= times) & (times <= last))
+        outside = self.outside(times)
         if outside.any():
             found = times[int(np.argmax(outside))]
             raise ValueError(
-                f"trajectory: {found:.9g} s is not within the logged times, {first:.9g} to "
-                f"{last:.9g} s"
+                f"trajectory: {found:.9g} s is not within the logged times, {self.times[0]:.9g} to "
+                f"{self.times[-1]:.9g} s"
             )
         poses = np.tile(np.eye(4), (len(times), 1, 1))
-        rotations = Rotation.from_matrix(self.base_from_tool[:, :3, :3])
-        poses[:, :3, :3] = RotationSpline(self.times, rotations)(times).as_matrix()
-        poses[:, :3, 3] = CubicSpline(self.times, self.base_from_tool[:, :3, 3])(times)
+        poses[:, :3, :3] = self.rotations(times).as_matrix()
+        poses[:, :3, 3] = self.positions(times)
         return poses

@@ -1,6 +1,5 @@
 """A robot that logged its poses in motion: the command finds how its clock differs."""
 
-import csv
 import dataclasses
 
 import jax.numpy as jnp
@@ -8,11 +7,13 @@ import numpy as np
 import pytest
 import yaml
 from jaxlie import SE3
+from moving_camera import circling_commands
 from typer.testing import CliRunner
 
 import smartview_jax as sv
 from smartview_jax.cli import app
-from smartview_jax.geometry import host_matrices, viewing_direction
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.simulation import paper_calibration, simulate
 from smartview_jax.targets import Chessboard
 
@@ -20,36 +21,26 @@ BOARD, OFFSET = Chessboard(7, 5, 0.005), 0.06
 LOG_TIMES = np.arange(0.0, 15.0, 0.05)
 
 
-def commands(times):
-    direction = viewing_direction(0.3 + 0.2 * np.sin(0.8 * times), 0.6 * times)
-    aims = np.broadcast_to(BOARD.points.mean(axis=0), (len(times), 3))
-    distance = 0.25 + 0.03 * np.sin(0.7 * times)
-    viewpoints = sv.look_at(aims, direction, distance, 0.8 * np.sin(0.5 * times))
-    return paper_calibration().command_for(viewpoints)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path, rng = tmp_path_factory.mktemp("logged"), np.random.default_rng(0)
     times = np.sort(rng.uniform(1.0, 14.0, 10))
     errors = rng.normal(size=(10, 6)) * np.repeat([5e-5, 1e-4], 3)
-    actual = commands(times) @ SE3.exp(jnp.asarray(errors))
+    actual = circling_commands(times, BOARD.points) @ SE3.exp(jnp.asarray(errors))
     data = simulate(paper_calibration(), actual, BOARD.points, pixel_noise=0.15).data
     sv.save_dataset(dataclasses.replace(data, target=BOARD), path)
-    rows = host_matrices(commands(LOG_TIMES)).reshape(-1, 16)
-    with (path / "poses.csv").open() as file:
-        columns = next(csv.reader(file))[1:]
-    with (path / "poses.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["time", *columns])
-        table.writerows(
-            [repr(float(time)), *map(repr, row[: len(columns)].tolist())]
-            for time, row in zip(LOG_TIMES, rows, strict=True)
-        )
-    lines = [
-        f"{view},{float(time - OFFSET)!r}" for view, time in zip(data.view_ids, times, strict=True)
-    ]
-    (path / "times.csv").write_text("\n".join(["view,time", *lines]))
+    rows = host_matrices(circling_commands(LOG_TIMES, BOARD.points)).reshape(-1, 16)
+    _, *columns = read_table(path / "poses.csv", ())[0]
+    write_table(
+        path / "poses.csv",
+        ["time", *columns],
+        [(time, *row) for time, row in zip(LOG_TIMES, rows, strict=True)],
+    )
+    write_table(
+        path / "times.csv",
+        ["view", "time"],
+        [(view, time - OFFSET) for view, time in zip(data.view_ids, times, strict=True)],
+    )
     content = yaml.safe_load((path / "dataset.yaml").read_text())
     content["poses"] |= {"picture_times": "times.csv", "rows": len(LOG_TIMES)}
     (path / "dataset.yaml").write_text(yaml.safe_dump(content, sort_keys=False))

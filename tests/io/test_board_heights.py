@@ -1,6 +1,5 @@
 """A board that was raised between two rounds of the robot: every picture has a pose of its own."""
 
-import csv
 import shutil
 
 import cv2
@@ -10,6 +9,7 @@ import pytest
 from jaxlie import SE3
 
 import smartview_jax as sv
+from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.io.dataset_folder import write_dataset_folder
 from smartview_jax.simulation import paper_calibration, render
 from smartview_jax.targets import CircleGrid, StackedTarget
@@ -26,12 +26,8 @@ def all_heights(rows: list[dict[str, str]]) -> list[dict[str, str]]:
 
 def rewrite(folder, change):
     """Write the table of poses again with other rows."""
-    with (folder / "poses.csv").open() as file:
-        rows = change(list(csv.DictReader(file)))
-    with (folder / "poses.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    rows = change(read_table(folder / "poses.csv", ()))
+    write_table(folder / "poses.csv", list(rows[0]), [list(row.values()) for row in rows])
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Data sets whose robot logged its poses while it moved, read from their folders."""
 
-import csv
-
 import numpy as np
 import pytest
 import yaml
@@ -9,6 +7,7 @@ import yaml
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_pose_log
+from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.robots import Trajectory
 from smartview_jax.simulation import random_target_scene
 from smartview_jax.targets import Chessboard
@@ -16,15 +15,10 @@ from smartview_jax.targets import Chessboard
 VIEWS, FIRST, STEP = 6, 500.0, 0.5
 
 
-def edit(path, change):
+def edit_yaml(path, change):
     content = yaml.safe_load(path.read_text())
     change(content)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
-
-
-def write_rows(path, header, rows):
-    with path.open("w", newline="") as file:
-        csv.writer(file).writerows([header, *rows])
 
 
 @pytest.fixture
@@ -39,14 +33,14 @@ def folder(scene, tmp_path):
     The camera's clock is 0.1 s behind the robot's.
     """
     sv.save_dataset(scene.data, tmp_path)
-    with (tmp_path / "poses.csv").open() as file:
-        header, *rows = csv.reader(file)
+    _, *columns = read_table(tmp_path / "poses.csv", ())[0]
+    rows = [list(row.values()) for row in read_table(tmp_path / "poses.csv", ())]
     times = FIRST + STEP * np.arange(VIEWS)
-    logged = [[repr(float(time)), *row[1:]] for time, row in zip(times, rows, strict=True)]
-    write_rows(tmp_path / "poses.csv", ["time", *header[1:]], logged)
-    pictures = [[row[0], repr(float(time - 0.1))] for time, row in zip(times, rows, strict=True)]
-    write_rows(tmp_path / "times.csv", ["view", "time"], pictures)
-    edit(
+    logged = [[time, *row[1:]] for time, row in zip(times, rows, strict=True)]
+    write_table(tmp_path / "poses.csv", ["time", *columns], logged)
+    pictures = [[row[0], time - 0.1] for time, row in zip(times, rows, strict=True)]
+    write_table(tmp_path / "times.csv", ["view", "time"], pictures)
+    edit_yaml(
         tmp_path / "dataset.yaml",
         lambda content: content["poses"].update(picture_times="times.csv", time_offset=0.1),
     )
@@ -64,7 +58,7 @@ def test_the_poses_are_those_at_the_corrected_times(folder, scene):
     assert log.time_offset == 0.1
     np.testing.assert_allclose(log.picture_times, FIRST - 0.1 + STEP * np.arange(VIEWS))
     # Without the offset the poses are those between two of the log.
-    edit(folder / "dataset.yaml", lambda content: content["poses"].update(time_offset=-0.1))
+    edit_yaml(folder / "dataset.yaml", lambda content: content["poses"].update(time_offset=-0.1))
     (folder / "times.csv").write_text((folder / "times.csv").read_text().replace("499.9", "500.3"))
     expected = Trajectory.of(log.trajectory.times, log.trajectory.base_from_tool)
     shifted = np.array([500.2, *(log.picture_times[1:] - 0.1)])
@@ -100,6 +94,6 @@ def test_what_is_wrong_is_named(folder):
     (folder / "poses.csv").write_text(log.replace("time,", "view,"))
     with pytest.raises(ValueError, match="expected the columns time; missing time"):
         sv.load_dataset(folder)
-    edit(description, lambda content: content["poses"].pop("picture_times"))
+    edit_yaml(description, lambda content: content["poses"].pop("picture_times"))
     with pytest.raises(ValueError, match="time_offset: it needs picture_times"):
         sv.load_dataset(folder)
