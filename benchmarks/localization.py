@@ -24,6 +24,7 @@ from smartview_jax.localization import localize
 
 from .grasping import calibrated
 from .localization_cells import KINDS, cell_scene, true_calibration, workspace_of
+from .localization_pictures import print_real_pictures
 from .localization_scenes import model_of, solids
 from .localization_tables import print_tables
 from .localization_trials import trial
@@ -119,10 +120,13 @@ def run(smoke: bool = False, results: Path | None = None) -> bool:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "records.jsonl"
             work(path, 0, 1, dict.fromkeys(SMOKE_SCENES, 1))
-            return print_tables(list(done(path).values()), [], smoke=True)
+            good = print_tables(list(done(path).values()), [], smoke=True)
+        print_real_pictures(smoke=True)
+        return good
     path = RESULTS if results is None else results
     _run_workers(path, min(2, os.cpu_count() or 1), SCENES)
-    return print_tables(list(done(path).values()), seconds_a_scene(TIMED))
+    good = print_tables(list(done(path).values()), seconds_a_scene(TIMED))
+    return print_real_pictures() and good
 
 
 def main() -> int:

@@ -8,6 +8,7 @@ from .arm_errors import nominal_arm as nominal_arm
 from .combined import CombinedField as CombinedField
 from .field import AbstractField as AbstractField
 from .field import AbstractLinearField as AbstractLinearField
+from .field import AbstractPreparedField as AbstractPreparedField
 from .field import FieldChoice as FieldChoice
 from .field import checked_field_choice as checked_field_choice
 from .generic_six_axis_arm import GenericSixAxisArm as GenericSixAxisArm

@@ -7,10 +7,10 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..robots import Command
-from .field import AbstractField
+from .field import AbstractField, AbstractPreparedField
 
 
-class CombinedField(AbstractField):
+class CombinedField(AbstractPreparedField):
     """A robot error field that composes the errors of two fields at the tool.
 
     actual_pose = first.actual_pose(reported) @ reported^-1 @ second.actual_pose(reported)
@@ -50,14 +50,6 @@ class CombinedField(AbstractField):
         return jnp.maximum(
             self.first.normalised_distance(reported), self.second.normalised_distance(reported)
         )
-
-    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        return self.prepared_pose(self.prepare(reported), coefficients)
-
-    def jacobian(
-        self, reported: Command, coefficients: Float[Array, "coefficients"]
-    ) -> Float[Array, "views 6 coefficients"]:
-        return self.prepared_jacobian(self.prepare(reported), coefficients)
 
     def prepare(self, reported: Command) -> tuple[SE3, Any, Any]:
         """Return the reported poses, and what both fields need of them."""

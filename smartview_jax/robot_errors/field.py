@@ -138,7 +138,33 @@ class AbstractField(eqx.Module):
         return tuple(f"{group}.{k}" for group, count in self.groups for k in range(count))
 
 
-class AbstractLinearField(AbstractField):
+class AbstractPreparedField(AbstractField):
+    """A robot error field that computes all of its values from what `prepare` returns."""
+
+    @abc.abstractmethod
+    def prepare(self, reported: Command) -> Any:
+        """Return all that the field needs of reported poses, whatever its coefficients."""
+
+    @abc.abstractmethod
+    def prepared_pose(self, prepared: Any, coefficients: Float[Array, "coefficients"]) -> SE3:
+        """Return `actual_pose` from what `prepare` returned."""
+
+    @abc.abstractmethod
+    def prepared_jacobian(
+        self, prepared: Any, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
+        """Return `jacobian` from what `prepare` returned."""
+
+    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
+        return self.prepared_pose(self.prepare(reported), coefficients)
+
+    def jacobian(
+        self, reported: Command, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 6 coefficients"]:
+        return self.prepared_jacobian(self.prepare(reported), coefficients)
+
+
+class AbstractLinearField(AbstractPreparedField):
     """A robot error field whose twist at the tool is linear in the coefficients.
 
     tool_from_base = exp(basis(base_from_tool) @ coefficients) @ reported
@@ -153,14 +179,6 @@ class AbstractLinearField(AbstractField):
     ) -> Float[Array, "*views 6"]:
         """Return the twist at the tool: translation (m), then rotation (rad)."""
         return self.basis(base_from_tool) @ coefficients
-
-    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        return self.prepared_pose(self.prepare(reported), coefficients)
-
-    def jacobian(
-        self, reported: Command, coefficients: Float[Array, "coefficients"]
-    ) -> Float[Array, "views 6 coefficients"]:
-        return self.prepared_jacobian(self.prepare(reported), coefficients)
 
     def prepare(self, reported: Command) -> tuple[SE3, Float[Array, "*views 6 coefficients"]]:
         """Return the reported poses and the basis there."""

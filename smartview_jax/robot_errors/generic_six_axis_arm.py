@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from ..robots import Command, SerialArm, branch_joints
 from .arm_errors import DHErrors
-from .field import AbstractField
+from .field import AbstractPreparedField
 from .linear_fields import centre_and_reach, max_normalised_offset
 
 MAX_POSE_REACH_FRACTION = 0.7
@@ -34,7 +34,7 @@ _APPROACH_ROTATIONS = {
 """Rotations about the flange's x and y axes, rad, to a tool whose named axis is the flange's z."""
 
 
-class GenericSixAxisArm(AbstractField):
+class GenericSixAxisArm(AbstractPreparedField):
     """A robot error field of an arm whose joints are inferred from poses.
 
     The coefficients are errors of joint zeros (rad), link lengths (m) and link twists (rad).
@@ -102,20 +102,11 @@ class GenericSixAxisArm(AbstractField):
     def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
         return max_normalised_offset(self.centre, self.reach, reported)
 
-    def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """Return the actual `base_from_tool`, out of reach by the joints that come closest."""
-        return self.prepared_pose(self.prepare(reported), coefficients)
-
-    def jacobian(
-        self, reported: Command, coefficients: Float[Array, "coefficients"]
-    ) -> Float[Array, "views 6 coefficients"]:
-        """Return the Jacobian of the actual pose, that of the arm errors at the inferred joints."""
-        return self.prepared_jacobian(self.prepare(reported), coefficients)
-
     def prepare(self, reported: Command) -> tuple[SE3, Command]:
         """Return reported poses times the inverse of the inferred arm's, and the inferred joints.
 
-        The inferred arm's pose is the reported one where the arm reaches it.
+        The inferred arm's pose is the reported one where the arm reaches it; where it does not,
+        the joints are those that come closest.
         """
         pose = reported.base_from_tool
         inferred = self.arm.command(branch_joints(self.arm, pose, self.branch))

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from smartview_jax.localization import Chance, Evidence, judge
+from smartview_jax.localization.verdict import ACCEPTED_SHARE, log_chance_of_exactness
+
+CLUTTER = Chance(0.25, 0.08)
+
+CLEAR = Evidence(
+    explained=0.95,
+    explained_in_view=(0.95, 0.95),
+    visible_px=2000.0,
+    edges=16,
+    partly_hidden=0.5,
+    edge_rms=0.1,
+    contrast=1.5,
+    in_picture=1.0,
+    log_likelihood=300.0,
+)
+
+
+def verdict(chance=CLUTTER, margin=np.inf, uncertainty=0.0, **changes):
+    evidence = CLEAR._replace(**changes)
+    return judge(evidence, chance, 24, margin, uncertainty=uncertainty)
+
+
+def test_clear_pose_is_accepted():
+    assert verdict().decision == "accepted"
+    assert not verdict().reasons
+
+
+@pytest.mark.parametrize(
+    ("changes", "decision", "words"),
+    [
+        ({"explained": 0.3}, "rejected", "only 30% of its visible edges"),
+        ({"edges": 4}, "rejected", "too few"),
+        ({"log_likelihood": 20.0}, "rejected", "too few"),
+        ({"chance": Chance(0.9, 0.1), "edge_rms": 0.9}, "rejected", "clutter explains as much"),
+        ({"explained": 0.75, "partly_hidden": 0.1}, "open", "only 75% of its visible edges"),
+        ({"edges": 6}, "open", "are few"),
+        ({"explained_in_view": (0.95, np.nan)}, "open", "only 1 of 2 views"),
+        ({"explained_in_view": (0.95, 0.4)}, "open", "view 1: 40%"),
+        ({"in_picture": 0.5}, "open", "only 50% of it are within a picture"),
+        ({"edge_rms": 1.5}, "open", "1.50 px (RMS)"),
+        ({"contrast": 0.2}, "open", "usual contrast"),
+        ({"uncertainty": 0.06}, "open", "uncertain by 6%"),
+        ({"margin": 2.0}, "open", "ambiguous"),
+    ],
+)
+def test_each_weakness_is_named(changes, decision, words):
+    found = verdict(**changes)
+    assert found.decision == decision
+    assert any(words in reason for reason in found.reasons)
+
+
+def test_hidden_object_is_accepted_only_where_its_edges_are_cut_off_and_fit_exactly():
+    """A model of another height has edges that are there and edges that are not."""
+    hidden = {"explained": 0.6, "explained_in_view": (0.6, 0.6), "partly_hidden": 0.7}
+    assert verdict(**hidden).decision == "accepted"
+    assert verdict(**hidden | {"partly_hidden": 0.2}).decision == "open"
+    assert verdict(**hidden | {"edge_rms": 0.6}).decision == "open"
+    assert verdict(**hidden | {"edges": 7, "edge_rms": 0.4}).decision == "open"
+    assert verdict(**hidden | {"explained": 0.45}).decision == "open"
+
+
+def test_loosely_fitting_pose_needs_more_of_its_edges():
+    assert verdict(explained=0.85).decision == "accepted"
+    loose = verdict(explained=0.85, edge_rms=0.6)
+    assert loose.decision == "open"
+    assert "fit to 0.60 px" in loose.reasons[0]
+    assert verdict(explained=0.9, edge_rms=0.6).decision == "accepted"
+
+
+def test_exact_edges_count_against_chance():
+    """Where clutter explains much, so many edges that fit exactly are still no accident."""
+    dense = Chance(0.72, 0.12)
+    assert verdict(dense, explained=0.97).decision == "accepted"
+    assert any("by chance" in r for r in verdict(dense, explained=0.97, edge_rms=0.6).reasons)
+
+
+def test_accepted_share_is_not_met_by_chance():
+    assert CLUTTER.probability_above(ACCEPTED_SHARE) < 1e-6
+    assert 0.4 < Chance(0.5, 0.1).probability_above(0.5) < 0.6
+
+
+def test_chance_of_exactness_is_that_of_uniform_distances():
+    """Of 2 n - 6 numbers, uniform in +-2 px, the share whose RMS is as small, by drawing them."""
+    rng = np.random.default_rng(0)
+    edges, rms = 5, 1.0
+    n = 2 * edges - 6
+    drawn = rng.uniform(-2.0, 2.0, (400_000, n))
+    # An edge's distance is the root of the sum of its two numbers' squares.
+    share = (np.mean(drawn**2, axis=1) <= 0.5 * rms**2).mean()
+    assert 10.0 ** log_chance_of_exactness(rms, edges) == pytest.approx(share, rel=0.05)
+    assert log_chance_of_exactness(rms, 3) == 0.0
