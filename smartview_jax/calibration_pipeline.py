@@ -4,7 +4,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Unpack
+from typing import ClassVar, Unpack
 
 import equinox as eqx
 import numpy as np
@@ -73,9 +73,9 @@ class CalibrationFit(eqx.Module):
     staged: StagedFit
     joint: JointFit
 
-    freedom = DeprecatedAttribute("freedom", "degrees_of_freedom")
-    estimate = DeprecatedAttribute("estimate", "noise_estimate")
-    margin = DeprecatedAttribute("margin", "confidence_half_width")
+    freedom: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("freedom", "degrees_of_freedom")
+    estimate: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("estimate", "noise_estimate")
+    margin: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("margin", "confidence_half_width")
 
     def __repr__(self) -> str:
         return repr(self.joint)

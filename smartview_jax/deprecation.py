@@ -176,7 +176,8 @@ class DeprecatedAttribute:
     """
 
     def __init__(self, old_name: str, new_name: str) -> None:
-        self.old_name, self.new_name = old_name, new_name
+        self.old_name: str = old_name
+        self.new_name: str = new_name
 
     def __get__(self, instance: Any, owner: type) -> Any:
         """Return the attribute that replaces this one, with a deprecation warning."""

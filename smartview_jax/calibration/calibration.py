@@ -13,7 +13,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -75,7 +75,9 @@ class Calibration(eqx.Module):
     robot_error: RobotError | None
     region: ViewedRegion | None
 
-    reported_for = DeprecatedAttribute("reported_for", "robot_command_for")
+    reported_for: ClassVar[DeprecatedAttribute] = DeprecatedAttribute(
+        "reported_for", "robot_command_for"
+    )
 
     def __init__(
         self,

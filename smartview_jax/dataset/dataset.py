@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -69,7 +69,7 @@ class Dataset(eqx.Module):
     arm: SerialArm | None = None
     notes: tuple[str, ...] = eqx.field(static=True, default=())
 
-    without = DeprecatedAttribute("without", "mask_views")
+    without: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("without", "mask_views")
 
     @classmethod
     def from_arrays(

@@ -33,7 +33,7 @@ class EditHistory:
                 is broken; the line is named.
             BlockingIOError: the file is open in another editor, which the message names.
         """
-        self.document = Document()
+        self.document: Document = Document()
         # Documents share what they have in common, so that keeping all of them costs little.
         self._documents: list[Document] = [self.document]
         self._position = 0

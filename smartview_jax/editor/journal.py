@@ -37,7 +37,7 @@ class Journal:
         """
         self.path = path
         self.entries: list[dict[str, Any]] = []
-        self.cut_off = 0
+        self.cut_off: int = 0
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = self._whole_lines()
         # Compared after a round through JSON, in which tuples become lists.

@@ -89,15 +89,15 @@ class ModelSession(AbstractDrawing):
             BlockingIOError: the file is open in another editor, which the message names.
         """
         # Everything that is given is checked before a lock or a file is made.
-        self.names = checked_names(names, len(pictures))
+        self.names: list[str] = checked_names(names, len(pictures))
         check_poses(np.asarray(base_from_tool, dtype=float), self.names)
         size = calibration.camera.image_size
-        self.pictures = {
+        self.pictures: dict[str, np.ndarray] = {
             name: checked_picture(picture, name, size)
             for name, picture in zip(self.names, pictures, strict=True)
         }
         self.calibration = calibration
-        self.geometry = ViewGeometry(
+        self.geometry: ViewGeometry = ViewGeometry(
             calibration, base_from_tool, self.names, covariance, click_sigma
         )
         # What was computed or found once is kept in these two.
@@ -105,12 +105,12 @@ class ModelSession(AbstractDrawing):
         self._symmetry = StatedSymmetry()
         self._features = PictureFeatures(calibration.camera, self.pictures)
         self._covariance = covariance
-        self.path = None if path is None else Path(path)
+        self.path: Path | None = None if path is None else Path(path)
         # Rounded, because the same poses read from two formats differ in the last digit.
         reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
         self._journal = EditHistory(self.path, {"views": self.names, "base_from_tool": reported})
-        self.notes = self._journal.notes
-        self.proposals = Proposals(None, self.names, self.document)
+        self.notes: list[str] = self._journal.notes
+        self.proposals: Proposals = Proposals(None, self.names, self.document)
 
     @property
     def picture_size(self) -> tuple[int, int]:

@@ -85,16 +85,21 @@ class ViewGeometry:
     ):
         """Compute the poses of the cameras; arguments as in `ModelSession`."""
         self._calibration = calibration
-        self.base_from_tool = np.asarray(base_from_tool, dtype=float)
-        self.names, self._covariance = list(names), covariance
+        self.base_from_tool: Float[np.ndarray, "views 4 4"] = np.asarray(
+            base_from_tool, dtype=float
+        )
+        self.names: list[str] = list(names)
+        self._covariance = covariance
         self._click_sigma = click_sigma
         self._seen = SeenViews.of(calibration, self.base_from_tool)
         self._estimates: dict[tuple, PointEstimate] = {}
         # The clicks are kept with their estimate, so that their identity is not given again.
         self._known: dict[int, tuple[Clicks, PointEstimate]] = {}
-        self.camera_from_world = self._seen.camera_from_world
-        self.centres = self._seen.centres
-        self.depth_range = _depth_range(self.camera_from_world, self.centres)
+        self.camera_from_world: Float[np.ndarray, "views 4 4"] = self._seen.camera_from_world
+        self.centres: Float[np.ndarray, "views 3"] = self._seen.centres
+        self.depth_range: list[tuple[float, float]] = _depth_range(
+            self.camera_from_world, self.centres
+        )
 
     def estimates(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return where points are that were clicked in one view or in several."""

@@ -34,14 +34,16 @@ class ScaledJacobian:
             reduced_matrix: `J^T J` with the views' own parameters eliminated.
             column_norms: lengths of the Jacobian's columns before that elimination.
         """
-        self.column_norms = np.where(column_norms > 0.0, column_norms, 1.0)
+        self.column_norms: Float[np.ndarray, "free"] = np.where(
+            column_norms > 0.0, column_norms, 1.0
+        )
         # D^-1 (J^T J) D^-1 = V diag(s^2) V^T, with D the column norms: s and V are the singular
         # values and the right singular vectors of J D^-1. `eigh` sorts upwards, hence the reversal.
         values, vectors = np.linalg.eigh(
             reduced_matrix / np.outer(self.column_norms, self.column_norms)
         )
-        self.singular_values = np.sqrt(np.maximum(values, 0.0))[::-1]
-        self.right_singular_vectors = vectors.T[::-1]
+        self.singular_values: Float[np.ndarray, "free"] = np.sqrt(np.maximum(values, 0.0))[::-1]
+        self.right_singular_vectors: Float[np.ndarray, "free free"] = vectors.T[::-1]
 
 
 class ReducedEquations(NamedTuple):

@@ -33,7 +33,7 @@ class Noise:
     field: tuple[float, ...] = ()
     white_pixel: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         # Only the standard deviations of poses may be infinite (nothing known of the poses): an
         # infinite pixel sigma would give all observations zero weight.
         pose_sigmas = [("translation", self.translation), ("rotation", self.rotation)]

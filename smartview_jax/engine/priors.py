@@ -16,6 +16,6 @@ class Prior:
     std: float
     mean: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0.0 < self.std < float("inf"):
             raise ValueError(f"Prior.std: expected a positive number, found {self.std}")

@@ -27,7 +27,7 @@ from .solver import Solution, solve
 def solve_on(
     devices: Sequence[Any],
     problem: JointProblem,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     start: Step | None = None,
 ) -> tuple[Solution, NormalEquations]:
     """Minimise a problem with its views distributed over devices; otherwise like `solve`.

@@ -4,7 +4,7 @@
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -67,7 +67,7 @@ class Solution(NamedTuple):
 
 def solve(
     problem: JointProblem,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     maximum_steps: int = MAXIMUM_STEPS,
     start: Step | None = None,
 ) -> tuple[Solution, NormalEquations]:
@@ -160,7 +160,7 @@ def _with_jacobi_scale(problem: JointProblem) -> JointProblem:
 
 def minimise(
     problem: JointProblem,
-    solver: optx.AbstractLeastSquaresSolver,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any],
     maximum_steps: int,
     start: Step,
 ) -> tuple[Step, Array, Array, NormalEquations, Array]:
@@ -199,7 +199,7 @@ def minimise(
 @compiled
 def _minimise_and_evaluate(
     problem: JointProblem,
-    solver: optx.AbstractLeastSquaresSolver,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any],
     maximum_steps: int,
     start: Step,
 ) -> tuple[Step, Array, Array, NormalEquations, Array, FittedChain]:
@@ -217,7 +217,7 @@ def _minimise_and_evaluate(
 @compiled
 def optimum(
     problem: JointProblem,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     start: Step | None = None,
     maximum_steps: int = MAXIMUM_STEPS,
 ) -> Step:

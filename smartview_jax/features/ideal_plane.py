@@ -29,7 +29,7 @@ class IdealPlane:
 
     def __init__(self, camera: Camera):
         self._camera = camera
-        self.focal_length = 0.5 * float(camera.alpha_u + camera.alpha_v)
+        self.focal_length: float = 0.5 * float(camera.alpha_u + camera.alpha_v)
 
     def from_pixels(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
         """Return ideal coordinates; NaN where the lens has no ray or it is not in front."""

@@ -72,7 +72,8 @@ class PointGrid:
     def __init__(
         self, points: Float[np.ndarray, "points 2"], normals: Float[np.ndarray, "points 2"]
     ):
-        self.points, self.normals = points, normals
+        self.points: Float[np.ndarray, "points 2"] = points
+        self.normals: Float[np.ndarray, "points 2"] = normals
         cells = np.rint(points).astype(int)
         self._origin = cells.min(axis=0, initial=0)
         self._size = cells.max(axis=0, initial=0) - self._origin + 1

@@ -6,6 +6,7 @@ report, and pose corrections without a prior. The robot's poses are not used.
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -81,7 +82,7 @@ def fit_camera(
     loss: str | AbstractLoss | None = None,
     fixed: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> CameraFit:
     """Fit a camera, and one free pose per view, to all pixels without the robot's poses.

@@ -82,7 +82,7 @@ def fit_joint(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    solver: optx.AbstractLeastSquaresSolver | None = None,
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     devices: Sequence[Any] | None = None,
     gross_errors: str = "auto",
     inliers: Bool[Array, "views points"] | Bool[np.ndarray, "views points"] | None = None,

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -84,9 +85,9 @@ class JointFit(eqx.Module):
     result: FitResult = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    freedom = DeprecatedAttribute("freedom", "degrees_of_freedom")
-    estimate = DeprecatedAttribute("estimate", "noise_estimate")
-    margin = DeprecatedAttribute("margin", "confidence_half_width")
+    freedom: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("freedom", "degrees_of_freedom")
+    estimate: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("estimate", "noise_estimate")
+    margin: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("margin", "confidence_half_width")
 
     def __repr__(self) -> str:
         # A traced fit, inside `jit`, has no figures to show.

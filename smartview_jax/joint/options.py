@@ -18,7 +18,7 @@ class JointOptions(TypedDict, total=False):
     fixed: Sequence[str]
     free: Sequence[str]
     priors: Mapping[str, Prior] | None
-    solver: optx.AbstractLeastSquaresSolver | None
+    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None
     devices: Sequence[Any] | None
     gross_errors: str
     robot_prior: RobotPrior | None

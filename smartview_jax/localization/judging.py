@@ -111,7 +111,7 @@ class Scene:
         self._points = [one.edge_points for one in pictures]
         self._free = [np.ones(len(points.pixels), dtype=bool) for points in self._points]
         self._strengths = [points.strengths for points in self._points]
-        self.lookup = self._lookup()
+        self.lookup: EdgeLookup = self._lookup()
 
     def _lookup(self) -> EdgeLookup:
         return EdgeLookup.of(self._points, self.views.camera.image_size, self._free)

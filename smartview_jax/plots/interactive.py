@@ -32,7 +32,8 @@ class InteractiveScene:
 
     def __init__(self, traces: list[dict[str, Any]], layout: dict[str, Any]):
         """Store the description of the scene."""
-        self.traces, self.layout = traces, layout
+        self.traces: list[dict[str, Any]] = traces
+        self.layout: dict[str, Any] = layout
 
     def html(self, element_id: str = "scene") -> str:
         """Return a part of a page with the scene, and with the program that draws it.

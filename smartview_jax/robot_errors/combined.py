@@ -23,7 +23,7 @@ class CombinedField(AbstractPreparedField):
     first: AbstractField
     second: AbstractField
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         shared_names = {name for name, _ in self.first.groups} & {
             name for name, _ in self.second.groups
         }

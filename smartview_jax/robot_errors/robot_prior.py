@@ -81,7 +81,7 @@ class RobotPrior:
     wrong_target_probability: float = 0.01
     wrong_target_scale_std: float = 0.5
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         positive = (
             "translation_median",
             "rotation_median",

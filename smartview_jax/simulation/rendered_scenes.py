@@ -1,6 +1,7 @@
 """Simulate scenes from rendered pictures, in which a detector finds the target points."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +30,7 @@ def rendered_scene(
     reported_poses: PoseLike | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-    **options,
+    **options: Any,
 ) -> Scene:
     """Render a picture of a target from every robot pose, at every height, and detect the target.
 

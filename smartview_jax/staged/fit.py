@@ -6,7 +6,7 @@ camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and 
 
 import logging
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -325,7 +325,7 @@ def _fill_unused_poses(poses: SE3, used: np.ndarray) -> SE3:
     return SE3(to_device(np.where(used[:, None], np.asarray(poses.wxyz_xyz), placeholder)))
 
 
-def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options) -> StagedFit:
+def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options: Any) -> StagedFit:
     """Calibrate with the intrinsics that Step 1 finds in a single view, taken for all views.
 
     This is the method that the paper criticises, for comparison.

@@ -31,7 +31,7 @@ class Charuco(AbstractTarget):
     dictionary: str = "DICT_4X4_250"
     legacy: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""
         require_count(2, squares_x=self.squares_x, squares_y=self.squares_y)
         require_positive(square=self.square, marker=self.marker)

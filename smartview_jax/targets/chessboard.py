@@ -24,7 +24,7 @@ class Chessboard(AbstractTarget):
     columns: int
     square: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""
         require_count(2, rows=self.rows, columns=self.columns)
         require_positive(square=self.square)

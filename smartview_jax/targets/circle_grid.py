@@ -40,7 +40,7 @@ class CircleGrid(AbstractTarget):
     radius: float | None = None
     mark_radius: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""
         require_count(2, rows=self.rows, columns=self.columns)
         require_positive(spacing=self.spacing)

@@ -29,7 +29,7 @@ class StackedTarget(AbstractTarget):
 
     y_up: ClassVar[bool] = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise a ValueError if the board is stacked itself or the heights are not distinct."""
         if isinstance(self.board, StackedTarget):
             raise ValueError("board: expected a flat target, found one that has heights itself")

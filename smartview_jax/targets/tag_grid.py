@@ -35,7 +35,7 @@ class TagGrid(AbstractTarget):
 
     y_up: ClassVar[bool] = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""
         require_count(1, rows=self.rows, columns=self.columns)
         require_count(0, first_id=self.first_id)

@@ -9,7 +9,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
 from ..array_namespace import to_device
 from ..compilation import compiled
@@ -53,22 +53,26 @@ class ViewStatistics:
         built: BuiltProblem,
         usable_views: Int[np.ndarray, "placed"],
         within_sum_of_squares: float,
-        scale_is_group=False,
+        scale_is_group: bool = False,
     ):
-        problem, self.group_index = built.problem, _group_index(built, scale_is_group)
-        self.free = np.asarray(problem.free)
+        problem = built.problem
+        self.problem: JointProblem = problem
+        self.group_index: Int[np.ndarray, "free"] = _group_index(built, scale_is_group)
+        self.free: Int[np.ndarray, "free"] = np.asarray(problem.free)
         camera_count = int(np.sum(self.free < problem.parameters.layout.camera.stop))
-        self.problem, self.within_sum_of_squares = problem, within_sum_of_squares
-        self.per_view_free = np.asarray(problem.per_view_free)
-        self.group_names = _group_names(built, scale_is_group)
-        self.statistic_count = camera_count + int(self.per_view_free[usable_views].sum())
+        self.within_sum_of_squares: float = within_sum_of_squares
+        self.per_view_free: Bool[np.ndarray, "corrected 6"] = np.asarray(problem.per_view_free)
+        self.group_names: tuple[str, ...] = _group_names(built, scale_is_group)
+        self.statistic_count: int = camera_count + int(self.per_view_free[usable_views].sum())
         visible_count = int(np.asarray(problem.observations.visible).sum())
         # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
         # poses).
         white = np.sqrt(within_sum_of_squares / max(2 * visible_count - self.statistic_count, 1))
-        self.white_sigma = max(float(white), SIGMA_FLOOR)
+        self.white_sigma: float = max(float(white), SIGMA_FLOOR)
         free_weight = np.asarray(problem.prior_weight.shared)[self.free]
-        self.known_weight = np.where(self.group_index < 0, free_weight, 0.0)
+        self.known_weight: Float[np.ndarray, "free"] = np.where(
+            self.group_index < 0, free_weight, 0.0
+        )
         shared, per_view = jax.tree.map(np.asarray, _offset_at_start(problem))
         self._offset_at_start = Step(shared[self.free], per_view)
 

@@ -38,7 +38,7 @@ class ViewRange(eqx.Module):
     max_aim_offset: float = eqx.field(static=True, converter=float, default=0.0)
     above: bool = eqx.field(static=True, default=True)
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         near, far = self.distance
         if not 0.0 < near < far < np.inf:
             raise ValueError(f"distance: expected 0 < least < greatest, found {self.distance}")

@@ -60,7 +60,8 @@ class Physics:
             ImportError: mujoco is not installed.
         """
         self._mujoco = import_extra("mujoco", "cell", "the physics of a cell")
-        self.objects, self.gripper = tuple(objects), gripper
+        self.objects: tuple[CellObject, ...] = tuple(objects)
+        self.gripper: Gripper = gripper
         self._model: Any = self._mujoco.MjModel.from_xml_string(
             physics_xml(objects, fixtures, gripper, guide_centre, guide_size)
         )

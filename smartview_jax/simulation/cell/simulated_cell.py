@@ -97,7 +97,8 @@ class SimulatedCell:
         Raises:
             ImportError: mujoco, trimesh or embreex is not installed (smartview-jax[cell]).
         """
-        self._truth, self.gripper = truth or random_truth(seed), gripper or Gripper()
+        self._truth = truth or random_truth(seed)
+        self.gripper: Gripper = gripper or Gripper()
         # The arm's own randomness, which the pictures' noise does not change.
         self._rng = np.random.default_rng((seed, 11))
         self._seed, self._pictures, self._bin = seed, 0, bin
@@ -105,7 +106,7 @@ class SimulatedCell:
         self._table = table_texture(seed, clutter)
         self._table_with_board = board_on_table(self._truth.board, self._table)
         self._objects: tuple[CellObject, ...] = ()
-        self.board_shown = True
+        self.board_shown: bool = True
         self._joints = np.array(HOME_JOINTS, dtype=float)
         self._base_from_tool = self._truth.base_from_tool(self._joints, self._rng)
         self._physics = self._new_physics(())
