@@ -1,10 +1,15 @@
 """Find known objects in calibrated pictures: hypotheses, verification and the next view."""
 
+from .chance import Chance as Chance
+from .chance import ChancePoses as ChancePoses
+from .chance import chance_of as chance_of
+from .chance import chance_poses as chance_poses
 from .distinct_poses import distinct_poses as distinct_poses
 from .distinct_poses import pose_distances as pose_distances
 from .edge_lines import EdgeLines as EdgeLines
-from .edge_lines import converged_poses as converged_poses
 from .edge_lookup import EdgeLookup as EdgeLookup
+from .evidence import Evidence as Evidence
+from .evidence import evidence_of as evidence_of
 from .hypotheses import Hypothesis as Hypothesis
 from .hypotheses import find_hypotheses as find_hypotheses
 from .localization import EdgeMatch as EdgeMatch
@@ -22,6 +27,7 @@ from .next_view import NextView as NextView
 from .next_view import Reachable as Reachable
 from .next_view import next_view as next_view
 from .polishing import polished_poses as polished_poses
+from .pose_convergence import converged_poses as converged_poses
 from .prediction import PredictedView as PredictedView
 from .prediction import hidden_samples as hidden_samples
 from .prediction import hidden_vertices as hidden_vertices
@@ -35,13 +41,7 @@ from .refinement import refine_pose as refine_pose
 from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps
 from .scoring import score_poses as score_poses
-from .verdict import Chance as Chance
-from .verdict import ChancePoses as ChancePoses
-from .verdict import Evidence as Evidence
 from .verdict import Verdict as Verdict
-from .verdict import chance_of as chance_of
-from .verdict import chance_poses as chance_poses
-from .verdict import evidence_of as evidence_of
 from .verdict import judge as judge
 from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES
 from .wireframe import Wireframe as Wireframe

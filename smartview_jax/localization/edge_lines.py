@@ -7,22 +7,17 @@ the mean of its points, and its slope times their spread. Their errors are indep
 covariance of neighbouring edge points, which share a smoothed pixel, is that of the line.
 """
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray, to_device
+from ..array_namespace import AnyArray
 from ..cameras import Camera
 from ..compilation import compiled_optimised
-from ..modeling import SeenViews
-from .edge_lookup import EdgeLookup, padded_poses
+from .edge_lookup import EdgeLookup
 from .prediction import predict_view, within_picture
 from .wireframe import Wireframe
 
@@ -61,24 +56,6 @@ MIN_SHARE = 0.25
 
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
 """Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
-
-THREADS = min(4, os.cpu_count() or 1)
-"""Number of batches of poses that are computed at the same time."""
-
-POSES_PER_BATCH = 8
-"""Number of poses that are drawn to the edges by one call of a compiled program."""
-
-RADII = (12.0, 9.0, 6.5, 4.5, 3.0, 3.0)
-"""Search radius of each step towards a pose, px."""
-
-TOLERANCE_OF_RADIUS = 0.25
-"""Standard deviation of an edge that is expected in a step, as a fraction of its search radius."""
-
-EDGE_GATE = 3.0
-"""Scale of the Geman-McClure weight of an edge, in standard deviations."""
-
-DAMPING = 1e-3
-"""Damping of the steps, relative to each diagonal entry of the normal equations."""
 
 
 class EdgeLines(NamedTuple):
@@ -325,123 +302,3 @@ def lines_in_views(
         return edge_lines(wireframe, camera, own, matrix @ world_from_object, radius)
 
     return jax.vmap(in_view)(lookup, camera_from_world)
-
-
-@compiled_optimised
-def converged_poses(
-    wireframe: Wireframe,
-    camera: Camera,
-    lookup: EdgeLookup,
-    camera_from_world: Float[Array, "views 4 4"],
-    world_from_object: Float[Array, "poses 4 4"],
-) -> tuple[Float[Array, "poses 4 4"], Float[Array, "poses 2"]]:
-    """Return poses after the steps of `RADII`, and their visible and explained edge lengths, px.
-
-    Each step weights every edge of every view by Geman and McClure's function of its distance, with
-    a standard deviation that shrinks with the search radius (graduated non-convexity).
-    """
-
-    def step(pose: Float[Array, "4 4"], radius: Float[Array, ""]):
-        lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
-        return pose @ SE3.exp(_robust_step(lines, TOLERANCE_OF_RADIUS * radius)).as_matrix(), None
-
-    def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, "2"]]:
-        pose, _ = jax.lax.scan(step, pose, jnp.asarray(RADII))
-        lengths = _lengths(wireframe, camera, lookup, camera_from_world, pose)
-        return pose, lengths
-
-    # One pose after the other: their arrays stay in the processor's cache.
-    return jax.lax.map(converge, world_from_object)
-
-
-@compiled_optimised
-def _lengths_at(
-    wireframe: Wireframe,
-    camera: Camera,
-    lookup: EdgeLookup,
-    camera_from_world: Float[Array, "views 4 4"],
-    world_from_object: Float[Array, "poses 4 4"],
-) -> Float[Array, "poses 2"]:
-    """Return the visible and the explained edge length of poses, px."""
-    return jax.lax.map(
-        lambda pose: _lengths(wireframe, camera, lookup, camera_from_world, pose),
-        world_from_object,
-    )
-
-
-def _lengths(
-    wireframe: Wireframe,
-    camera: Camera,
-    lookup: EdgeLookup,
-    camera_from_world: Float[Array, "views 4 4"],
-    pose: Float[Array, "4 4"],
-) -> Float[Array, "2"]:
-    """Return the visible and the explained edge length at a pose, all views together, px."""
-    radius = jnp.asarray(EXPLAINED_DISTANCE)
-    lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
-    return jnp.stack([lines.visible_px.sum(), lines.explained_px.sum()])
-
-
-def poses_on_edges(
-    wireframe: Wireframe,
-    views: SeenViews,
-    lookup: EdgeLookup,
-    world_from_object: Float[np.ndarray, "poses 4 4"],
-) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses 2"]]:
-    """Return what `converged_poses` does for any number of poses, by one compiled program."""
-    found = _in_batches(converged_poses, wireframe, views, lookup, world_from_object)
-    poses = [np.zeros((0, 4, 4)), *(np.asarray(one[0]) for one in found)]
-    lengths = [np.zeros((0, 2)), *(np.asarray(one[1]) for one in found)]
-    count = len(world_from_object)
-    return np.concatenate(poses)[:count], np.concatenate(lengths)[:count]
-
-
-def lengths_of_poses(
-    wireframe: Wireframe,
-    views: SeenViews,
-    lookup: EdgeLookup,
-    world_from_object: Float[np.ndarray, "poses 4 4"],
-) -> Float[np.ndarray, "poses 2"]:
-    """Return the visible edge length of any number of poses, and that which is explained, px."""
-    found = _in_batches(_lengths_at, wireframe, views, lookup, world_from_object)
-    lengths = [np.zeros((0, 2)), *(np.asarray(one) for one in found)]
-    return np.concatenate(lengths)[: len(world_from_object)]
-
-
-def _in_batches(
-    program: Callable[..., Any],
-    wireframe: Wireframe,
-    views: SeenViews,
-    lookup: EdgeLookup,
-    world_from_object: Float[np.ndarray, "poses 4 4"],
-) -> list[Any]:
-    """Return what a program makes of batches of poses, the last one padded with its last pose."""
-    camera_from_world = to_device(padded_poses(views.camera_from_world))
-
-    def of_batch(own: Float[np.ndarray, "poses 4 4"]) -> Any:
-        padding = np.repeat(own[-1:], POSES_PER_BATCH - len(own), axis=0)
-        batch = to_device(np.concatenate([own, padding]))
-        found = program(wireframe, views.camera, lookup, camera_from_world, batch)
-        return jax.block_until_ready(found)
-
-    starts = range(0, len(world_from_object), POSES_PER_BATCH)
-    batches = [world_from_object[start : start + POSES_PER_BATCH] for start in starts]
-    # The first one compiles the program, if need be; a program of a few poses uses one core.
-    first, rest = batches[:1], batches[1:]
-    with ThreadPoolExecutor(THREADS) as pool:
-        return [*map(of_batch, first), *pool.map(of_batch, rest)]
-
-
-def _robust_step(lines: EdgeLines, tolerance: Float[Array, ""]) -> Float[Array, "6"]:
-    """Return the damped Gauss-Newton step of robustly weighted edges."""
-    # H = sum w J^T J / v,  g = sum w J^T r / v
-    variances = lines.variances + tolerance**2
-    squared = (lines.offsets**2 / variances).sum(axis=-1)
-    robust = lines.measured.astype(squared.dtype) / (1.0 + squared / EDGE_GATE**2) ** 2
-    weights = robust[..., None] / variances
-    H = jnp.einsum("vek,veki,vekj->ij", weights, lines.by_pose, lines.by_pose)
-    g = jnp.einsum("vek,veki,vek->i", weights, lines.by_pose, lines.offsets)
-    # Metres and radians are scaled to one before the system is solved.
-    scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diagonal(H), 1e-12))
-    scaled = H * scale[:, None] * scale[None] + DAMPING * jnp.eye(6)
-    return scale * jnp.linalg.solve(scaled, scale * g)

@@ -11,24 +11,16 @@ from jaxtyping import Float
 
 from ..features import PictureEvidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
+from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .distinct_poses import pose_distances
-from .edge_lines import EdgeLines, lengths_of_poses, poses_on_edges
+from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup
+from .evidence import Evidence, evidence_of, log_likelihood_of
 from .hypotheses import Hypothesis
 from .localization import Localization, Rival
+from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
-from .verdict import (
-    REJECTED_SHARE,
-    Chance,
-    ChancePoses,
-    Evidence,
-    chance_of,
-    chance_poses,
-    evidence_of,
-    judge,
-    log_likelihood_of,
-    relative_std,
-)
+from .verdict import REJECTED_SHARE, judge, relative_std
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24

@@ -17,10 +17,10 @@ from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
-from .edge_lines import THREADS
 from .hypotheses import Hypothesis, find_hypotheses
 from .judging import Prepared, Scene, converged_candidates, judged
 from .localization import Localization, Localizations
+from .pose_convergence import THREADS
 
 
 def localize(

@@ -26,7 +26,7 @@ CALIBRATION = calibration()
 def few_samples():
     """Enough for wireframes among drawn edges; chance costs most of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.verdict.CHANCE_POSES", 8)
+        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
         patch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
         yield
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.localization import Chance, Evidence, judge
-from smartview_jax.localization.verdict import ACCEPTED_SHARE, log_chance_of_exactness
+from smartview_jax.localization.verdict import ACCEPTED_SHARE
 
 CLUTTER = Chance(0.25, 0.08)
 
@@ -81,15 +81,3 @@ def test_exact_edges_count_against_chance():
 def test_accepted_share_is_not_met_by_chance():
     assert CLUTTER.probability_above(ACCEPTED_SHARE) < 1e-6
     assert 0.4 < Chance(0.5, 0.1).probability_above(0.5) < 0.6
-
-
-def test_chance_of_exactness_is_that_of_uniform_distances():
-    """Of 2 n - 6 numbers, uniform in +-2 px, the share whose RMS is as small, by drawing them."""
-    rng = np.random.default_rng(0)
-    edges, rms = 5, 1.0
-    n = 2 * edges - 6
-    drawn = rng.uniform(-2.0, 2.0, (400_000, n))
-    # An edge's distance is the root of the sum of its two numbers' squares.
-    share = (np.mean(drawn**2, axis=1) <= 0.5 * rms**2).mean()
-    assert 10.0 ** log_chance_of_exactness(rms, edges) == pytest.approx(share, rel=0.05)
-    assert log_chance_of_exactness(rms, 3) == 0.0

@@ -1,10 +1,10 @@
-"""How unlikely it is that edges of clutter fit a model exactly."""
+"""How unlikely it is that edges of clutter explain a model, or fit it exactly."""
 
 import numpy as np
 import pytest
 
+from smartview_jax.localization.chance import log_chance_of_exactness
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
-from smartview_jax.localization.verdict import log_chance_of_exactness
 
 
 @pytest.mark.parametrize(("edges", "rms"), [(4, 0.6), (5, 1.4)])

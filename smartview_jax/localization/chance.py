@@ -1,0 +1,138 @@
+"""Measure how much of a known object chance explains: at other places of the same pictures.
+
+The wireframe is displaced and drawn to the best place near by, as a hypothesis is. A beta
+distribution of the shares that it explains there says how rarely chance explains more.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import betainc, gammaln
+
+from ..geometry import host_exponentials
+from ..modeling import ObjectModel, SeenViews
+from .edge_lines import EXPLAINED_DISTANCE, MIN_POINT_SIGMA
+from .edge_lookup import EdgeLookup
+from .pose_convergence import poses_on_edges
+from .wireframe import Wireframe
+
+CHANCE_POSES = 48
+"""Number of displaced poses from which chance is estimated."""
+
+
+class Chance(NamedTuple):
+    """The explained share of a wireframe at places where the object is not.
+
+    Attributes:
+        mean, std: of the shares.
+    """
+
+    mean: float
+    std: float
+
+    def probability_above(self, share: float) -> float:
+        """Return the probability that chance explains at least a share.
+
+        A beta distribution of the same mean and standard deviation stands for the tail, in which
+        there are no samples.
+        """
+        mean = float(np.clip(self.mean, 0.02, 0.98))
+        variance = float(np.clip(self.std**2, 1e-4, 0.8 * mean * (1.0 - mean)))
+        count = mean * (1.0 - mean) / variance - 1.0
+        # 1 - I_x(a, b) = I_(1-x)(b, a), which keeps its digits where it is small.
+        return float(betainc((1.0 - mean) * count, mean * count, 1.0 - min(share, 1.0)))
+
+
+class ChancePoses(NamedTuple):
+    """The poses to which a displaced wireframe is drawn by what the pictures show.
+
+    Attributes:
+        world_from_object: the poses.
+        lengths: visible edge length of each, and the part of it that is explained, px.
+    """
+
+    world_from_object: Float[np.ndarray, "poses 4 4"]
+    lengths: Float[np.ndarray, "poses 2"]
+
+
+def chance_poses(
+    pose: Float[np.ndarray, "4 4"],
+    model: ObjectModel,
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    seed: int = 0,
+) -> ChancePoses:
+    """Return poses at which a model is looked for in vain, drawn to the edges of the pictures.
+
+    The wireframe is displaced by half its size to three times its size, turned by up to 40 degrees
+    and drawn to the best place near by, as a hypothesis is.
+
+    Args:
+        pose: of the object about which it is displaced.
+        model: of the object.
+        wireframe: of the model; few samples are enough.
+        views: camera and poses.
+        lookup: edge points of the views.
+        seed: of the displacements.
+    """
+    rng = np.random.default_rng(seed)
+    extent = float(np.ptp(model.vertices, axis=0).max())
+    tangents = np.zeros((CHANCE_POSES, 6))
+    directions = rng.standard_normal((CHANCE_POSES, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    tangents[:, :3] = rng.uniform(0.5, 3.0, (CHANCE_POSES, 1)) * extent * directions
+    axes = rng.standard_normal((CHANCE_POSES, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    tangents[:, 3:] = rng.uniform(0.0, np.deg2rad(40.0), (CHANCE_POSES, 1)) * axes
+    # Displaced about the object's middle, not about the origin of its frame.
+    middle = _middle_frame(model)
+    displaced = pose @ middle @ host_exponentials(tangents) @ np.linalg.inv(middle)
+    return ChancePoses(*poses_on_edges(wireframe, views, lookup, displaced))
+
+
+def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChancePoses) -> Chance:
+    """Return how much of a wireframe's visible length other places of the pictures explain.
+
+    Poses that returned to the object itself are left out, and so are those of which the pictures
+    show nothing.
+
+    Args:
+        pose: of the object that is judged.
+        model: of the object.
+        tried: where its wireframe was drawn to, displaced from this pose or from another one.
+    """
+    middle = _middle_frame(model)
+    moved = tried.world_from_object @ middle - pose @ middle
+    extent = float(np.ptp(model.vertices, axis=0).max())
+    elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
+    shares = tried.lengths[:, 1] / np.maximum(tried.lengths[:, 0], 1.0)
+    values = shares[elsewhere & (shares > 0.0)]
+    if len(values) < 5:
+        # Nothing else is in the pictures: chance explains next to nothing.
+        return Chance(0.05, 0.05)
+    return Chance(float(values.mean()), float(values.std(ddof=1)))
+
+
+def _middle_frame(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
+    """Return object_from_middle, with the middle of the vertices as the origin."""
+    middle = np.eye(4)
+    middle[:3, 3] = model.vertices.mean(axis=0)
+    return middle
+
+
+def log_chance_of_exactness(rms: float, edges: int) -> float:
+    """Return the decimal logarithm of the probability that edges of clutter fit so well.
+
+    Two numbers of each edge, less the six of the pose, are anywhere within `EXPLAINED_DISTANCE` by
+    chance (Moisan and Stival, "A probabilistic criterion to detect rigid point matches", 2004).
+    """
+    # The ball sum x^2 <= n r^2 has the part pi^(n/2) (r sqrt(n))^n / Gamma(n/2 + 1) of the cube
+    # (2 d)^n.
+    n = 2 * edges - 6
+    if n <= 0:
+        return 0.0
+    radius = max(rms, MIN_POINT_SIGMA) / np.sqrt(2.0) * np.sqrt(n)
+    part = 0.5 * n * np.log(np.pi) + n * np.log(radius / (2.0 * EXPLAINED_DISTANCE))
+    return min(float((part - gammaln(0.5 * n + 1.0)) / np.log(10.0)), 0.0)

@@ -1,0 +1,115 @@
+"""Count what the pictures say for and against a pose of a known object."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..modeling import SeenViews
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
+from .edge_lookup import EdgeLookup
+from .refinement import measured_lines
+from .wireframe import Wireframe
+
+PARTLY_SHARES = (0.1, 0.92)
+"""Explained shares between which a part of an edge is there."""
+
+MIN_VIEW_PX = 60.0
+"""Visible edge length, px, from which a view is judged by its own share."""
+
+FOUND_PROBABILITY = 0.9
+"""Probability that a piece of a truly visible edge has an edge point: shadows and equal brightness
+on both sides take the rest."""
+
+INDEPENDENT_LENGTH = 12.0
+"""Length of an edge, px, whose being found or not counts as one observation."""
+
+
+class Evidence(NamedTuple):
+    """The numbers of a pose that a verdict rests on, without comparing it with others.
+
+    Attributes:
+        explained: share of the visible edge length with an edge point, all views together.
+        explained_in_view: likewise in each view; NaN where too little of the object is visible.
+        visible_px: visible edge length of all views, px.
+        edges: number of measured edges, each view for itself.
+        partly_hidden: part of the missing length that is of edges of which a part is there.
+        edge_rms: RMS distance of measured edges from the model, px.
+        contrast: see `MIN_CONTRAST`.
+        in_picture: part of the vertices within the picture, in the view that has most of them.
+        log_likelihood: of the visible edges being found or not, over their being clutter.
+    """
+
+    explained: float
+    explained_in_view: tuple[float, ...]
+    visible_px: float
+    edges: int
+    partly_hidden: float
+    edge_rms: float
+    contrast: float
+    in_picture: float
+    log_likelihood: float
+
+
+def evidence_of(
+    pose: Float[np.ndarray, "4 4"],
+    wireframe: Wireframe,
+    views: SeenViews,
+    lookup: EdgeLookup,
+    strengths: Sequence[Float[np.ndarray, "_"]],
+    chance: float,
+) -> Evidence:
+    """Return what the pictures say for and against a pose.
+
+    Args:
+        pose: world_from_object.
+        wireframe: of the model.
+        views: camera and poses.
+        lookup: edge points of the views.
+        strengths: gradients of all edge points of each view, grey levels per px.
+        chance: share of visible length that clutter explains.
+    """
+    lines = measured_lines(wireframe, views, lookup, pose, EXPLAINED_DISTANCE)
+    visible, explained = lines.visible_px.sum(axis=1), lines.explained_px.sum(axis=1)
+    in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
+    numbers = lines.offsets[lines.measured]
+    total, share = float(visible.sum()), float(explained.sum() / max(visible.sum(), 1.0))
+    return Evidence(
+        share,
+        tuple(in_view.tolist()),
+        total,
+        int(lines.measured.sum()),
+        _partly_hidden(lines),
+        # The two numbers are distances at the mean and at the spread: their squares add up.
+        float(np.sqrt((numbers**2).sum(axis=1).mean())) if len(numbers) else np.inf,
+        _contrast(lines, strengths),
+        float(lines.in_picture.max()),
+        log_likelihood_of(share, total, chance),
+    )
+
+
+def _partly_hidden(lines: EdgeLines) -> float:
+    """Return the part of the missing length that is of edges of which a part is there."""
+    missing = lines.visible_px - lines.explained_px
+    shares = lines.explained_px / np.maximum(lines.visible_px, 1.0)
+    partly = (shares > PARTLY_SHARES[0]) & (shares < PARTLY_SHARES[1])
+    return float(missing[partly].sum() / max(missing.sum(), 1.0))
+
+
+def log_likelihood_of(share: float, visible_px: float, chance: float) -> float:
+    """Return the log-likelihood of found and missing edge length over that of clutter."""
+    # Each piece is found with probability q if the object is there, and with p if clutter is:
+    #   l = n (x log(q / p) + (1 - x) log((1 - q) / (1 - p)))
+    p, q = float(np.clip(chance, 0.02, 0.8)), FOUND_PROBABILITY
+    pieces = visible_px / INDEPENDENT_LENGTH
+    return pieces * (share * np.log(q / p) + (1.0 - share) * np.log((1.0 - q) / (1.0 - p)))
+
+
+def _contrast(lines: EdgeLines, strengths: Sequence[Float[np.ndarray, "_"]]) -> float:
+    """Return the gradient along measured edges, over that of all edge points."""
+    if not lines.measured.any():
+        return 0.0
+    usual = np.array([np.median(one) if len(one) else np.inf for one in strengths])
+    ratios = lines.strength / usual[:, None]
+    return float(np.median(ratios[lines.measured]))
