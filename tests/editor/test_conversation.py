@@ -4,15 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from editor_scene import drawn_scene
 
 from smartview_jax.editor import Conversation, ModelSession
 from smartview_jax.simulation import object_example
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return drawn_scene()
 
 
 @pytest.fixture

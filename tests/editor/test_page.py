@@ -7,17 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import ARGUMENTS, Page, browser_or_skip, serve_in_process, serve_in_thread
-from editor_scene import drawn_scene
 
-from smartview_jax.editor import ModelSession
 from smartview_jax.io import load_object_model
 
 VIEWS = (0, 1, 2, 3, 4)
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return drawn_scene()
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +26,6 @@ def chromium():
     for browser in started:
         browser.close()
     playwright.stop()
-
-
-@pytest.fixture
-def session(scene, tmp_path):
-    path = tmp_path / "house.json"
-    with ModelSession(scene.calibration, scene.base_from_tool, scene.pictures, path=path) as opened:
-        yield opened
 
 
 def separate_views(scene, vertex, wanted=3):
