@@ -36,7 +36,7 @@ DISTANCE = (0.38, 0.46)
 """Distances of the cameras from the middle of the scene, m."""
 
 TRIES = 20
-"""Number of views that are tried until the arm reaches one."""
+"""Number of views, or of falls, that are tried until one can be had."""
 
 
 class View(NamedTuple):
@@ -102,7 +102,7 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
     shift[:2, 3] = cell.centre[:2]
     if kind == "bin":
         fallen = [CellObject(f"{k}", solids()[one.name]) for k, one in enumerate(objects)]
-        cell.drop(fallen, seed)
+        _drop(cell, fallen, seed)
         truth = [cell.judge().world_from_object[one.name] for one in fallen]
         walls = [one.surface() for one in cell.fixtures]
     else:
@@ -127,6 +127,16 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
         for k, (command, actual) in enumerate(poses)
     ]
     return CellScene(kind, seed, surfaces, objects, truth, others, views, hidden)
+
+
+def _drop(cell: SimulatedCell, objects: list[CellObject], seed: int) -> None:
+    """Drop objects into the bin, anew where some of them do not come to rest."""
+    for k in range(TRIES):
+        try:
+            return cell.drop(objects, seed + k * 1_000_000)
+        except CellError:
+            continue
+    raise RuntimeError(f"{len(objects)} objects come to rest in none of {TRIES} falls")
 
 
 def picture(
