@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import AnyArray, as_float_array
 from ..compilation import is_traced
@@ -24,28 +24,12 @@ class Camera(eqx.Module):
         image_size: width and height (px).
     """
 
-    alpha_u: Float[Array, ""]
-    alpha_v: Float[Array, ""]
-    u0: Float[Array, ""]
-    v0: Float[Array, ""]
+    alpha_u: Float[Array, ""] = eqx.field(converter=as_float_array)
+    alpha_v: Float[Array, ""] = eqx.field(converter=as_float_array)
+    u0: Float[Array, ""] = eqx.field(converter=as_float_array)
+    v0: Float[Array, ""] = eqx.field(converter=as_float_array)
     lens: AbstractLens
     image_size: tuple[int, int] = eqx.field(static=True)
-
-    def __init__(
-        self,
-        alpha_u: ScalarLike,
-        alpha_v: ScalarLike,
-        u0: ScalarLike,
-        v0: ScalarLike,
-        lens: AbstractLens,
-        image_size: tuple[int, int],
-    ):
-        self.alpha_u = as_float_array(alpha_u)
-        self.alpha_v = as_float_array(alpha_v)
-        self.u0 = as_float_array(u0)
-        self.v0 = as_float_array(v0)
-        self.lens = lens
-        self.image_size = image_size
 
     def __repr__(self) -> str:
         # A traced camera, inside `jit`, has no figures to show.

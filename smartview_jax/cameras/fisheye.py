@@ -1,9 +1,10 @@
 """Define OpenCV's fisheye lens, Kannala and Brandt's polynomial in the angle to the axis."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
 from .lens import AbstractLens
@@ -20,15 +21,10 @@ class Fisheye(AbstractLens):
     Reference: Kannala, Brandt, PAMI 28(8), 2006.
     """
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    k3: Float[Array, ""]
-    k4: Float[Array, ""]
-
-    def __init__(
-        self, k1: ScalarLike = 0.0, k2: ScalarLike = 0.0, k3: ScalarLike = 0.0, k4: ScalarLike = 0.0
-    ):
-        self.k1, self.k2, self.k3, self.k4 = (as_float_array(k) for k in (k1, k2, k3, k4))
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k3: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k4: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     def distort(
         self, points: Float[Array, "*batch 3"]

@@ -2,10 +2,11 @@
 
 import abc
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
 from .implicit import implicit_inverse, is_unfolded
@@ -147,15 +148,10 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
 class OpenCV4(AbstractOpenCVLens):
     """A lens with OpenCV's four coefficients k1, k2, p1, p2."""
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-
-    def __init__(
-        self, k1: ScalarLike = 0.0, k2: ScalarLike = 0.0, p1: ScalarLike = 0.0, p2: ScalarLike = 0.0
-    ):
-        self.k1, self.k2, self.p1, self.p2 = (as_float_array(k) for k in (k1, k2, p1, p2))
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
@@ -167,22 +163,11 @@ class OpenCV4(AbstractOpenCVLens):
 class OpenCV5(AbstractOpenCVLens):
     """A lens with OpenCV's five coefficients k1, k2, p1, p2, k3."""
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-    k3: Float[Array, ""]
-
-    def __init__(
-        self,
-        k1: ScalarLike = 0.0,
-        k2: ScalarLike = 0.0,
-        p1: ScalarLike = 0.0,
-        p2: ScalarLike = 0.0,
-        k3: ScalarLike = 0.0,
-    ):
-        values = (as_float_array(k) for k in (k1, k2, p1, p2, k3))
-        self.k1, self.k2, self.p1, self.p2, self.k3 = values
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k3: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
@@ -194,28 +179,14 @@ class OpenCV5(AbstractOpenCVLens):
 class OpenCV8(AbstractOpenCVLens):
     """A lens with the eight coefficients k1, k2, p1, p2, k3, k4, k5, k6 of the rational model."""
 
-    k1: Float[Array, ""]
-    k2: Float[Array, ""]
-    p1: Float[Array, ""]
-    p2: Float[Array, ""]
-    k3: Float[Array, ""]
-    k4: Float[Array, ""]
-    k5: Float[Array, ""]
-    k6: Float[Array, ""]
-
-    def __init__(
-        self,
-        k1: ScalarLike = 0.0,
-        k2: ScalarLike = 0.0,
-        p1: ScalarLike = 0.0,
-        p2: ScalarLike = 0.0,
-        k3: ScalarLike = 0.0,
-        k4: ScalarLike = 0.0,
-        k5: ScalarLike = 0.0,
-        k6: ScalarLike = 0.0,
-    ):
-        values = (as_float_array(k) for k in (k1, k2, p1, p2, k3, k4, k5, k6))
-        self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6 = values
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k3: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k4: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k5: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k6: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     @property
     def coefficients(self) -> Float[Array, "8"]:

@@ -1,8 +1,9 @@
 """Define the paper's lens (Eq. 3): one radial coefficient, from distorted to ideal coordinates."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
 from .lens import AbstractPerspectiveLens
@@ -18,10 +19,7 @@ class Radial(AbstractPerspectiveLens):
     and `distort` has no solution for ideal radii over `2 / (3 sqrt(-3 k1))`.
     """
 
-    k1: Float[Array, ""]
-
-    def __init__(self, k1: ScalarLike = 0.0):
-        self.k1 = as_float_array(k1)
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     def distort_normalised(
         self, ideal: Float[Array, "*batch 2"]

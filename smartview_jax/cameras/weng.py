@@ -1,7 +1,8 @@
 """Define Weng's lens: radial, decentring and thin-prism terms, from distorted to ideal."""
 
+import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, ScalarLike
+from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
 from .implicit import implicit_inverse, is_unfolded
@@ -23,22 +24,11 @@ class Weng(AbstractPerspectiveLens):
     Reference: Weng, Cohen, Herniou, PAMI 14(10), 1992, Eq. 11.
     """
 
-    k1: Float[Array, ""]
-    g1: Float[Array, ""]
-    g2: Float[Array, ""]
-    g3: Float[Array, ""]
-    g4: Float[Array, ""]
-
-    def __init__(
-        self,
-        k1: ScalarLike = 0.0,
-        g1: ScalarLike = 0.0,
-        g2: ScalarLike = 0.0,
-        g3: ScalarLike = 0.0,
-        g4: ScalarLike = 0.0,
-    ):
-        values = (as_float_array(k) for k in (k1, g1, g2, g3, g4))
-        self.k1, self.g1, self.g2, self.g3, self.g4 = values
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    g1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    g2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    g3: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    g4: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     def distort_normalised(
         self, ideal: Float[Array, "*batch 2"]

@@ -9,28 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import file_transaction, refuse_unwritable
-from .fit_options import (
-    CameraOption,
-    FixedOption,
-    FreeOption,
-    PriorOption,
-    StartOption,
-    parse_fit_options,
-)
+from . import fit_options, options
 from .json_document import print_document
 from .load import load_named, with_estimated_clock
-from .options import (
-    BadViews,
-    BadViewsOption,
-    BaseFromWorldOption,
-    DatasetArgument,
-    DebugOption,
-    JsonOption,
-    LensOption,
-    NoiseModel,
-    NoiseOption,
-    TimeOffsetOption,
-)
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -40,26 +21,26 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    dataset: DatasetArgument = None,
+    dataset: options.DatasetArgument = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("calibration"),
-    lens: LensOption = "opencv4",
-    noise: NoiseOption = NoiseModel.ESTIMATED,
+    lens: options.LensOption = "opencv4",
+    noise: options.NoiseOption = options.NoiseModel.ESTIMATED,
     held_out: Annotated[
         bool, typer.Option(help="Also refit without some views and predict those.")
     ] = True,
     diagnose: Annotated[
         bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
     ] = False,
-    camera: CameraOption = None,
-    fixed: FixedOption = None,
-    free: FreeOption = None,
-    prior: PriorOption = None,
-    start: StartOption = None,
-    bad_views: BadViewsOption = BadViews.RAISE,
-    base_from_world: BaseFromWorldOption = None,
-    time_offset: TimeOffsetOption = False,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    camera: fit_options.CameraOption = None,
+    fixed: fit_options.FixedOption = None,
+    free: fit_options.FreeOption = None,
+    prior: fit_options.PriorOption = None,
+    start: fit_options.StartOption = None,
+    bad_views: options.BadViewsOption = options.BadViews.RAISE,
+    base_from_world: options.BaseFromWorldOption = None,
+    time_offset: options.TimeOffsetOption = False,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
 
@@ -81,7 +62,9 @@ def calibrate(
             if time_offset:
                 data = with_estimated_clock(data, dataset, lens, progress)
             # The transforms' names depend on the mount, which only the data set says.
-            known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
+            known = fit_options.parse_fit_options(
+                lens, data.mount, camera, fixed, free, prior, start
+            )
 
             # Folds and halves are fitted with the same knowledge as the whole.
             def fit_views(

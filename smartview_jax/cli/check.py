@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
+from . import options
 from .error_documents import views_left_out
 from .json_document import print_document
 from .load import load_named
-from .options import BadViews, BadViewsOption, DatasetArgument, DebugOption, JsonOption
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ class DatasetFigures(NamedTuple):
 
 
 def check(
-    dataset: DatasetArgument = None,
-    bad_views: BadViewsOption = BadViews.MASK,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    dataset: options.DatasetArgument = None,
+    bad_views: options.BadViewsOption = options.BadViews.MASK,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Check a data set: pictures, detections, poses, and whether camera and robot agree.
 

@@ -1,40 +1,24 @@
 """Define `smartview compare`, which prints several methods side by side."""
 
+from . import fit_options, options
 from .error_documents import method_document, views_left_out
-from .fit_options import (
-    CameraOption,
-    FixedOption,
-    FreeOption,
-    PriorOption,
-    StartOption,
-    parse_fit_options,
-)
 from .json_document import print_document
 from .load import load_named
-from .options import (
-    BadViews,
-    BadViewsOption,
-    BaseFromWorldOption,
-    DatasetArgument,
-    DebugOption,
-    JsonOption,
-    LensOption,
-)
 from .terminal import errors_reported, progress_line
 
 
 def compare(
-    dataset: DatasetArgument = None,
-    lens: LensOption = "opencv4",
-    camera: CameraOption = None,
-    fixed: FixedOption = None,
-    free: FreeOption = None,
-    prior: PriorOption = None,
-    start: StartOption = None,
-    bad_views: BadViewsOption = BadViews.RAISE,
-    base_from_world: BaseFromWorldOption = None,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    dataset: options.DatasetArgument = None,
+    lens: options.LensOption = "opencv4",
+    camera: fit_options.CameraOption = None,
+    fixed: fit_options.FixedOption = None,
+    free: fit_options.FreeOption = None,
+    prior: fit_options.PriorOption = None,
+    start: fit_options.StartOption = None,
+    bad_views: options.BadViewsOption = options.BadViews.RAISE,
+    base_from_world: options.BaseFromWorldOption = None,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Print staged, no-distortion, interpolation, one-view and joint fits side by side."""
     with errors_reported(debug):
@@ -47,7 +31,9 @@ def compare(
 
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
-            known = parse_fit_options(lens, data.mount, camera, fixed, free, prior, start)
+            known = fit_options.parse_fit_options(
+                lens, data.mount, camera, fixed, free, prior, start
+            )
             methods = standard_methods(lens, **known.arguments())
             rows = compare_methods(data, methods, progress=progress)
         # The same numbers as in the tables, unrounded.

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from . import options
 from .error_documents import errors_document, views_left_out
 from .json_document import print_document
 from .load import load_named
-from .options import BadViews, BadViewsOption, DebugOption, JsonOption
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ def evaluate(
     out: Annotated[
         Path | None, typer.Option(help="A page with the figures, such as evaluation.html.")
     ] = None,
-    bad_views: BadViewsOption = BadViews.MASK,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    bad_views: options.BadViewsOption = options.BadViews.MASK,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Predict new pictures of the target from the robot's poses alone, and measure the error.
 

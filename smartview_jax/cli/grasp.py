@@ -6,16 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..files import refuse_unwritable
-from .json_document import print_document
-from .options import (
-    ArmOption,
-    CommandsOutOption,
-    DebugOption,
-    ForceOption,
-    JsonOption,
-    NearOption,
-    PoseFormatOption,
-)
+from . import options
 from .robot_commands import CommandSheet, arm_from_option, parse_joint_readings
 from .terminal import errors_reported
 
@@ -55,13 +46,13 @@ def grasp(
     approach: Annotated[
         float, typer.Option(min=0.0, help="How far before the grasp the way in begins, mm.")
     ] = 100.0,
-    arm: ArmOption = None,
-    near: NearOption = None,
-    out: CommandsOutOption = None,
-    pose_format: PoseFormatOption = "val_oat",
-    force: ForceOption = False,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    arm: options.ArmOption = None,
+    near: options.NearOption = None,
+    out: options.CommandsOutOption = None,
+    pose_format: options.PoseFormatOption = "val_oat",
+    force: options.ForceOption = False,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Print the commands that bring the gripper to a grasp of an object (the paper's Eq. 20).
 
@@ -88,17 +79,14 @@ def grasp(
             near=parse_joint_readings(near, serial_arm),
         )
         sheet = CommandSheet(COMMAND_NAMES, tool.commands, codec, serial_arm, TOOL_CHECKS)
-        if not json:
-            sheet.print()
-            typer.echo(_error_text(tool, calibration))
-        sheet.refuse_unsafe(force)
-        if out is not None:
-            sheet.write(out)
-        if json:
-            content = {"commands": sheet.document(), "error": _error_document(tool), "file": out}
-            print_document("grasp", content)
-        elif out is not None:
-            typer.echo(out)
+        sheet.give(
+            "grasp",
+            out,
+            force,
+            json,
+            lambda: typer.echo(_error_text(tool, calibration)),
+            error=_error_document(tool),
+        )
 
 
 def _pose(option: str, text: str) -> "np.ndarray":

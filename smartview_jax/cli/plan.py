@@ -1,23 +1,15 @@
 """Define `smartview plan`, which says which views to take first, or next, and what they bring."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..files import refuse_unwritable
+from . import options
 from .fit_options import StartOption
 from .json_document import print_document
-from .options import (
-    ArmOption,
-    BelowOption,
-    CommandsOutOption,
-    DebugOption,
-    ForceOption,
-    JsonOption,
-    NearOption,
-    PoseFormatOption,
-)
 from .plan_situation import ViewLimits, first_views, next_views
 from .plan_words import plan_entries, plan_words
 from .robot_commands import CommandSheet, arm_from_option, parse_joint_readings
@@ -60,14 +52,14 @@ def plan(
     roll: Annotated[
         float, typer.Option(min=1.0, max=180.0, help="Greatest, about the optical axis, degrees.")
     ] = 90.0,
-    below: BelowOption = None,
-    arm: ArmOption = None,
-    near: NearOption = None,
-    out: CommandsOutOption = None,
-    pose_format: PoseFormatOption = "val_oat",
-    force: ForceOption = False,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    below: options.BelowOption = None,
+    arm: options.ArmOption = None,
+    near: options.NearOption = None,
+    out: options.CommandsOutOption = None,
+    pose_format: options.PoseFormatOption = "val_oat",
+    force: options.ForceOption = False,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Print commands of the views to take next, and what they bring; best first.
 
@@ -104,44 +96,27 @@ def plan(
                 progress=progress,
             )
         words = (*situation.assumptions, *plan_words(found, 0.01 * gain, goal, bool(start)))
-        # Without a view there is no sheet, and no file that a robot could be given.
-        sheet = None
-        if len(found.camera_from_world):
-            wanted = host_transforms(found.camera_from_world)
-            commands = viewpoint_commands(
-                situation.calibration, wanted, situation.points, serial_arm, readings
-            )
-            names = _new_names(situation.names, len(found.camera_from_world))
-            sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
-        _give(sheet, found, words, out, force, json)
+        if len(found.camera_from_world) == 0:
+            _give_nothing(found, words, json)
+            return
+        wanted = host_transforms(found.camera_from_world)
+        commands = viewpoint_commands(
+            situation.calibration, wanted, situation.points, serial_arm, readings
+        )
+        names = _new_names(situation.names, len(found.camera_from_world))
+        sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
+        # The words come after the table: they are what a person is to remember.
+        say = partial(typer.echo, "\n".join(words))
+        sheet.give("plan", out, force, json, say, **plan_entries(found), words=words)
 
 
-def _give(
-    sheet: CommandSheet | None,
-    found: "ViewPlan",
-    words: tuple[str, ...],
-    out: Path | None,
-    force: bool,
-    json: bool,
-) -> None:
-    """Print and write a plan, or print that there is nothing to take."""
-    if sheet is not None and not json:
-        sheet.print()
-    # The words come after the table: they are what a person is to remember.
-    if not json:
-        for text in words:
-            typer.echo(text)
-    if sheet is not None:
-        sheet.refuse_unsafe(force)
-        if out is not None:
-            sheet.write(out)
+def _give_nothing(found: "ViewPlan", words: tuple[str, ...], json: bool) -> None:
+    """Print that there is no view to take, and why; no file is written that a robot could get."""
     if json:
-        commands = [] if sheet is None else sheet.document()
-        written = None if sheet is None else out
-        content = {"commands": commands, **plan_entries(found), "words": words, "file": written}
+        content = {"commands": [], **plan_entries(found), "words": words, "file": None}
         print_document("plan", content)
-    elif out is not None and sheet is not None:
-        typer.echo(out)
+    else:
+        typer.echo("\n".join(words))
 
 
 def _near(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":

@@ -1,10 +1,12 @@
 """Print, check and write the robot's commands, for all subcommands that compute some."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
+
+from .json_document import print_document
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,6 +33,40 @@ class CommandSheet(NamedTuple):
     codec: "PoseCodec"
     arm: "SerialArm | None"
     refused_for: tuple[str, ...]
+
+    def give(
+        self,
+        subcommand: str,
+        out: Path | None,
+        force: bool,
+        json: bool,
+        say: Callable[[], None] | None = None,
+        **content: Any,
+    ) -> None:
+        """Print the commands and write them for the robot; refuse those that must not be given.
+
+        Args:
+            subcommand: which one gives them.
+            out: the robot's file; None writes none.
+            force: give also what would be refused.
+            json: print a document instead of a table.
+            say: prints what a person is to know besides, after the table.
+            content: what a program is to know besides, in the document.
+
+        Raises:
+            ValueError: a command must not be given; its table was printed, no file was written.
+        """
+        if not json:
+            self.print()
+            if say is not None:
+                say()
+        self.refuse_unsafe(force)
+        if out is not None:
+            self.write(out)
+        if json:
+            print_document(subcommand, {"commands": self.document(), **content, "file": out})
+        elif out is not None:
+            typer.echo(out)
 
     def print(self) -> None:
         """Print poses and joint readings, and what the checks say."""

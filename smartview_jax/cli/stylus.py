@@ -6,17 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..files import refuse_unwritable
-from .json_document import print_document
-from .options import (
-    ArmOption,
-    BelowOption,
-    CommandsOutOption,
-    DebugOption,
-    ForceOption,
-    JsonOption,
-    NearOption,
-    PoseFormatOption,
-)
+from . import options
 from .robot_commands import CommandSheet, arm_from_option, numbered_names, parse_joint_readings
 from .terminal import errors_reported
 from .viewpoint import requested_camera_poses
@@ -47,18 +37,18 @@ def stylus(
     five: Annotated[
         bool, typer.Option("--five", help="Upright, and leaning to four sides by the tilt.")
     ] = False,
-    below: BelowOption = None,
+    below: options.BelowOption = None,
     misses: Annotated[
         Path | None,
         typer.Option(help="Measured misses: .csv (view,x_mm,y_mm,z_mm) or .yaml, world's axes."),
     ] = None,
-    arm: ArmOption = None,
-    near: NearOption = None,
-    out: CommandsOutOption = None,
-    pose_format: PoseFormatOption = "val_oat",
-    force: ForceOption = False,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    arm: options.ArmOption = None,
+    near: options.NearOption = None,
+    out: options.CommandsOutOption = None,
+    pose_format: options.PoseFormatOption = "val_oat",
+    force: options.ForceOption = False,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Print the commands that put the tip of a stylus on a point of the target, and judge misses.
 
@@ -99,16 +89,9 @@ def stylus(
         measured = None if misses is None else read_misses(misses, names)
         sheet = CommandSheet(names, touches.commands, codec, serial_arm, TOOL_CHECKS)
         judged = _judgement(names, factor, measured)
-        if not json:
-            sheet.print()
-            _print_judgement(judged, calibration)
-        sheet.refuse_unsafe(force)
-        if out is not None:
-            sheet.write(out)
-        if json:
-            print_document("stylus", {"commands": sheet.document(), **judged, "file": out})
-        elif out is not None:
-            typer.echo(out)
+        sheet.give(
+            "stylus", out, force, json, lambda: _print_judgement(judged, calibration), **judged
+        )
 
 
 def _touching_poses(

@@ -6,17 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import refuse_unwritable
-from .json_document import print_document
-from .options import (
-    ArmOption,
-    BelowOption,
-    CommandsOutOption,
-    DebugOption,
-    ForceOption,
-    JsonOption,
-    NearOption,
-    PoseFormatOption,
-)
+from . import options
 from .robot_commands import (
     CommandSheet,
     arm_from_option,
@@ -49,14 +39,14 @@ def viewpoint(
     five: Annotated[
         bool, typer.Option("--five", help="The paper's five viewpoints; tilt is their step.")
     ] = False,
-    below: BelowOption = None,
-    arm: ArmOption = None,
-    near: NearOption = None,
-    out: CommandsOutOption = None,
-    pose_format: PoseFormatOption = "val_oat",
-    force: ForceOption = False,
-    json: JsonOption = False,
-    debug: DebugOption = False,
+    below: options.BelowOption = None,
+    arm: options.ArmOption = None,
+    near: options.NearOption = None,
+    out: options.CommandsOutOption = None,
+    pose_format: options.PoseFormatOption = "val_oat",
+    force: options.ForceOption = False,
+    json: options.JsonOption = False,
+    debug: options.DebugOption = False,
 ) -> None:
     """Print commands by which the camera looks at a point, and write them for the robot.
 
@@ -87,15 +77,7 @@ def viewpoint(
         )
         names = numbered_names(len(commands.xyzoat))
         sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
-        if not json:
-            sheet.print()
-        sheet.refuse_unsafe(force)
-        if out is not None:
-            sheet.write(out)
-        if json:
-            print_document("viewpoint", {"commands": sheet.document(), "file": out})
-        elif out is not None:
-            typer.echo(out)
+        sheet.give("viewpoint", out, force, json)
 
 
 DEFAULT_DISTANCE = 0.2

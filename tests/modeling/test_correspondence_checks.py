@@ -6,14 +6,9 @@ from jaxlie import SE3
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import five_viewpoints, host_matrices
 from smartview_jax.modeling import triangulate_points, wrong_correspondences
-from smartview_jax.simulation import paper_calibration, reported_poses
+from smartview_jax.simulation import reported_poses
 
 SIGMA = 0.3
-
-
-@pytest.fixture(scope="module")
-def calibration():
-    return paper_calibration()
 
 
 @pytest.fixture(scope="module")

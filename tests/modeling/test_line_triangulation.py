@@ -8,15 +8,10 @@ from smartview_jax.engine import Noise, Parameters, Step
 from smartview_jax.evaluation import cramer_rao, mean_nees, nees
 from smartview_jax.geometry import five_viewpoints, host_matrices
 from smartview_jax.modeling import Lines, PointStatus, triangulate_lines
-from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.simulation import random_scene
 
 SIGMA = 0.3
 CENTRE = np.array([0.02, 0.0175, 0.01])
-
-
-@pytest.fixture(scope="module")
-def calibration():
-    return paper_calibration()
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from smartview_jax.modeling import (
     refine,
     triangulate_points,
 )
-from smartview_jax.simulation import paper_calibration, random_scene, reported_poses
+from smartview_jax.simulation import random_scene, reported_poses
 
 SIGMA = 0.3
 SIZE = np.array([0.03, 0.02, 0.01])
@@ -39,11 +39,6 @@ TRUE = [
     KnownLength((0, 4), 0.01),
     Symmetric(((0, 1), (2, 3), (4, 5), (6, 7))),
 ]
-
-
-@pytest.fixture(scope="module")
-def calibration():
-    return paper_calibration()
 
 
 @pytest.fixture(scope="module")

@@ -23,11 +23,6 @@ SIGMA = 0.3
 
 
 @pytest.fixture(scope="module")
-def calibration():
-    return paper_calibration()
-
-
-@pytest.fixture(scope="module")
 def poses(calibration):
     return host_matrices(calibration.command_for(FIVE))
 
