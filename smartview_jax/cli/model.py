@@ -9,10 +9,9 @@ from .options import DebugOption
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ..calibration import Calibration
     from ..joint import SavedEstimate
+    from ..robots import Command
 
 
 def model(
@@ -39,12 +38,12 @@ def model(
     with errors_reported(debug):
         from ..editor import ModelSession, serve
 
-        names, pictures, base_from_tool = _load_views(dataset)
+        names, pictures, command = _load_views(dataset)
         target = out or dataset / "object.json"
         try:
             estimate, covariance = load_calibration(dataset, calibration)
             with ModelSession(
-                estimate, base_from_tool, pictures, names, target, covariance=covariance
+                estimate, command, pictures, names, target, covariance=covariance
             ) as session:
                 for note in session.notes:
                     typer.echo(note)
@@ -54,18 +53,17 @@ def model(
             raise ValueError(str(error)) from error
 
 
-def _load_views(dataset: Path) -> "tuple[list[str], list[Path], np.ndarray]":
-    """Return names, pictures and reported poses of the views in a folder."""
-    from ..geometry import host_matrices
+def _load_views(dataset: Path) -> "tuple[list[str], list[Path], Command]":
+    """Return names, pictures and what the robot reported of the views in a folder."""
     from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
 
     # A data set of a board may have the pictures of the object in a folder of their own.
     for folder in (dataset, dataset / "object"):
         if (folder / OBJECT_VIEWS_FILE).is_file():
             found = load_object_views(folder)
-            return list(found.view_ids), list(found.paths), host_matrices(found.base_from_tool)
+            return list(found.view_ids), list(found.paths), found.command
     views = load_view_pictures(dataset)
-    return views.view_ids, views.pictures, views.base_from_tool
+    return views.view_ids, views.pictures, views.command
 
 
 def load_calibration(

@@ -5,6 +5,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from .click_checks import check_clicks, checked_pixel
 from .document import Document, apply_change
 from .edit_history import EditHistory
@@ -56,7 +58,9 @@ class AbstractDrawing(abc.ABC):
         """Return a pixel of a view, or raise an error that names both."""
         return checked_pixel(view, pixel, self.names, self.picture_size)
 
-    def click(self, view: str, pixel: Sequence[float], point: int | None = None) -> int:
+    def click(
+        self, view: str, pixel: Sequence[float] | np.ndarray, point: int | None = None
+    ) -> int:
         """Click a feature in a view, and return the id of its point.
 
         Args:

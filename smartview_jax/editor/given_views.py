@@ -1,4 +1,4 @@
-"""Check the views that a session is given: names, poses and pictures."""
+"""Check the views that a session is given: names and pictures."""
 
 import os
 from collections.abc import Sequence
@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from ..detection import read_picture
-from ..geometry import check_rigid
 
 MIN_VIEWS = 2
 """Smallest number of views of a session: from one view nothing can be triangulated."""
@@ -24,17 +23,6 @@ def checked_names(names: Sequence[str] | None, count: int) -> list[str]:
     if twice:
         raise ValueError(f"view {twice[0]!r} comes twice")
     return given
-
-
-def check_poses(base_from_tool: np.ndarray, names: Sequence[str]) -> None:
-    """Raise an error for a number of poses that is not that of the views, or for one not rigid."""
-    if base_from_tool.shape != (len(names), 4, 4):
-        raise ValueError(
-            f"base_from_tool: expected shape {(len(names), 4, 4)}, a pose for each picture; "
-            f"found {base_from_tool.shape}"
-        )
-    for name, reason in check_rigid(base_from_tool, tuple(names)).items():
-        raise ValueError(f"view {name}: {reason}")
 
 
 def checked_picture(

@@ -1,6 +1,6 @@
 """Edit an object model: the one class behind the page, the notebook's widget and scripts.
 
-with ModelSession(calibration, base_from_tool, pictures, path="bracket.json") as session:
+with ModelSession(calibration, poses, pictures, path="bracket.json") as session:
 corner = session.click("v1", (312.4, 201.9))
 session.click("v2", (298.1, 215.0), corner)
 session.save()
@@ -20,6 +20,7 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..features import Features
+from ..geometry import host_matrices
 from ..io import save_object_model
 from ..modeling import (
     ConstraintVerdict,
@@ -27,14 +28,16 @@ from ..modeling import (
     ObjectModel,
     Region,
     Symmetry,
+    as_checked_command,
     propose_model,
 )
+from ..robots import CommandLike
 from .click_checks import check_view
 from .document import Document
 from .document_estimates import DocumentEstimates
 from .drawing import AbstractDrawing
 from .edit_history import EditHistory
-from .given_views import check_poses, checked_names, checked_picture
+from .given_views import checked_names, checked_picture
 from .model_building import build_model, placed_points, problems_of
 from .picture_features import PictureFeatures
 from .proposals import Proposals
@@ -62,7 +65,7 @@ class ModelSession(AbstractDrawing):
     def __init__(
         self,
         calibration: Calibration,
-        base_from_tool: Float[np.ndarray, "views 4 4"],
+        poses: CommandLike,
         pictures: Sequence[np.ndarray | str | os.PathLike[str]],
         names: Sequence[str] | None = None,
         path: str | os.PathLike[str] | None = None,
@@ -73,7 +76,8 @@ class ModelSession(AbstractDrawing):
 
         Args:
             calibration: of the camera; the model is in its world frame.
-            base_from_tool: what the robot reported in each view.
+            poses: what the robot reported in each view: `base_from_tool`, or a `Command` with the
+                joint readings, which a calibration of an arm's errors needs.
             pictures: a file, or a picture as grey or BGR uint8, for each view.
             names: of the views; by default v1, v2, ...
             path: of the model's file, a .json; None keeps nothing on disk.
@@ -90,7 +94,7 @@ class ModelSession(AbstractDrawing):
         """
         # Everything that is given is checked before a lock or a file is made.
         self.names: list[str] = checked_names(names, len(pictures))
-        check_poses(np.asarray(base_from_tool, dtype=float), self.names)
+        command = as_checked_command(poses, self.names)
         size = calibration.camera.image_size
         self.pictures: dict[str, np.ndarray] = {
             name: checked_picture(picture, name, size)
@@ -98,7 +102,7 @@ class ModelSession(AbstractDrawing):
         }
         self.calibration = calibration
         self.geometry: ViewGeometry = ViewGeometry(
-            calibration, base_from_tool, self.names, covariance, click_sigma
+            calibration, command, self.names, covariance, click_sigma
         )
         # What was computed or found once is kept in these two.
         self._estimates = DocumentEstimates(self.geometry)
@@ -107,8 +111,10 @@ class ModelSession(AbstractDrawing):
         self._covariance = covariance
         self.path: Path | None = None if path is None else Path(path)
         # Rounded, because the same poses read from two formats differ in the last digit.
-        reported = [np.asarray(pose).round(9).tolist() for pose in base_from_tool]
-        self._journal = EditHistory(self.path, {"views": self.names, "base_from_tool": reported})
+        reported = host_matrices(command.base_from_tool).round(9).tolist()
+        joints = None if command.joints is None else np.asarray(command.joints).round(9).tolist()
+        header = {"views": self.names, "base_from_tool": reported, "joints": joints}
+        self._journal = EditHistory(self.path, header)
         self.notes: list[str] = self._journal.notes
         self.proposals: Proposals = Proposals(None, self.names, self.document)
 
@@ -125,7 +131,7 @@ class ModelSession(AbstractDrawing):
         """Return how each constraint agrees with the pictures and the others, by id."""
         return self._estimates.verdicts(self.document)
 
-    def curves(self, view: str, pixel: Sequence[float]) -> dict[str, EpipolarCurve]:
+    def curves(self, view: str, pixel: Sequence[float] | np.ndarray) -> dict[str, EpipolarCurve]:
         """Return the epipolar curves of a pixel in all other views, by the view's name."""
         return self.geometry.curves(view, self.checked_pixel(view, pixel))
 
@@ -160,7 +166,7 @@ class ModelSession(AbstractDrawing):
         # Features were found for snapping; they are not searched for again.
         found = propose_model(
             self.calibration,
-            self.geometry.base_from_tool,
+            self.geometry.command,
             list(self.pictures.values()),
             self.geometry.common_depths,
             features=[self.features(name) for name in self.names],

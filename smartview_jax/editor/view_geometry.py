@@ -19,11 +19,14 @@ from ..modeling import (
     RefinedFeatures,
     SeenViews,
     TriangulatedPoints,
+    as_checked_command,
+    command_at,
     epipolar_curves,
     pixel_jacobians,
     refine,
     triangulate_points,
 )
+from ..robots import Command, CommandLike
 from .document import Clicks
 
 DEPTH_RANGE = (0.3, 3.0)
@@ -69,7 +72,7 @@ class ViewGeometry:
 
     Attributes:
         names: of the views.
-        base_from_tool: what the robot reported.
+        command: what the robot reported.
         camera_from_world: extrinsics of all views.
         centres: of the cameras in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.
@@ -78,20 +81,18 @@ class ViewGeometry:
     def __init__(
         self,
         calibration: Calibration,
-        base_from_tool: Float[np.ndarray, "views 4 4"],
+        poses: CommandLike,
         names: Sequence[str],
         covariance: CalibrationEstimate | None = None,
         click_sigma: float = 0.5,
     ):
         """Compute the poses of the cameras; arguments as in `ModelSession`."""
         self._calibration = calibration
-        self.base_from_tool: Float[np.ndarray, "views 4 4"] = np.asarray(
-            base_from_tool, dtype=float
-        )
+        self.command: Command = as_checked_command(poses)
         self.names: list[str] = list(names)
         self._covariance = covariance
         self._click_sigma = click_sigma
-        self._seen = SeenViews.of(calibration, self.base_from_tool)
+        self._seen = SeenViews.of(calibration, self.command)
         self._estimates: dict[tuple, PointEstimate] = {}
         # The clicks are kept with their estimate, so that their identity is not given again.
         self._known: dict[int, tuple[Clicks, PointEstimate]] = {}
@@ -121,7 +122,7 @@ class ViewGeometry:
         """Return the estimates of points, all in one program."""
         found = triangulate_points(
             self._calibration,
-            self.base_from_tool,
+            self.command,
             self._clicked_pixels(points),
             covariance=self._covariance,
             pixel_sigma=self._click_sigma,
@@ -138,7 +139,7 @@ class ViewGeometry:
         """
         observations = ModelObservations(
             self._calibration,
-            self.base_from_tool,
+            self.command,
             self._clicked_pixels(points),
             pixel_sigma=self._click_sigma,
         )
@@ -193,9 +194,9 @@ class ViewGeometry:
             return {}
         found = epipolar_curves(
             self._calibration,
-            self.base_from_tool[index],
+            command_at(self.command, index),
             np.array(pixel, dtype=float),
-            self.base_from_tool[others],
+            command_at(self.command, others),
             self.depth_range[index],
         )
         return {self.names[k]: curve for k, curve in zip(others, found, strict=True)}

@@ -8,7 +8,8 @@
     end: smartview_object_views
 
 The file is called `object_views.yaml`. Pictures and poses are matched by the view's name, as in a
-data-set folder. The calibration is a file of its own: one camera sees many objects.
+data-set folder. Joint readings, an entry `joints` as in a data-set folder, may stand beside the
+poses or instead of them. The calibration is a file of its own: one camera sees many objects.
 """
 
 from collections.abc import Sequence
@@ -18,11 +19,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from ..detection import read_picture
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike, as_se3
+from ..robots import Command, SerialArm
+from .joints import write_joints
 from .poses import write_poses
 from .robot_readings import read_robot_readings
 
@@ -37,15 +40,21 @@ class ObjectViews(NamedTuple):
         view_ids: names of the views.
         paths: files of the pictures.
         pictures: grey levels.
-        base_from_tool: reported poses, `(views)`.
+        command: what the robot reported in each view, with joint readings where the folder has
+            them.
         image_size: width and height, px.
     """
 
     view_ids: tuple[str, ...]
     paths: tuple[Path, ...]
     pictures: tuple[UInt8[np.ndarray, "rows columns"], ...]
-    base_from_tool: SE3
+    command: Command
     image_size: tuple[int, int]
+
+    @property
+    def base_from_tool(self) -> SE3:
+        """The reported poses, `(views)`."""
+        return self.command.base_from_tool
 
 
 def load_object_views(folder: str | Path) -> ObjectViews:
@@ -69,7 +78,7 @@ def load_object_views(folder: str | Path) -> ObjectViews:
     # By the name of the view, so that a picture too many or too few shifts nothing.
     paths = tuple(folder / pattern.format(view=view) for view in readings.view_ids)
     pictures = tuple(read_picture(file, (width, height)) for file in paths)
-    return ObjectViews(tuple(readings.view_ids), paths, pictures, readings.poses, (width, height))
+    return ObjectViews(tuple(readings.view_ids), paths, pictures, readings.command, (width, height))
 
 
 def write_object_views(
@@ -79,6 +88,8 @@ def write_object_views(
     base_from_tool: PoseLike,
     suffix: str = ".png",
     pose_format: str = "matrix",
+    joints: Float[np.ndarray, "views joints"] | None = None,
+    arm: SerialArm | None = None,
 ) -> Path:
     """Write pictures of an object and their poses as a folder that `load_object_views` reads.
 
@@ -89,9 +100,13 @@ def write_object_views(
         base_from_tool: `(views)` poses that the robot reported.
         suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
         pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
+        joints: joint readings, rad (m for a prismatic joint), which a calibration of an arm's
+            errors needs.
+        arm: the arm that has these readings.
 
     Raises:
-        ValueError: numbers of views, pictures and poses differ, or the pictures' sizes do.
+        ValueError: numbers of views, pictures, poses and readings differ, or the pictures' sizes
+            do, or only one of `joints` and `arm` is given.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)
     if not len(view_ids) == len(pictures) == len(poses.wxyz_xyz) > 0:
@@ -99,6 +114,11 @@ def write_object_views(
             f"found {len(view_ids)} views, {len(pictures)} pictures and {len(poses.wxyz_xyz)} "
             f"poses; expected one of each for every view"
         )
+    # Checked before anything is written.
+    if (joints is None) != (arm is None):
+        raise ValueError("joints and arm: give both, or neither")
+    if joints is not None and len(joints) != len(view_ids):
+        raise ValueError(f"joints: expected {len(view_ids)} rows, found {len(joints)}")
     sizes = {picture.shape for picture in pictures}
     if len(sizes) > 1:
         raise ValueError(f"pictures: expected one size, found {sorted(sizes)}")
@@ -112,8 +132,10 @@ def write_object_views(
         "camera": {"image_size": [width, height]},
         "poses": write_poses(folder, view_ids, poses, pose_format),
         "pictures": {"pattern": f"images/{{view}}{suffix}"},
-        "end": "smartview_object_views",
     }
+    if joints is not None and arm is not None:
+        description["joints"] = write_joints(folder, view_ids, joints, arm)
+    description["end"] = "smartview_object_views"
     # Written last: an interrupted run leaves a folder that is not described, not half of one.
     write_atomically(folder / OBJECT_VIEWS_FILE, dump_yaml(description))
     return folder

@@ -8,8 +8,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from ..array_namespace import to_device
 from ..dataset import Dataset
-from ..robots import SerialArm
+from ..robots import Command, SerialArm
 from .joints import read_joints
 from .poses import read_poses
 
@@ -30,6 +31,11 @@ class RobotReadings(NamedTuple):
     masked_views: dict[str, str]
     joints: Float[np.ndarray, "views joints"] | None = None
     arm: SerialArm | None = None
+
+    @property
+    def command(self) -> Command:
+        """What the robot reported in each view."""
+        return Command(self.poses, None if self.joints is None else to_device(self.joints))
 
     def with_joints(self, data: Dataset) -> Dataset:
         """Return the data set with the joint readings added, if there are any."""

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ..files import read_yaml
 from ..geometry import host_matrices
+from ..robots import Command
 from .board_heights import read_board_heights
 from .dataset_folder import DESCRIPTION_FILE, picture_files
 from .robot_readings import read_robot_readings, table_of_views
@@ -20,12 +21,18 @@ class ViewPictures(NamedTuple):
     Attributes:
         view_ids: names of the views.
         pictures: a file for each view.
-        base_from_tool: what the robot reported.
+        command: what the robot reported in each view, with joint readings where the folder has
+            them.
     """
 
     view_ids: list[str]
     pictures: list[Path]
-    base_from_tool: Float[np.ndarray, "views 4 4"]
+    command: Command
+
+    @property
+    def base_from_tool(self) -> Float[np.ndarray, "views 4 4"]:
+        """The reported poses."""
+        return host_matrices(self.command.base_from_tool)
 
 
 def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
@@ -59,5 +66,5 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     return ViewPictures(
         list(readings.view_ids),
         [files[view][0] for view in readings.view_ids],
-        host_matrices(readings.poses),
+        readings.command,
     )

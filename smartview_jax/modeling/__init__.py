@@ -61,3 +61,5 @@ from .symmetry import find_symmetry as find_symmetry
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points
 from .view_poses import SeenViews as SeenViews
+from .view_poses import as_checked_command as as_checked_command
+from .view_poses import command_at as command_at

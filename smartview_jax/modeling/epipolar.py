@@ -16,7 +16,7 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
-from ..geometry import PoseLike
+from ..robots import CommandLike
 from .view_poses import SeenViews, single_pose
 
 SAMPLES = 128
@@ -118,9 +118,9 @@ class EpipolarCurve(NamedTuple):
 
 def epipolar_curve(
     calibration: Calibration,
-    pose_a: PoseLike,
+    pose_a: CommandLike,
     pixel: Float[np.ndarray, "2"] | Sequence[float],
-    pose_b: PoseLike,
+    pose_b: CommandLike,
     depths: tuple[float, float] | None = None,
     *,
     box: Float[np.ndarray, "2 3"] | None = None,
@@ -129,7 +129,7 @@ def epipolar_curve(
 
     Args:
         calibration: the calibrated camera.
-        pose_a, pose_b: what the robot reported, `base_from_tool`.
+        pose_a, pose_b: what the robot reported, one `base_from_tool` or one `Command` each.
         pixel: in view a, px.
         depths: smallest and largest distance from the camera along the ray, m; the largest may be
             infinite.
@@ -145,9 +145,9 @@ def epipolar_curve(
 
 def epipolar_curves(
     calibration: Calibration,
-    pose_a: PoseLike,
+    pose_a: CommandLike,
     pixel: Float[np.ndarray, "2"] | Sequence[float],
-    poses_b: PoseLike,
+    poses_b: CommandLike,
     depths: tuple[float, float] | None = None,
     *,
     box: Float[np.ndarray, "2 3"] | None = None,

@@ -1,7 +1,9 @@
 """Check the views and the pixels of a call, and pad them so that few programs are compiled."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
@@ -9,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..geometry import PoseLike, check_rigid, host_matrices, host_transforms
+from ..geometry import check_rigid, host_matrices, host_transforms
 from ..robots import Command, CommandLike
 
 PADDED_VIEWS = 4
@@ -21,28 +23,51 @@ PADDED_FEATURES, MAX_PADDED_FEATURES = 16, 4096
 More features than the second are not padded: there the time saved by compiling less is lost."""
 
 
-def as_checked_command(poses: CommandLike) -> Command:
-    """Return reported poses of one batch axis as a command of host arrays.
+def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
+    """Return what the robot reported in some views as a command of host arrays.
+
+    Args:
+        poses: with one batch axis.
+        names: of the views, whose number is to be that of the poses; by default view 0, view 1, ...
 
     Raises:
-        ValueError: a pose that is not rigid, or poses without one batch axis; with the view.
+        ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
+            one for each view; or joint readings of another number of views.
     """
+    reported, joints = poses, None
     if isinstance(poses, Command):
-        return poses
-    matrices = host_matrices(poses) if isinstance(poses, SE3) else np.asarray(poses, dtype=float)
+        reported, joints = poses.base_from_tool, poses.joints
+    matrices = (
+        host_matrices(reported) if isinstance(reported, SE3) else np.asarray(reported, dtype=float)
+    )
     if matrices.ndim != 3 or matrices.shape[1:] != (4, 4):
         raise ValueError(f"poses: expected (views, 4, 4) or that many SE3; found {matrices.shape}")
+    views = len(matrices)
+    if names is not None and len(names) != views:
+        raise ValueError(f"poses: expected one for each of {len(names)} views, found {views}")
     # A pose in millimetres or with a transposed rotation is far more likely than a rare robot.
-    problems = check_rigid(matrices, tuple(f"view {k}" for k in range(len(matrices))))
-    if problems:
-        raise ValueError(
-            "poses: " + "; ".join(f"{view}: {text}" for view, text in problems.items())
-        )
-    return Command(host_transforms(matrices))
+    known_as = tuple(f"view {k if names is None else names[k]}" for k in range(views))
+    if problems := check_rigid(matrices, known_as):
+        found = "; ".join(f"{view}: {text}" for view, text in problems.items())
+        raise ValueError(f"poses: {found}")
+    if joints is None:
+        return Command(host_transforms(matrices))
+    readings = np.asarray(joints, dtype=float)
+    if readings.ndim != 2 or len(readings) != views:
+        raise ValueError(f"joints: expected {views} rows of readings, found {readings.shape}")
+    return Command(host_transforms(matrices), to_device(readings))
 
 
-def single_pose(pose: PoseLike) -> PoseLike:
-    """Return one pose as a batch of one."""
+def command_at(command: Command, views: int | Sequence[int]) -> Command:
+    """Return what the robot reported in one view, without a batch axis, or in some views."""
+    # On the host: an index of a device's array compiles a program.
+    return jax.tree.map(lambda array: to_device(np.asarray(array)[views]), command)
+
+
+def single_pose(pose: CommandLike) -> CommandLike:
+    """Return one pose, or one command, as a batch of one."""
+    if isinstance(pose, Command):
+        return jax.tree.map(lambda array: to_device(np.asarray(array)[None]), pose)
     if isinstance(pose, SE3):
         return SE3(pose.wxyz_xyz.reshape(1, 7))
     return np.asarray(pose, dtype=float).reshape(1, 4, 4)

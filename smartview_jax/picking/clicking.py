@@ -14,7 +14,6 @@ from jaxtyping import Float, UInt8
 from ..calibration import Calibration
 from ..editor import ModelSession
 from ..evaluation import CalibrationEstimate
-from ..geometry import host_matrices
 from ..io import load_object_model
 from ..modeling import ObjectModel, find_symmetry
 from ..robots import Command
@@ -41,8 +40,7 @@ def model_by_clicks(
 
     Args:
         calibration: of the pictures.
-        estimate: fit with its covariance, for that of the vertices. It is left out where the errors
-            of an arm were fitted: the editor takes poses, to which these are applied beforehand.
+        estimate: fit with its covariance, for that of the vertices.
         command: what the robot reported in each view.
         pictures: of the object.
         seen_pixels: where a person sees each vertex, px.
@@ -56,13 +54,9 @@ def model_by_clicks(
             is complete.
     """
     names = [f"view {1 + k}" for k in range(len(pictures))]
-    base_from_tool = command.base_from_tool
-    if calibration.robot_error is not None and command.joints is not None:
-        base_from_tool = calibration.robot_error.actual_pose(command)
-        calibration, estimate = calibration.uncorrected, None
     with ModelSession(
         calibration,
-        host_matrices(base_from_tool),
+        command,
         list(pictures),
         names,
         path,

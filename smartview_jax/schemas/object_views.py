@@ -2,9 +2,9 @@
 
 from typing import Literal
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, model_validator
 
-from .dataset import CameraSizeEntry, PicturesEntry, PosesEntry
+from .dataset import CameraSizeEntry, JointsEntry, PicturesEntry, PosesEntry
 from .entry import Entry
 
 
@@ -13,9 +13,16 @@ class ObjectViewsFile(Entry):
 
     smartview_object_views: Literal[1]
     camera: CameraSizeEntry
-    poses: PosesEntry
+    poses: PosesEntry | None = None
+    joints: JointsEntry | None = None
     pictures: PicturesEntry
     end: Literal["smartview_object_views"]
+
+    @model_validator(mode="after")
+    def _check_consistency(self) -> "ObjectViewsFile":
+        if self.poses is None and self.joints is None:
+            raise ValueError("entry 'poses' is missing, and so is 'joints'")
+        return self
 
 
 OBJECT_VIEWS_SCHEMA = TypeAdapter(ObjectViewsFile)

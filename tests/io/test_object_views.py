@@ -4,6 +4,7 @@ import pytest
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_object_views, write_object_views
+from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_calibration
 
 POSES = paper_calibration().command_for(sv.five_viewpoints(np.zeros(3), 0.2))
@@ -54,4 +55,28 @@ def test_only_pictures_that_fit_together_are_written(tmp_path):
         write_object_views(tmp_path, NAMES, PICTURES[:4], POSES)
     with pytest.raises(ValueError, match="expected one size"):
         write_object_views(tmp_path, NAMES, [*PICTURES[:4], PICTURES[0].T.copy()], POSES)
+    joints = np.zeros((5, 6))
+    with pytest.raises(ValueError, match="joints and arm: give both"):
+        write_object_views(tmp_path, NAMES, PICTURES, POSES, joints=joints)
+    with pytest.raises(ValueError, match="joints: expected 5 rows, found 4"):
+        write_object_views(tmp_path, NAMES, PICTURES, POSES, joints=joints[:4], arm=six_axes())
     assert not list(tmp_path.iterdir())
+
+
+def test_joint_readings_are_written_and_read(tmp_path):
+    arm, joints = six_axes(), np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6))
+    poses = arm.base_from_tool(joints)
+    folder = write_object_views(tmp_path, NAMES, PICTURES, poses, joints=joints, arm=arm)
+    views = load_object_views(folder)
+    np.testing.assert_allclose(views.command.joints, joints, rtol=1e-14)
+    # Without a table of poses they are the arm's own.
+    description = folder / "object_views.yaml"
+    lines = description.read_text().splitlines(keepends=True)
+    start = next(k for k, line in enumerate(lines) if line.startswith("poses:"))
+    end = next(k for k in range(start + 1, len(lines)) if not lines[k].startswith(" "))
+    description.write_text("".join(lines[:start] + lines[end:]))
+    found = host_matrices(load_object_views(folder).base_from_tool)
+    np.testing.assert_allclose(found, host_matrices(poses), atol=1e-12)
+    description.write_text("".join(lines[:start] + lines[end:]).replace("joints:", "reading:", 1))
+    with pytest.raises(ValueError, match=r"object_views.yaml: .*'reading'"):
+        load_object_views(folder)
