@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..array_namespace import AnyArray
 from ..cameras import Camera
 from ..compilation import compiled_optimised
-from .edge_lookup import EdgeLookup
+from .edge_lookup import KNOWN_CELL_PX, EdgeLookup
 from .prediction import predict_view, within_picture
 from .wireframe import Wireframe
 
@@ -54,6 +54,11 @@ MIN_EDGE_PX = 8.0
 MIN_SHARE = 0.25
 """Smallest part of an edge's visible length along which edge points make a line."""
 
+HIDING_DEPTH = 0.01
+"""Part of its depth by which a point is behind a known surface that hides it.
+
+Objects touch, and the surface is known in parts of `KNOWN_CELL_PX` only."""
+
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
 """Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
 
@@ -82,6 +87,7 @@ class EdgeLines(NamedTuple):
             samples' distances.
         points: index of the edge point of each sample.
         in_picture: part of the vertices that are within the picture, hidden or not.
+        behind_px: length of the edges that is not visible because a known surface hides it, px.
     """
 
     offsets: Float[AnyArray, "*views E 2"]
@@ -100,6 +106,7 @@ class EdgeLines(NamedTuple):
     combination: Float[AnyArray, "*views 2 S"]
     points: Int[AnyArray, "*views S"]
     in_picture: Float[AnyArray, "*views"]
+    behind_px: Float[AnyArray, "*views"]
 
 
 def edge_lines(
@@ -119,7 +126,9 @@ def edge_lines(
         radius: largest distance of an edge point from its predicted edge, px.
     """
     view = predict_view(wireframe, camera, camera_from_object)
-    visible = view.sample_visible & lookup.valid
+    in_sight = view.sample_visible & lookup.valid
+    behind = in_sight & _is_behind(wireframe, lookup, camera_from_object, view.samples)
+    visible = in_sight & ~behind
     p = jnp.where(visible[:, None], view.samples, 0.0)
     d = jnp.where(visible[:, None], view.directions, 0.0)
     n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
@@ -182,7 +191,25 @@ def edge_lines(
         jnp.where(measured[edges][None], combination, 0.0),
         point,
         in_picture / wireframe.vertex_mask.sum(),
+        jnp.where(behind, view.sample_px, 0.0).sum(),
     )
+
+
+def _is_behind(
+    wireframe: Wireframe,
+    lookup: EdgeLookup,
+    camera_from_object: Float[Array, "4 4"],
+    samples: Float[Array, "S 2"],
+) -> Bool[Array, "S"]:
+    """Return which samples are behind a known surface."""
+    rows, columns = lookup.nearest.shape
+    depth = wireframe.samples @ camera_from_object[2, :3] + camera_from_object[2, 3]
+    # Pixel 0 reaches from -0.5 to 0.5.
+    cell = jnp.floor((jnp.nan_to_num(samples) + 0.5) / KNOWN_CELL_PX).astype(jnp.int32)
+    nearest = lookup.nearest[
+        jnp.clip(cell[:, 1], 0, rows - 1), jnp.clip(cell[:, 0], 0, columns - 1)
+    ]
+    return nearest * depth > 1.0 + HIDING_DEPTH
 
 
 def _across_by_pose(

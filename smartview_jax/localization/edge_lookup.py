@@ -12,6 +12,9 @@ from ..features import EdgePoints
 MIN_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
 
+KNOWN_CELL_PX = 4
+"""Side of the parts of a picture in which the nearest known surface is kept, px."""
+
 FAR_AWAY = -1e6
 """Coordinate, px, of the edge point that stands for none."""
 
@@ -29,6 +32,8 @@ class EdgeLookup(eqx.Module):
         pixels: sub-pixel positions, px.
         normals: unit directions of the gradient.
         strengths: magnitudes of the gradient, grey levels per px.
+        nearest: one over the depth of the nearest known surface in each part of a picture, 1/m;
+            zero where none is known.
         valid: False for views that were added.
     """
 
@@ -36,6 +41,7 @@ class EdgeLookup(eqx.Module):
     pixels: Float[Array, "views points 2"]
     normals: Float[Array, "views points 2"]
     strengths: Float[Array, "views points"]
+    nearest: Float[Array, "views known_rows known_columns"]
     valid: Bool[Array, "views"]
 
     @classmethod
@@ -44,6 +50,7 @@ class EdgeLookup(eqx.Module):
         pictures: Sequence[EdgePoints],
         image_size: tuple[int, int],
         usable: Sequence[Bool[np.ndarray, "_"]] | None = None,
+        inverse_depth: Float[np.ndarray, "_ known_rows known_columns"] | None = None,
     ) -> "EdgeLookup":
         """Return the lookup of the edge points of some pictures.
 
@@ -51,6 +58,7 @@ class EdgeLookup(eqx.Module):
             pictures: edge points of each view.
             image_size: width and height, px.
             usable: for each view, which points may be used; all by default.
+            inverse_depth: of the nearest known surfaces (`KnownSurfaces`), 1/m; none by default.
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
         # One more than there are: the last stands for none.
@@ -64,8 +72,11 @@ class EdgeLookup(eqx.Module):
             _write_cells(cells[view], points.cells[chosen], chosen)
             pixels[view, own], normals[view, own] = points.pixels, points.normals
             strengths[view, own] = points.strengths
+        nearest = np.zeros((views, *(-(-size // KNOWN_CELL_PX) for size in image_size[::-1])))
+        if inverse_depth is not None:
+            nearest[: len(pictures)] = inverse_depth
         valid = np.arange(views) < len(pictures)
-        return cls(*map(to_device, (cells, pixels, normals, strengths, valid)))
+        return cls(*map(to_device, (cells, pixels, normals, strengths, nearest, valid)))
 
 
 def padded_view_count(count: int) -> int:

@@ -38,6 +38,7 @@ class Evidence(NamedTuple):
         edge_rms: RMS distance of measured edges from the model, px.
         contrast: see `MIN_CONTRAST`.
         in_picture: part of the vertices within the picture, in the view that has most of them.
+        in_front: part of its edges that no known object hides, all views together.
         log_likelihood: of the visible edges being found or not, over their being clutter.
     """
 
@@ -49,6 +50,7 @@ class Evidence(NamedTuple):
     edge_rms: float
     contrast: float
     in_picture: float
+    in_front: float
     log_likelihood: float
 
 
@@ -85,6 +87,7 @@ def evidence_of(
         float(np.sqrt((numbers**2).sum(axis=1).mean())) if len(numbers) else np.inf,
         _contrast(lines, strengths),
         float(lines.in_picture.max()),
+        total / max(total + float(lines.behind_px.sum()), 1.0),
         log_likelihood_of(share, total, chance),
     )
 

@@ -1,6 +1,7 @@
 """Judge poses one after the other, the likeliest first.
 
 What an object explains is no evidence for the next: its edge points are taken away from all others.
+What an accepted object hides is no evidence against the others.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of, log_likelihood_of
 from .hypotheses import Hypothesis
+from .known_surfaces import KnownSurfaces
 from .localization import Localization, Rival
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
@@ -98,18 +100,32 @@ class Scene:
     """The pictures of one scene, and which of their edge points no object explains yet."""
 
     def __init__(self, views: SeenViews, pictures: Sequence[PictureEvidence]):
-        self.views = views
+        self.views, self.pictures = views, pictures
         # The points stay as they are; only which of them are free changes.
         self._points = [one.edge_points for one in pictures]
         self._free = [np.ones(len(points.pixels), dtype=bool) for points in self._points]
         self._strengths = [points.strengths for points in self._points]
+        self._known = KnownSurfaces(views)
         self.lookup: EdgeLookup = self._lookup()
 
     def _lookup(self) -> EdgeLookup:
-        return EdgeLookup.of(self._points, self.views.camera.image_size, self._free)
+        size, depths = self.views.camera.image_size, self._known.inverse_depth
+        return EdgeLookup.of(self._points, size, self._free, depths)
 
-    def take(self, lines: EdgeLines) -> None:
-        """Take edge points that an object explains away from all others."""
+    def take(
+        self,
+        lines: EdgeLines,
+        wireframe: Wireframe | None = None,
+        pose: Float[np.ndarray, "4 4"] | None = None,
+    ) -> None:
+        """Take edge points that an object explains away from all others.
+
+        Args:
+            lines: what it explains.
+            wireframe, pose: of an object that hides what is behind it.
+        """
+        if wireframe is not None and pose is not None:
+            self._known.add(wireframe, pose)
         for view, (free, points) in enumerate(zip(self._free, self._points, strict=True)):
             free[explained_edge_points(lines, view, points)] = False
         self.lookup = self._lookup()
@@ -179,31 +195,16 @@ def judged(
         uncertainty: of the calibration in these views.
         tested: number of poses that were looked at.
     """
-    found: list[Localization] = []
-    judging, waiting = _Judging(scene, prepared, uncertainty, tested), list(candidates)
-    for _ in range(MAX_JUDGED):
-        if not waiting:
-            break
-        best, waiting = waiting[0], waiting[1:]
-        # All that follow explain less, so that the search can end.
-        if found and best.explained < REJECTED_SHARE:
-            break
-        is_known = any(one.model_index == best.model for one in found)
-        if is_known and judging.is_rejected_unrefined(best):
-            continue
-        one = judging.localization(best, waiting)
-        if one is None:
-            continue
-        found.append(one)
-        if one.accepted:
-            # Two solids are not in one place.
-            own, pose = prepared[best.model], one.world_from_object
-            waiting = [c for c in waiting if not _overlap(own, pose, prepared[c.model], c.pose)]
-        if one.verdict.decision != "rejected":
-            # What is explained already is no evidence: the others are looked at anew.
-            judging.take(one)
-            waiting = scene.measured(prepared, waiting)
-    return found
+    judging = _Judging(scene, prepared, uncertainty, tested)
+    found = judging.in_order(candidates, [])
+    accepted = [one for one in found if one.accepted]
+    # What was judged before its neighbours were known is judged again, with what these hide.
+    if not accepted or all(one.accepted for one in found[: len(accepted)]):
+        return found
+    judging = _Judging(Scene(scene.views, scene.pictures), prepared, uncertainty, tested)
+    for one in accepted:
+        judging.take(one)
+    return judging.in_order(judging.scene.measured(prepared, candidates), accepted)
 
 
 class _Judging:
@@ -216,14 +217,50 @@ class _Judging:
         uncertainty: CalibrationUncertainty,
         tested: int,
     ):
-        self._scene, self._prepared = scene, prepared
+        self.scene, self._prepared = scene, prepared
         self._uncertainty, self._tested = uncertainty, tested
         self._tried: dict[int, ChancePoses] = {}
         self._tried_before: dict[int, ChancePoses] = {}
 
+    def in_order(
+        self, candidates: Sequence[Candidate], known: Sequence[Localization]
+    ) -> list[Localization]:
+        """Return what is known, and the verdicts on candidates at other places, in their order."""
+        found, waiting = list(known), list(candidates)
+        for one in known:
+            waiting = self._elsewhere(one, waiting)
+        for _ in range(MAX_JUDGED):
+            if not waiting:
+                break
+            best, waiting = waiting[0], waiting[1:]
+            # All that follow explain less, so that the search can end.
+            if found and best.explained < REJECTED_SHARE:
+                break
+            is_known = any(one.model_index == best.model for one in found)
+            if is_known and self.is_rejected_unrefined(best):
+                continue
+            one = self.localization(best, waiting)
+            if one is None:
+                continue
+            found.append(one)
+            if one.accepted:
+                waiting = self._elsewhere(one, waiting)
+            if one.verdict.decision != "rejected":
+                # What is explained already is no evidence: the others are looked at anew.
+                self.take(one)
+                waiting = self.scene.measured(self._prepared, waiting)
+        return found
+
+    def _elsewhere(self, one: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return the candidates that are not where an object is."""
+        # Two solids are not in one place.
+        own, pose = self._prepared[one.model_index], one.world_from_object
+        return [c for c in candidates if not _overlap(own, pose, self._prepared[c.model], c.pose)]
+
     def take(self, one: Localization) -> None:
-        """Take the edge points that an object explains away from all others."""
-        self._scene.take(one.refined.lines)
+        """Take the edge points that an object explains, and what an accepted one hides."""
+        wireframe = self._prepared[one.model_index].coarse if one.accepted else None
+        self.scene.take(one.refined.lines, wireframe, one.world_from_object)
         # Kept: the places that were tried can be measured again without a search.
         self._tried_before |= self._tried
         self._tried.clear()
@@ -233,13 +270,13 @@ class _Judging:
         one, index = self._prepared[candidate.model], candidate.model
         if index not in self._tried:
             self._tried[index] = chance_poses(
-                candidate.pose, one.model, one.coarse, self._scene.views, self._scene.lookup
+                candidate.pose, one.model, one.coarse, self.scene.views, self.scene.lookup
             )
         return chance_of(candidate.pose, one.model, self._tried[index])
 
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
         """Return whether a pose is rejected as it is, whatever its rivals."""
-        one, scene = self._prepared[candidate.model], self._scene
+        one, scene = self._prepared[candidate.model], self.scene
         before = self._tried_before.get(candidate.model)
         if before is not None and candidate.model not in self._tried:
             # Drawn to what has been taken since, they explain less than if they were drawn anew:
@@ -254,12 +291,12 @@ class _Judging:
     def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
         """Return whether a pose is rejected, given what other places explain."""
         wireframe = self._prepared[candidate.model].coarse
-        evidence = self._scene.evidence(candidate.pose, wireframe, chance.mean)
+        evidence = self.scene.evidence(candidate.pose, wireframe, chance.mean)
         return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
 
     def localization(self, best: Candidate, others: Sequence[Candidate]) -> Localization | None:
         """Return the verdict on a candidate; None if too few edges determine its pose."""
-        one, scene = self._prepared[best.model], self._scene
+        one, scene = self._prepared[best.model], self.scene
         try:
             refined = refine_pose(
                 best.pose, one.model, one.fine, scene.views, scene.lookup, self._uncertainty
@@ -300,7 +337,7 @@ class _Judging:
             # The verdict rests on the best ones: few samples would not do for their difference.
             if likelihood > max(likelihoods) - CLOSE_RIVAL:
                 fine = self._prepared[other.model].fine
-                likelihood = self._scene.evidence(other.pose, fine, chance.mean).log_likelihood
+                likelihood = self.scene.evidence(other.pose, fine, chance.mean).log_likelihood
             rivals.append(Rival(other.model, other.pose, likelihood))
         return sorted(rivals, key=lambda rival: -rival.log_likelihood)
 

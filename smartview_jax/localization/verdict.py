@@ -72,6 +72,9 @@ ACCEPTED_EDGES, ACCEPTED_LOG_LIKELIHOOD = 7, 45.0
 MIN_IN_PICTURE = 0.7
 """Smallest part of the vertices that are within the picture in some view, of an accepted pose."""
 
+MIN_IN_FRONT = 0.3
+"""Smallest part of the edges of an accepted pose that no other object hides."""
+
 MAX_LOG_FALSE_ALARMS = -2.0
 """Largest decimal logarithm of the expected number of false alarms of an accepted pose."""
 
@@ -135,8 +138,10 @@ def judge(
         rival: what the best rival is, in words.
         uncertainty: `relative_std` of the pose.
     """
-    # Expected number of false alarms: tested poses times the probability of each.
-    probability = max(chance.probability_above(evidence.explained), 1e-300)
+    # Expected number of false alarms: tested poses times the probability of each. Of what other
+    # objects hide in part, less edge length is left that chance has to explain.
+    own = chance._replace(std=chance.std / max(evidence.in_front, 0.01) ** 0.5)
+    probability = max(own.probability_above(evidence.explained), 1e-300)
     log_false_alarms = float(np.log10(max(tested, 1)) + np.log10(probability))
     share, rms = evidence.explained, evidence.edge_rms
     against = []
@@ -165,6 +170,8 @@ def judge(
         doubts.append(f"only {seen} of {len(evidence.explained_in_view)} views show it")
     if evidence.in_picture < MIN_IN_PICTURE:
         doubts.append(f"only {evidence.in_picture:.0%} of it are within a picture")
+    if evidence.in_front < MIN_IN_FRONT:
+        doubts.append(f"only {evidence.in_front:.0%} of its edges are not behind other objects")
     doubts += [
         f"view {k}: {one:.0%} of its visible edges are in the picture"
         for k, one in enumerate(evidence.explained_in_view)

@@ -15,6 +15,7 @@ CLEAR = Evidence(
     edge_rms=0.1,
     contrast=1.5,
     in_picture=1.0,
+    in_front=1.0,
     log_likelihood=300.0,
 )
 
@@ -41,6 +42,7 @@ def test_clear_pose_is_accepted():
         ({"explained_in_view": (0.95, np.nan)}, "open", "only 1 of 2 views"),
         ({"explained_in_view": (0.95, 0.4)}, "open", "view 1: 40%"),
         ({"in_picture": 0.5}, "open", "only 50% of it are within a picture"),
+        ({"in_front": 0.2}, "open", "only 20% of its edges are not behind other objects"),
         ({"edge_rms": 1.5}, "open", "1.50 px (RMS)"),
         ({"contrast": 0.2}, "open", "usual contrast"),
         ({"uncertainty": 0.06}, "open", "uncertain by 6%"),

@@ -1,0 +1,150 @@
+"""What known objects hide of others, against Embree and on drawn edges."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from drawn_edges import calibration, camera, drawn, seen_views
+from scipy.spatial import ConvexHull, Delaunay
+from scipy.spatial.transform import Rotation
+from solids import box
+
+from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps
+from smartview_jax.geometry import host_exponentials
+from smartview_jax.localization import Hypothesis, Wireframe, localize
+from smartview_jax.localization.edge_lookup import KNOWN_CELL_PX, EdgeLookup
+from smartview_jax.localization.known_surfaces import KnownSurfaces
+from smartview_jax.localization.refinement import measured_lines
+from smartview_jax.modeling import Face, ObjectModel
+from smartview_jax.simulation import random_polyhedron, roofed_block, stepped_block
+
+BACK = dataclasses.replace(box(0.12, 0.08, 0.05), name="back")
+FRONT = dataclasses.replace(box(0.05, 0.05, 0.03), name="front")
+POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
+MIDDLE = POSE[:3, :3] @ BACK.vertices.mean(axis=0) + POSE[:3, 3]
+VIEWS = seen_views(MIDDLE)
+TOWARDS_CAMERAS = VIEWS.centres.mean(axis=0) - MIDDLE
+
+
+def front_pose():
+    """Before one side of the object at the back, as both cameras see it."""
+    pose = POSE.copy()
+    pose[:3, 3] = MIDDLE + 0.2 * TOWARDS_CAMERAS + POSE[:3, :2] @ [0.005, -0.025]
+    return pose
+
+
+SOLIDS = (
+    stepped_block(0.06),
+    roofed_block(0.06),
+    random_polyhedron(np.random.default_rng(1), 12, 0.03),
+)
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_depths_are_those_that_embree_finds(solid):
+    caster = pytest.importorskip("smartview_jax.simulation.ray_casting")
+    model = ObjectModel(solid.vertices, solid.edges, tuple(Face(loop) for loop in solid.faces))
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.random(random_state=3).as_matrix()
+    pose[:3, 3] = MIDDLE
+    known = KnownSurfaces(VIEWS)
+    known.add(Wireframe.of(model), pose)
+    moved = solid.moved(pose)
+    rays = caster.RayCaster(moved.vertices, moved.triangles)
+    rows, columns = known.inverse_depth.shape[1:]
+    v, u = np.mgrid[:rows, :columns] * KNOWN_CELL_PX + 0.5 * (KNOWN_CELL_PX - 1)
+    directions = np.asarray(camera().unproject(jnp.stack([u, v], axis=-1).reshape(-1, 2))[0])
+    for view, camera_from_world in enumerate(VIEWS.camera_from_world):
+        hits = rays.first_hits(VIEWS.centres[view], directions @ camera_from_world[:3, :3])
+        depth = hits.points @ camera_from_world[2, :3] + camera_from_world[2, 3]
+        expected = np.where(hits.triangle == caster.MISSED, 0.0, 1.0 / depth)
+        # A ray along the border may be taken for either side.
+        differ = np.abs(known.inverse_depth[view].ravel() - expected) > 1e-6
+        assert (expected > 0.0).sum() > 500
+        assert differ.sum() <= 2
+
+
+def test_the_nearer_of_two_surfaces_is_kept():
+    alone, both = KnownSurfaces(VIEWS), KnownSurfaces(VIEWS)
+    alone.add(Wireframe.of(FRONT), front_pose())
+    for model, pose in ((FRONT, front_pose()), (BACK, POSE)):
+        both.add(Wireframe.of(model), pose)
+    drawn_there = alone.inverse_depth > 0.0
+    np.testing.assert_array_equal(both.inverse_depth[drawn_there], alone.inverse_depth[drawn_there])
+    assert (both.inverse_depth > 0.0).sum() > 2 * drawn_there.sum()
+
+
+def test_what_reaches_behind_a_camera_hides_nothing():
+    known = KnownSurfaces(VIEWS)
+    pose = np.eye(4)
+    pose[:3, 3] = VIEWS.centres[0]
+    known.add(Wireframe.of(BACK), pose)
+    assert not known.inverse_depth[0].any()
+
+
+def test_edges_behind_a_known_surface_are_not_visible():
+    wireframe = Wireframe.of(BACK, 512)
+    known = KnownSurfaces(VIEWS)
+    known.add(Wireframe.of(FRONT), front_pose())
+    pictures, size = drawn(BACK, VIEWS, POSE), VIEWS.camera.image_size
+    plain, behind = (
+        measured_lines(wireframe, VIEWS, EdgeLookup.of(pictures, size, None, depths), POSE, 2.0)
+        for depths in (None, known.inverse_depth)
+    )
+    assert not plain.behind_px.any()
+    assert (behind.behind_px > 200.0).all()
+    np.testing.assert_allclose(
+        behind.visible_px.sum(axis=1) + behind.behind_px, plain.visible_px.sum(axis=1)
+    )
+    # The object itself does not hide its own edges.
+    known = KnownSurfaces(VIEWS)
+    known.add(Wireframe.of(BACK), POSE)
+    own = measured_lines(
+        wireframe, VIEWS, EdgeLookup.of(pictures, size, None, known.inverse_depth), POSE, 2.0
+    )
+    assert own.behind_px.sum() < 0.02 * own.visible_px.sum()
+
+
+def without_what_is_behind(pictures, views):
+    """Edge points that the object in front does not cover; its outline is that of its vertices."""
+    vertices = FRONT.vertices @ front_pose()[:3, :3].T + front_pose()[:3, 3]
+    kept = []
+    for points, camera_from_world in zip(pictures, views.camera_from_world, strict=True):
+        in_camera = vertices @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+        seen = np.asarray(views.camera.project(jnp.asarray(in_camera))[0])
+        outline = Delaunay(seen[ConvexHull(seen).vertices])
+        free = outline.find_simplex(points.pixels) < 0
+        kept.append(EdgePoints(*(part[free] for part in points)))
+    return kept
+
+
+def evidence(pictures):
+    empty = np.zeros((0, 2))
+    features = Features(
+        empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
+        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
+    )  # fmt: skip
+    maps = edge_maps(features, camera())
+    return [PictureEvidence(features, points, maps) for points in pictures]
+
+
+def test_what_an_accepted_object_hides_is_not_held_against_another(monkeypatch):
+    """The one at the back is judged first, because it is larger, and again with what hides it."""
+    monkeypatch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
+    monkeypatch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
+    at_back = without_what_is_behind(drawn(BACK, VIEWS, POSE, shift=0.8), VIEWS)
+    in_front = drawn(FRONT, VIEWS, front_pose(), hidden=(4, 5, 6))
+    together = [
+        EdgePoints(*(np.concatenate(parts) for parts in zip(*both, strict=True)))
+        for both in zip(at_back, in_front, strict=True)
+    ]
+    poses, pictures = np.linalg.inv(VIEWS.camera_from_world), evidence(together)
+    hypotheses = [Hypothesis(0, POSE, 0.0, 0.0), Hypothesis(1, front_pose(), 0.0, 0.0)]
+    (alone,) = localize(pictures, poses, calibration(), BACK, hypotheses=hypotheses[:1])
+    assert alone.verdict.decision == "open"
+    found = localize(pictures, poses, calibration(), [BACK, FRONT], hypotheses=hypotheses)
+    assert {one.model.name for one in found.accepted} == {"back", "front"}
+    (back,) = (one for one in found if one.model.name == "back")
+    assert back.verdict.evidence.in_front < 0.9
+    assert back.verdict.evidence.explained > alone.verdict.evidence.explained + 0.1
