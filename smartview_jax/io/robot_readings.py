@@ -34,7 +34,7 @@ class RobotReadings(NamedTuple):
 
     @property
     def command(self) -> Command:
-        """What the robot reported in each view."""
+        """The pose, and the joint readings where they are known, that the robot reported by view."""
         return Command(self.poses, None if self.joints is None else to_device(self.joints))
 
     def with_joints(self, data: Dataset) -> Dataset:
