@@ -108,6 +108,12 @@ class GraspScene:
         """Return the scene with more obstacles."""
         return dataclasses.replace(self, obstacles=(*self.obstacles, *obstacles))
 
+    @property
+    def triangles(self) -> Float[np.ndarray, "triangles 3 3"]:
+        """The triangles of all obstacles in the world, m."""
+        meshes = [one.vertices[one.triangles] for one in self.obstacles]
+        return np.concatenate([np.zeros((0, 3, 3)), *meshes])
+
     def with_objects(self, found: Sequence[LocalizedObject]) -> "GraspScene":
         """Return the scene with other found objects as obstacles, each at its pose."""
         return self.with_obstacles([Obstacle.of_object(one) for one in found])

@@ -34,7 +34,7 @@ class RobotReadings(NamedTuple):
 
     @property
     def command(self) -> Command:
-        """The pose, and the joint readings where they are known, that the robot reported by view."""
+        """The reported poses with the joint readings, where they are known."""
         return Command(self.poses, None if self.joints is None else to_device(self.joints))
 
     def with_joints(self, data: Dataset) -> Dataset:

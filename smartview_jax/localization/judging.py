@@ -99,17 +99,23 @@ class Candidate(NamedTuple):
 class Scene:
     """The pictures of one scene, and which of their edge points no object explains yet."""
 
-    def __init__(self, views: SeenViews, pictures: Sequence[PictureEvidence]):
-        self.views, self.pictures = views, pictures
+    def __init__(
+        self,
+        views: SeenViews,
+        pictures: Sequence[PictureEvidence],
+        known: Float[np.ndarray, "triangles 3 3"],
+    ):
+        self.views, self.pictures, self.known = views, pictures, known
         # The points stay as they are; only which of them are free changes.
         self._points = [one.edge_points for one in pictures]
         self._free = [np.ones(len(points.pixels), dtype=bool) for points in self._points]
         self._strengths = [points.strengths for points in self._points]
-        self._known = KnownSurfaces(views)
+        self._surfaces = KnownSurfaces(views)
+        self._surfaces.add_triangles(known)
         self.lookup: EdgeLookup = self._lookup()
 
     def _lookup(self) -> EdgeLookup:
-        size, depths = self.views.camera.image_size, self._known.inverse_depth
+        size, depths = self.views.camera.image_size, self._surfaces.inverse_depth
         return EdgeLookup.of(self._points, size, self._free, depths)
 
     def take(
@@ -125,7 +131,7 @@ class Scene:
             wireframe, pose: of an object that hides what is behind it.
         """
         if wireframe is not None and pose is not None:
-            self._known.add(wireframe, pose)
+            self._surfaces.add(wireframe, pose)
         for view, (free, points) in enumerate(zip(self._free, self._points, strict=True)):
             free[explained_edge_points(lines, view, points)] = False
         self.lookup = self._lookup()
@@ -201,10 +207,11 @@ def judged(
     # What was judged before its neighbours were known is judged again, with what these hide.
     if not accepted or all(one.accepted for one in found[: len(accepted)]):
         return found
-    judging = _Judging(Scene(scene.views, scene.pictures), prepared, uncertainty, tested)
+    anew = Scene(scene.views, scene.pictures, scene.known)
+    judging = _Judging(anew, prepared, uncertainty, tested)
     for one in accepted:
         judging.take(one)
-    return judging.in_order(judging.scene.measured(prepared, candidates), accepted)
+    return judging.in_order(anew.measured(prepared, candidates), accepted)
 
 
 class _Judging:

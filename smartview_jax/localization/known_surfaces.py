@@ -13,7 +13,7 @@ from .edge_lookup import KNOWN_CELL_PX
 from .wireframe import Wireframe
 
 MIN_DEPTH = 1e-3
-"""Smallest depth of a drawn surface, m: what reaches behind the camera is left out."""
+"""Smallest depth of a drawn face, m: one that reaches behind the camera is left out."""
 
 
 class KnownSurfaces:
@@ -35,42 +35,40 @@ class KnownSurfaces:
 
     def add(self, wireframe: Wireframe, world_from_object: Float[np.ndarray, "4 4"]) -> None:
         """Draw the faces of an object into the maps of all views."""
-        triangles = np.asarray(wireframe.triangles)
-        used = np.asarray(wireframe.triangle_faces).any(axis=1)
-        signs = np.asarray(wireframe.triangle_faces)[used]
-        corners = np.concatenate([triangles[used], np.ones((used.sum(), 3, 1))], axis=2)
-        for view, camera_from_world in enumerate(self._views.camera_from_world):
-            in_camera = corners @ (camera_from_world @ world_from_object).T
-            if len(in_camera) and in_camera[..., 2].min() > MIN_DEPTH:
-                self._draw(self.inverse_depth[view], in_camera[..., :3], signs)
-
-    def _draw(
-        self,
-        inverse_depth: Float[np.ndarray, "rows columns"],
-        triangles: Float[np.ndarray, "T 3 3"],
-        signs: Float[np.ndarray, "T F"],
-    ) -> None:
-        """Draw faces in the camera's frame, given as triangles with their signs in each face."""
-        corners = triangles[..., :2] / triangles[..., 2:]
-        rays = self._ray_grid()
-        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-        # Beyond the lens a ray is NaN, which no comparison finds inside.
-        places = np.nonzero(((rays >= low) & (rays <= high)).all(axis=2))
-        own = rays[places]
-        inside = np.stack([_is_inside(own, triangle) for triangle in corners], axis=1)
-        # Triangles of opposite sign cancel where a face is not convex.
-        in_face = np.abs(inside @ signs) > 0.5
-        nearest = inverse_depth[places]
+        triangles, signs = np.asarray(wireframe.triangles), np.asarray(wireframe.triangle_faces)
+        in_world = triangles @ world_from_object[:3, :3].T + world_from_object[:3, 3]
         for face in np.flatnonzero(np.abs(signs).any(axis=0)):
-            a, b, c = triangles[np.argmax(np.abs(signs[:, face]))]
+            own = np.flatnonzero(signs[:, face])
+            self._draw(in_world[own], signs[own, face])
+
+    def add_triangles(self, triangles: Float[np.ndarray, "T 3 3"]) -> None:
+        """Draw triangles in the world into the maps of all views."""
+        for triangle in triangles:
+            self._draw(triangle[None], np.ones(1))
+
+    def _draw(self, triangles: Float[np.ndarray, "T 3 3"], signs: Float[np.ndarray, "T"]) -> None:
+        """Draw a face in the world, given as triangles with their signs."""
+        for view, camera_from_world in enumerate(self._views.camera_from_world):
+            in_camera = triangles @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+            if in_camera[..., 2].min() < MIN_DEPTH:
+                continue
+            corners, rays = in_camera[..., :2] / in_camera[..., 2:], self._ray_grid()
+            low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+            # Beyond the lens a ray is NaN, which no comparison finds inside.
+            places = np.nonzero(((rays >= low) & (rays <= high)).all(axis=2))
+            own = rays[places]
+            # Triangles of opposite sign cancel where a face is not convex.
+            inside = np.stack([_is_inside(own, triangle) for triangle in corners], axis=1)
+            covered = np.abs(inside @ signs)
             # Where the plane n . p = n . a meets the ray (x, y, 1):  1 / z = n . (x, y, 1) / n . a
+            a, b, c = in_camera[0]
             normal = np.cross(b - a, c - a)
             across = float(normal @ a)
             if across == 0.0:
                 continue
-            inverse = (own @ normal[:2] + normal[2]) / across
-            nearest = np.where(in_face[:, face], np.maximum(nearest, inverse), nearest)
-        inverse_depth[places] = nearest
+            inverse = np.where(covered > 0.5, (own @ normal[:2] + normal[2]) / across, 0.0)
+            maps = self.inverse_depth[view]
+            maps[places] = np.maximum(maps[places], inverse)
 
     def _ray_grid(self) -> Float[np.ndarray, "rows columns 2"]:
         """Return `(x / z, y / z)` of the rays through the middles of all cells."""
@@ -82,6 +80,18 @@ class KnownSurfaces:
             ideal = plane.from_pixels(middles) / plane.focal_length
             self._rays = ideal.reshape(self._rows, self._columns, 2)
         return self._rays
+
+
+def checked_triangles(
+    triangles: Float[np.ndarray, "triangles 3 3"] | None,
+) -> Float[np.ndarray, "triangles 3 3"]:
+    """Return triangles that are given, or none; raise a ValueError for anything else."""
+    found = np.zeros((0, 3, 3)) if triangles is None else np.asarray(triangles, dtype=float)
+    if found.ndim != 3 or found.shape[1:] != (3, 3) or not np.isfinite(found).all():
+        raise ValueError(
+            f"known: expected finite triangles, (triangles, 3, 3); found {found.shape}"
+        )
+    return found
 
 
 def _is_inside(

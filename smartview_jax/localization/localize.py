@@ -19,6 +19,7 @@ from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
 from .hypotheses import Hypothesis, find_hypotheses
 from .judging import Prepared, Scene, converged_candidates, judged
+from .known_surfaces import checked_triangles
 from .localization import Localization, Localizations
 from .pose_convergence import THREADS
 
@@ -34,6 +35,7 @@ def localize(
     previous: Localizations | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
     workspace: Float[np.ndarray, "2 3"] | None = None,
+    known: Float[np.ndarray, "triangles 3 3"] | None = None,
 ) -> Localizations:
     """Find objects of known models in one, two or more calibrated pictures.
 
@@ -50,15 +52,18 @@ def localize(
         hypotheses: poses to begin from instead of those that are searched for.
         workspace: two opposite corners of a box in the world, m, in which objects are, as of a bin;
             what is not there is not found. None for anywhere.
+        known: triangles in the world, m, of what is known to stand there, such as the walls of a
+            bin: what they hide is not held against a pose.
 
     Returns:
         What was found, accepted ones first; `messages` says why the others were not.
 
     Raises:
         ValueError: no views, a number of poses that is not that of the pictures, a model without
-            edges, or a picture on which nothing can be found; the message names the view or model.
+            edges, a picture on which nothing can be found, or something else than triangles that
+            is known; the message names the view or model.
     """
-    prepared = _prepared(models)
+    prepared, standing = _prepared(models), checked_triangles(known)
     views = _checked_views(pictures_or_features, poses, calibration)
     # OpenCV and NumPy release the interpreter lock, so that pictures are searched side by side.
     with ThreadPoolExecutor(THREADS) as pool:
@@ -77,7 +82,7 @@ def localize(
         hypotheses = find_hypotheses(
             pictures, views, [one.model for one in prepared], workspace=workspace
         )
-    scene = Scene(views, pictures)
+    scene = Scene(views, pictures, standing)
     candidates = converged_candidates(scene, prepared, hypotheses)
     # Checked again after the fit, which may have drawn a pose out of the box.
     if workspace is not None:

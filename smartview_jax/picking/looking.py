@@ -69,6 +69,7 @@ def look_for(
     arm: SerialArm | None = None,
     estimate: CalibrationEstimate | None = None,
     noise: Noise | None = None,
+    known: Float[np.ndarray, "triangles 3 3"] | None = None,
     max_views: int = 4,
     verify: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -83,6 +84,7 @@ def look_for(
         arm: the nominal arm.
         estimate: fit with the calibration's covariance.
         noise: of the robot in these views; by default that of the estimate.
+        known: triangles of what is known to stand there, as for `localize`.
         max_views: largest number of views; two are always taken.
         verify: whether what two views accept is verified from a third one too.
         progress: called with a line of text for each step.
@@ -101,7 +103,7 @@ def look_for(
         commands.append(cell.move(_command(cell, calibration, middle, direction, arm)))
         pictures.append(cell.picture())
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
-    options = {"covariance": estimate, "noise": noise, "workspace": workspace}
+    options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
     say("localising")
     first = stacked_commands(commands)
     found = localize(pictures, first, calibration, models, **options)

@@ -70,7 +70,7 @@ def pick(
     say = progress or (lambda _: None)
     look = look_for(
         cell, calibration, models, region,
-        arm=arm, estimate=estimate, verify=verify, progress=progress,
+        arm=arm, estimate=estimate, known=scene.triangles, verify=verify, progress=progress,
     )  # fmt: skip
     # Nothing is grasped that the verdict did not accept.
     if not look.found.accepted:

@@ -106,6 +106,21 @@ def test_edges_behind_a_known_surface_are_not_visible():
     assert own.behind_px.sum() < 0.02 * own.visible_px.sum()
 
 
+def test_known_triangles_hide_as_an_object_does():
+    solid = stepped_block(0.06)
+    pose = np.eye(4)
+    pose[:3, 3] = MIDDLE
+    by_faces, by_triangles = KnownSurfaces(VIEWS), KnownSurfaces(VIEWS)
+    model = ObjectModel(solid.vertices, solid.edges, tuple(Face(loop) for loop in solid.faces))
+    by_faces.add(Wireframe.of(model), pose)
+    moved = solid.moved(pose)
+    by_triangles.add_triangles(moved.vertices[moved.triangles])
+    differ = np.abs(by_faces.inverse_depth - by_triangles.inverse_depth) > 1e-9
+    assert (by_faces.inverse_depth > 0.0).sum() > 1000
+    # A ray along the border may be taken for either side.
+    assert differ.sum() <= 4
+
+
 def without_what_is_behind(pictures, views):
     """Edge points that the object in front does not cover; its outline is that of its vertices."""
     vertices = FRONT.vertices @ front_pose()[:3, :3].T + front_pose()[:3, 3]
@@ -143,6 +158,14 @@ def test_what_an_accepted_object_hides_is_not_held_against_another(monkeypatch):
     hypotheses = [Hypothesis(0, POSE, 0.0, 0.0), Hypothesis(1, front_pose(), 0.0, 0.0)]
     (alone,) = localize(pictures, poses, calibration(), BACK, hypotheses=hypotheses[:1])
     assert alone.verdict.decision == "open"
+    walls = FRONT.vertices @ front_pose()[:3, :3].T + front_pose()[:3, 3]
+    triangles = walls[ConvexHull(walls).simplices]
+    (told,) = localize(
+        pictures, poses, calibration(), BACK, hypotheses=hypotheses[:1], known=triangles
+    )
+    assert told.accepted
+    with pytest.raises(ValueError, match="known: expected finite triangles"):
+        localize(pictures, poses, calibration(), BACK, known=np.full((1, 3, 3), np.nan))
     found = localize(pictures, poses, calibration(), [BACK, FRONT], hypotheses=hypotheses)
     assert {one.model.name for one in found.accepted} == {"back", "front"}
     (back,) = (one for one in found if one.model.name == "back")
