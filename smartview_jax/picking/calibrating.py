@@ -10,11 +10,12 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..calibration_pipeline import CalibrationFit, calibrate
 from ..dataset import Dataset
-from ..detection import detect
+from ..detection import correct_circle_centres, detect
 from ..geometry import host_matrices, look_at, viewing_direction
 from ..robots import Command, SerialArm, joints_for_pose
 from ..simulation import Cell
-from ..targets import AbstractTarget, StackedTarget
+from ..staged import fit_staged
+from ..targets import AbstractTarget, CircleGrid, StackedTarget
 
 VIEWS = 20
 """Number of views of the board by default."""
@@ -52,7 +53,8 @@ def calibrate_cell(
 ) -> CellCalibration:
     """Take pictures of a board that lies in a cell, and fit the calibration to them.
 
-    Views in which the board is not found are left out.
+    Views in which the board is not found are left out. Of circles whose radius is stated, the
+    centres are corrected for what perspective makes of them.
 
     Args:
         cell: with the board in place.
@@ -102,7 +104,11 @@ def calibrate_cell(
         joints=stacked.joints if with_joints else None,
         arm=arm if with_joints else None,
     )
-    return CellCalibration(calibrate(data, progress=progress), data, tuple(pictures))
+    corrected = data
+    if isinstance(flat, CircleGrid) and flat.has_known_radii:
+        # A rough calibration is enough for it; a tenth of a pixel is far more than the noise.
+        corrected = correct_circle_centres(data, fit_staged(data).calibration)
+    return CellCalibration(calibrate(corrected, progress=progress), data, tuple(pictures))
 
 
 def _planned_views(

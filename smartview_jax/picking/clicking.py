@@ -18,7 +18,7 @@ from ..io import load_object_model
 from ..modeling import ObjectModel, find_symmetry
 from ..robots import Command
 
-SNAP_DISTANCE = 3.0
+SNAP_DISTANCE = 1.0
 """Largest distance of a detected corner from where a person would click, px."""
 
 CLICK_SIGMA = 0.3

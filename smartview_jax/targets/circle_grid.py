@@ -62,6 +62,11 @@ class CircleGrid(AbstractTarget):
             )
 
     @property
+    def has_known_radii(self) -> bool:
+        """Whether the radius of every circle is stated."""
+        return self.radius is not None and (self.mark_radius is not None or not self.origin_mark)
+
+    @property
     def nearest_neighbour_distance(self) -> float:
         """The distance between neighbouring centres, m."""
         # In an asymmetric grid the nearest centre is one spacing away in x and in y.

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smartview_jax.geometry import host_matrices
+from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.picking import calibrate_cell
 from smartview_jax.picking.calibrating import _planned_views, stacked_commands
 from smartview_jax.robots import Command
@@ -55,3 +55,35 @@ def test_commands_are_stacked_with_joints_only_if_all_have_them():
     stacked = stacked_commands([one, one])
     assert host_matrices(stacked.base_from_tool).shape == (2, 4, 4)
     assert stacked.joints is None
+
+
+def test_what_perspective_makes_of_the_circles_is_corrected(monkeypatch):
+    """Against where the true calibration sees the centres; as found they are 0.1 px off."""
+    pytest.importorskip("mujoco")
+    from smartview_jax.simulation.cell import SimulatedCell
+
+    cell, poses = SimulatedCell(0), []
+    take = cell.picture
+
+    def picture():
+        poses.append(cell.judge_tool())
+        return take()
+
+    fitted = []
+    monkeypatch.setattr(cell, "picture", picture)
+    monkeypatch.setattr(
+        "smartview_jax.picking.calibrating.calibrate", lambda data, progress: fitted.append(data)
+    )
+    found = calibrate_cell(cell, cell.board, drawn_calibration(), cell.arm, 8).data
+    # By the nearest pose: views without the board are left out.
+    true, reported = np.stack(poses), host_matrices(found.base_from_tool)
+    gaps = np.linalg.norm(true[None, :, :3, 3] - reported[:, None, :3, 3], axis=2)
+    actual = host_transforms(true[gaps.argmin(axis=1)])
+    truth = cell.truth.calibration.uncorrected
+    centres = np.asarray(truth.project(actual, found.points)[0])
+    as_found, corrected = (
+        np.nanmean(np.where(np.asarray(d.visible)[..., None], d.pixels - centres, np.nan), axis=1)
+        for d in (found, fitted[0])
+    )
+    assert np.abs(as_found).max() > 0.08
+    assert np.abs(corrected).max() < 0.3 * np.abs(as_found).max()

@@ -17,7 +17,9 @@ from ...robots import SerialArm, six_axes
 from ...targets import AbstractTarget, CircleGrid, StackedTarget
 from ..arm_scenes import random_kinematic_errors
 
-BOARD = StackedTarget(CircleGrid(7, 9, 0.03, origin_mark=True), (0.0,))
+BOARD = StackedTarget(
+    CircleGrid(7, 9, 0.03, origin_mark=True, radius=0.0075, mark_radius=0.01125), (0.0,)
+)
 """The board that calibrates the cell; it lies on the table, and its frame is the cell's world."""
 
 TRANSLATION_NOISE, ROTATION_NOISE = 2e-5, float(np.deg2rad(0.003))
