@@ -105,7 +105,7 @@ def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
         return np.tile(circle_radii(target.board), len(target.heights))
     if not isinstance(target, CircleGrid):
         raise ValueError(f"target: expected circles, found {target!r}")
-    if target.radius is None or not target.has_known_radii:
+    if not target.has_known_radii:
         name = "radius" if target.radius is None else "mark_radius"
         raise ValueError(f"{name}: the target does not state it, so it has to be given")
     radii = np.full(len(target.points), target.radius)

@@ -19,14 +19,13 @@ from ..modeling import (
     RefinedFeatures,
     SeenViews,
     TriangulatedPoints,
-    as_checked_command,
     command_at,
     epipolar_curves,
     pixel_jacobians,
     refine,
     triangulate_points,
 )
-from ..robots import Command, CommandLike
+from ..robots import Command
 from .document import Clicks
 
 DEPTH_RANGE = (0.3, 3.0)
@@ -81,14 +80,14 @@ class ViewGeometry:
     def __init__(
         self,
         calibration: Calibration,
-        poses: CommandLike,
+        command: Command,
         names: Sequence[str],
         covariance: CalibrationEstimate | None = None,
         click_sigma: float = 0.5,
     ):
-        """Compute the poses of the cameras; arguments as in `ModelSession`."""
+        """Compute the poses of the cameras; arguments, checked, as in `ModelSession`."""
         self._calibration = calibration
-        self.command: Command = as_checked_command(poses)
+        self.command: Command = command
         self.names: list[str] = list(names)
         self._covariance = covariance
         self._click_sigma = click_sigma

@@ -252,7 +252,7 @@ class _Judging:
             found.append(one)
             if one.accepted:
                 waiting = self._elsewhere(one, waiting)
-            if one.verdict.decision != "rejected":
+            if waiting and one.verdict.decision != "rejected":
                 # What is explained already is no evidence: the others are looked at anew.
                 self.take(one)
                 waiting = self.scene.measured(self._prepared, waiting)

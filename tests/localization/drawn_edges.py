@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
 from smartview_jax.compilation import compiled
-from smartview_jax.features import EdgePoints
+from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps
 from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import SeenViews
@@ -84,3 +84,26 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
 def seen_views(model_middle, directions=TWO_DIRECTIONS, distance=0.4):
     """The calibration's views of a point."""
     return SeenViews.of(calibration(), poses_towards(model_middle, directions, distance))
+
+
+def no_features():
+    empty = np.zeros((0, 2))
+    return Features(
+        empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
+        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
+    )  # fmt: skip
+
+
+def evidence(pictures):
+    """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
+    features = no_features()
+    maps = edge_maps(features, camera())
+    return [PictureEvidence(features, points, maps) for points in pictures]
+
+
+def together(*pictures):
+    """The edge points of several drawings of the same views."""
+    return [
+        EdgePoints(*(np.concatenate(parts) for parts in zip(*one, strict=True)))
+        for one in zip(*pictures, strict=True)
+    ]

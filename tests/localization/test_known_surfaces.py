@@ -5,12 +5,12 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drawn_edges import calibration, camera, drawn, seen_views
+from drawn_edges import calibration, camera, drawn, evidence, seen_views, together
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from solids import box
 
-from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps
+from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Hypothesis, Wireframe, localize
 from smartview_jax.localization.edge_lookup import KNOWN_CELL_PX, EdgeLookup
@@ -134,27 +134,14 @@ def without_what_is_behind(pictures, views):
     return kept
 
 
-def evidence(pictures):
-    empty = np.zeros((0, 2))
-    features = Features(
-        empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
-        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
-    )  # fmt: skip
-    maps = edge_maps(features, camera())
-    return [PictureEvidence(features, points, maps) for points in pictures]
-
-
 def test_what_an_accepted_object_hides_is_not_held_against_another(monkeypatch):
     """The one at the back is judged first, because it is larger, and again with what hides it."""
     monkeypatch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
     monkeypatch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
     at_back = without_what_is_behind(drawn(BACK, VIEWS, POSE, shift=0.8), VIEWS)
     in_front = drawn(FRONT, VIEWS, front_pose(), hidden=(4, 5, 6))
-    together = [
-        EdgePoints(*(np.concatenate(parts) for parts in zip(*both, strict=True)))
-        for both in zip(at_back, in_front, strict=True)
-    ]
-    poses, pictures = np.linalg.inv(VIEWS.camera_from_world), evidence(together)
+    poses = np.linalg.inv(VIEWS.camera_from_world)
+    pictures = evidence(together(at_back, in_front))
     hypotheses = [Hypothesis(0, POSE, 0.0, 0.0), Hypothesis(1, front_pose(), 0.0, 0.0)]
     (alone,) = localize(pictures, poses, calibration(), BACK, hypotheses=hypotheses[:1])
     assert alone.verdict.decision == "open"

@@ -4,12 +4,21 @@ import dataclasses
 
 import numpy as np
 import pytest
-from drawn_edges import TWO_DIRECTIONS, calibration, camera, drawn, poses_towards, seen_views
+from drawn_edges import (
+    TWO_DIRECTIONS,
+    calibration,
+    camera,
+    drawn,
+    evidence,
+    poses_towards,
+    seen_views,
+    together,
+)
 from solids import box, prism
 
 import smartview_jax as sv
 from smartview_jax.engine import Noise
-from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps
+from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
 from smartview_jax.modeling import ObjectModel, find_symmetry
@@ -29,29 +38,6 @@ def few_samples():
         patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
         patch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
         yield
-
-
-def no_features():
-    empty = np.zeros((0, 2))
-    return Features(
-        empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
-        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
-    )  # fmt: skip
-
-
-def evidence(pictures):
-    """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
-    features = no_features()
-    maps = edge_maps(features, camera())
-    return [PictureEvidence(features, points, maps) for points in pictures]
-
-
-def together(*pictures):
-    """The edge points of several drawings of the same views."""
-    return [
-        EdgePoints(*(np.concatenate(parts) for parts in zip(*one, strict=True)))
-        for one in zip(*pictures, strict=True)
-    ]
 
 
 def clutter(rng, count=40):
