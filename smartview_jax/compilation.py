@@ -80,9 +80,14 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
     """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters."""
     # Level 0 takes the least time to compile; the emitters are left out for the same reason (see
     # the module's docstring).
+    # What JAX was told for all programs applies to these, too.
+    if jax.config.values["jax_disable_most_optimizations"]:
+        optimisation_level = 0
     options = {
         "xla_backend_optimization_level": optimisation_level,
         "xla_cpu_use_fusion_emitters": False,
+        # In parts, LLVM would compile in threads; splitting costs more time than they save.
+        "xla_cpu_parallel_codegen_split_count": 1,
     }
     top_level = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.

@@ -1,13 +1,23 @@
 import functools
 import os
+from pathlib import Path
 
-# The tests write nothing outside their own folders.
-os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "0"
-# Most of their time is XLA's, which compiles for speed what is run once on little data.
+# Most of the tests' time is XLA's. It compiles for speed what is run once on little data, unless
+# it is told not to, and splits programs for more cores than two workers have.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-os.environ["XLA_FLAGS"] = (
-    f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false".strip()
+os.environ["XLA_FLAGS"] = " ".join(
+    (
+        os.environ.get("XLA_FLAGS", ""),
+        "--xla_cpu_use_fusion_emitters=false",
+        "--xla_cpu_parallel_codegen_split_count=1",
+    )
+).strip()
+# Programs that take long to compile are kept for the other worker, other files and the next run:
+# in pytest's own folder, since the tests write nothing outside of theirs.
+os.environ.setdefault(
+    "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parent.parent / ".pytest_cache" / "programs")
 )
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.05")
 
 import equinox as eqx
 import jax

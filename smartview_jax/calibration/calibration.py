@@ -37,6 +37,7 @@ from ..geometry import (
     transform_text,
     transform_to_dict,
 )
+from ..padding import padded_counts, repeat_last, without_padding
 from ..robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
@@ -216,10 +217,13 @@ class Calibration(eqx.Module):
     def camera_from_world_matrices(self, reported: Command) -> Float[AnyArray, "views 4 4"]:
         """Return the extrinsics `(views)` of `camera_from_world` as matrices."""
         camera_from_mount, holder_from_world = self.camera_from_mount, self.holder_from_world
-        if self.robot_error is not None or is_traced(self, reported):
-            return chain_matrices(
-                camera_from_mount, holder_from_world, self.mount, self.robot_error, reported
-            )
+        chain = camera_from_mount, holder_from_world, self.mount, self.robot_error
+        if is_traced(self, reported):
+            return chain_matrices(*chain, reported)
+        if self.robot_error is not None:
+            views = len(reported.base_from_tool.wxyz_xyz)
+            padded = repeat_last(reported, padded_counts(views)[0])
+            return without_padding(chain_matrices(*chain, padded), views)
         # The chain of Eq. 10 without a robot error is a product of matrices: nothing to compile.
         mount_from_holder = host_mount_from_holder(self.mount, reported.base_from_tool)
         return (

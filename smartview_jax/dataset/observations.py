@@ -3,13 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import AnyArray
+from ..array_namespace import AnyArray, to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled
+from ..compilation import compiled, is_traced
+from ..padding import padded_counts, repeat_last, without_padding
 from ..robots import Command
 
 
@@ -35,6 +37,21 @@ class Observations(eqx.Module):
         """The commands reported by the robot, with joint readings if they are known."""
         return Command(self.base_from_tool, self.joints)
 
+    def padded(self) -> "Observations":
+        """Return the observations of small data with views and points added that nobody saw.
+
+        Data sets of about the same size then share compiled programs (`padding`). Large data are
+        returned as they are.
+        """
+        views, points = padded_counts(*self.visible.shape)
+        if self.visible.shape == (views, points):
+            return self
+        seen = np.zeros((views, points), dtype=bool)
+        seen[: self.visible.shape[0], : self.visible.shape[1]] = np.asarray(self.visible)
+        arrays = repeat_last((self.points, self.pixels, self.visible), points, axis=1)
+        whole = repeat_last(Observations(*arrays, self.base_from_tool, self.joints), views)
+        return eqx.tree_at(lambda o: o.visible, whole, to_device(seen))
+
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]
     ) -> Float[Array, "*views points 2"]:
@@ -57,7 +74,6 @@ def chain_residuals(
     return view_residuals(calibration.camera, calibration.target_scale, poses, observations)
 
 
-@compiled
 def view_residuals(
     camera: Camera,
     target_scale: Float[Array, ""],
@@ -69,6 +85,22 @@ def view_residuals(
     They are zero where a point was not seen, and infinite where a point was seen but cannot be
     predicted. One program serves every fit, whatever it knows about the robot.
     """
+    if is_traced(camera, target_scale, camera_from_world, observations):
+        return _view_residuals(camera, target_scale, camera_from_world, observations)
+    padded = observations.padded()
+    poses = repeat_last(camera_from_world, len(padded.visible))
+    residuals = _view_residuals(camera, target_scale, poses, padded)
+    return without_padding(residuals, *observations.visible.shape)
+
+
+@compiled
+def _view_residuals(
+    camera: Camera,
+    target_scale: Float[Array, ""],
+    camera_from_world: Float[AnyArray, "views 4 4"],
+    observations: Observations,
+) -> Float[Array, "views points 2"]:
+    """Return what `view_residuals` returns, compiled for the shapes that are given."""
 
     def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
         """Return the residuals of one view."""

@@ -47,8 +47,12 @@ from .sharding import pad_with_last as pad_with_last
 from .sharding import solve_on as solve_on
 from .solver import MAXIMUM_STEPS as MAXIMUM_STEPS
 from .solver import Solution as Solution
+from .solver import chain_without_padding as chain_without_padding
+from .solver import equations_without_padding as equations_without_padding
 from .solver import minimise as minimise
 from .solver import optimum as optimum
+from .solver import padded as padded
+from .solver import padded_step as padded_step
 from .solver import solve as solve
 from .structured_lm import StructuredLM as StructuredLM
 from .structured_lm import is_converged as is_converged

@@ -17,6 +17,7 @@ from jaxtyping import Array
 
 from ..array_namespace import to_device
 from ..compilation import compiled
+from ..padding import repeat_last, without_padding
 from .losses import Cauchy
 from .parameters import Step
 from .problem import FittedChain, JointProblem, NormalEquations
@@ -82,7 +83,7 @@ def solve(
     Returns:
         The solution, and the normal equations at the solution.
     """
-    free_count = len(problem.free)
+    original = problem
     if solver is None:
         solver = StructuredLM()
     if isinstance(solver, StructuredLM):
@@ -92,7 +93,7 @@ def solve(
     else:
         # Padding would make the residuals' Jacobian singular, which not every solver allows for.
         problem = _with_jacobi_scale(problem)
-    initial = problem.zero_step() if start is None else _padded_step(start, problem)
+    initial = problem.zero_step() if start is None else padded_step(start, problem)
     z, steps, recorded_costs, equations, predicted_decrease, chain = _minimise_and_evaluate(
         problem, solver, maximum_steps, initial
     )
@@ -102,17 +103,23 @@ def solve(
     # Entries that were never reached are NaN.
     recorded_costs = np.asarray(recorded_costs)
     costs = (*recorded_costs[np.isfinite(recorded_costs)].tolist(), cost)
-    if len(problem.free) > free_count:
-        z = Step(to_device(np.asarray(z.shared)[:free_count]), z.per_view)
-        equations = _without_padding(equations, free_count)
-    return Solution(z, costs, int(steps), relative_decrease, converged, chain), equations
+    solution = Solution(
+        step_without_padding(z, original),
+        costs,
+        int(steps),
+        relative_decrease,
+        converged,
+        chain_without_padding(chain, original),
+    )
+    return solution, equations_without_padding(equations, original)
 
 
 def padded(problem: JointProblem) -> JointProblem:
-    """Return a small problem with as many free parameters as there are, the others without effect.
+    """Return a small problem with views, points and free parameters added that have no effect.
 
-    Small problems that differ in what is free or in their loss, as they do within one calibration,
-    are then solved by the same program, which takes far longer to compile than to run.
+    Small problems that differ in their size, in what is free or in their loss, as they do within
+    one calibration, are then solved by the same program, which takes far longer to compile than to
+    run.
     """
     size, count = problem.parameters.layout.size, len(problem.free)
     if problem.observations.visible.size >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
@@ -123,31 +130,69 @@ def padded(problem: JointProblem) -> JointProblem:
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
         loss = Cauchy(to_device(np.array(np.inf if loss is None else loss.scale)))
+    observations = problem.observations.padded()
+    views = len(observations.visible)
+    # The corrections of the views that are added are held, and have no priors.
+    more_views = views - len(problem.per_view_free) if len(problem.per_view_free) else 0
+
+    def with_zeros(per_view: Array) -> Array:
+        """Append the numbers of the views that are added."""
+        return to_device(np.pad(np.asarray(per_view), ((0, more_views), (0, 0))))
+
     return dataclasses.replace(
         problem,
+        observations=observations,
+        prepared_poses=repeat_last(problem.prepared_poses, views),
         free=to_device(free),
-        scale=Step(to_device(scale), problem.scale.per_view),
+        per_view_free=with_zeros(problem.per_view_free),
+        prior_mean=Step(problem.prior_mean.shared, with_zeros(problem.prior_mean.per_view)),
+        prior_weight=Step(problem.prior_weight.shared, with_zeros(problem.prior_weight.per_view)),
+        scale=Step(to_device(scale), repeat_last(problem.scale.per_view, views)),
         loss=loss,
     )
 
 
-def _padded_step(step: Step, problem: JointProblem) -> Step:
-    """Return a step with zeros for the padding of a problem."""
-    padding = len(problem.free) - len(step.shared)
-    return Step(to_device(np.pad(np.asarray(step.shared), (0, padding))), step.per_view)
+def padded_step(step: Step, problem: JointProblem) -> Step:
+    """Return a step with zeros for the parameters that were added to a padded problem."""
+    shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
+    more_views = len(problem.per_view_free) - len(per_view)
+    return Step(
+        to_device(np.pad(shared, (0, len(problem.free) - len(shared)))),
+        to_device(np.pad(per_view, ((0, more_views), (0, 0)))),
+    )
 
 
-def _without_padding(equations: NormalEquations, count: int) -> NormalEquations:
-    """Return normal equations with the first free shared parameters only, copied by NumPy."""
-    gradient, matrix = equations.gradient, equations.matrix
+def step_without_padding(step: Step, original: JointProblem) -> Step:
+    """Return a step of a padded problem as one of the problem that was padded."""
+    shared = without_padding(step.shared, len(original.free))
+    return Step(shared, without_padding(step.per_view, len(original.per_view_free)))
+
+
+def equations_without_padding(
+    equations: NormalEquations, original: JointProblem
+) -> NormalEquations:
+    """Return the normal equations of a padded problem as those of the one that was padded."""
+    free, corrected = len(original.free), len(original.per_view_free)
+    matrix = equations.matrix
     return NormalEquations(
         equations.cost,
-        Step(to_device(np.asarray(gradient.shared)[:count]), gradient.per_view),
+        step_without_padding(equations.gradient, original),
         BlockArrow(
-            to_device(np.asarray(matrix.shared)[:count, :count]),
-            to_device(np.asarray(matrix.border)[:, :, :count]),
-            matrix.per_view,
+            without_padding(matrix.shared, free, free),
+            without_padding(matrix.border, corrected, 6, free),
+            without_padding(matrix.per_view, corrected),
         ),
+    )
+
+
+def chain_without_padding(chain: FittedChain, original: JointProblem) -> FittedChain:
+    """Return the chain of a padded problem for the views of the one that was padded."""
+    views = len(original.observations.visible)
+    return dataclasses.replace(
+        chain,
+        pose_corrections=without_padding(chain.pose_corrections, len(original.per_view_free)),
+        field_corrections=without_padding(chain.field_corrections, views),
+        camera_from_world=without_padding(chain.camera_from_world, views),
     )
 
 

@@ -27,9 +27,10 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..compilation import compiled
+from ..compilation import compiled, is_traced
 from ..dataset import Observations
 from ..geometry import transform_points
+from ..padding import repeat_last, without_padding
 from .kalman_pass import run_pass
 
 MAD_TO_SIGMA = 1.4826
@@ -111,9 +112,16 @@ def kalman_filter(
     """
     # Quantile of chi-square with two degrees of freedom: P(x <= g) = 1 - exp(-g / 2).
     gate = -2.0 * np.log1p(-gate_probability)
-    state = (start_camera, start_camera_from_world)
+    view_count, point_count = observations.visible.shape
+    inliers = np.asarray(observations.visible)
+    if start_inliers is not None:
+        inliers = inliers & np.asarray(start_inliers)
+    # Without visible points the views that padding adds keep their start pose.
+    observations = observations.padded()
     visible = np.asarray(observations.visible)
-    inliers = visible if start_inliers is None else visible & np.asarray(start_inliers)
+    missing = np.subtract(visible.shape, inliers.shape)
+    inliers = np.pad(inliers, ((0, missing[0]), (0, missing[1])))
+    state = (start_camera, repeat_last(start_camera_from_world, len(visible)))
     residuals = np.asarray(pixel_residuals(observations, *state))
     gating = False
     variance_scale, message = 1.0, "the passes did not settle"
@@ -175,10 +183,13 @@ def kalman_filter(
     covariance = np.full((0, 0), np.nan) if accepted is None else accepted.covariance()
     if not np.isfinite(rms):
         converged, message = False, "the filter diverged: its state is not finite"
+    # The views that padding added come last in the state.
+    state_size = len(covariance) - 6 * (len(visible) - view_count)
     return KalmanResult(
-        *state,
-        covariance,
-        jax.device_put(inliers),
+        state[0],
+        without_padding(state[1], view_count),
+        covariance[:state_size, :state_size],
+        jax.device_put(inliers[:view_count, :point_count]),
         sigma,
         rms,
         passes,
@@ -200,9 +211,21 @@ def _mean_squared_residual(
     return float(np.sum(squares) / max(len(squares), 1))
 
 
-@compiled
-def pixel_residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
+def pixel_residuals(
+    observations: Observations, camera: Camera, camera_from_world: SE3
+) -> Float[Array, "views points 2"]:
     """Return measured minus projected pixels; 1e4 px for a visible point without projection."""
+    if is_traced(observations, camera, camera_from_world):
+        return _pixel_residuals(observations, camera, camera_from_world)
+    padded = observations.padded()
+    poses = repeat_last(camera_from_world, len(padded.visible))
+    residuals = _pixel_residuals(padded, camera, poses)
+    return without_padding(residuals, *observations.visible.shape)
+
+
+@compiled
+def _pixel_residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
+    """Return what `pixel_residuals` returns, compiled for the shapes that are given."""
     predicted, valid = camera.project(transform_points(camera_from_world, observations.points))
     residuals = observations.residuals(predicted, valid)
     return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)

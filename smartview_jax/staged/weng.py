@@ -22,6 +22,7 @@ from ..array_namespace import as_float_array, to_device
 from ..cameras import Camera
 from ..compilation import compiled
 from ..dataset import Observations
+from ..padding import without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, coplanar, extents, linear_start, planar_start
 
@@ -79,6 +80,8 @@ def calibrate_views(
         image_size: width and height, px.
         distortion: estimate k1; False holds it at zero.
     """
+    view_count, point_count = observations.visible.shape
+    observations = observations.padded()
     centre = (np.array(image_size, dtype=float) - 1.0) / 2.0
     extent = np.asarray(extents(observations.points, observations.visible))
     # Whether the points of a view lie in one plane (any plane), which decides how it is started.
@@ -121,14 +124,12 @@ def calibrate_views(
         text or ("the calibration diverged" if has_diverged else "")
         for text, has_diverged in zip(problems, diverged, strict=True)
     )
+    by_view = (view_fits.intrinsics, view_fits.camera_from_world, view_fits.rms, alpha_relative_std)
     return ViewCalibrations(
-        view_fits.intrinsics,
-        view_fits.camera_from_world,
-        view_fits.rms,
-        alpha_relative_std,
-        view_fits.inliers,
-        starts,
-        problems,
+        *without_padding(by_view, view_count),
+        without_padding(view_fits.inliers, view_count, point_count),
+        starts[:view_count],
+        problems[:view_count],
     )
 
 
@@ -143,6 +144,8 @@ def estimate_view_poses(
     Returns:
         `camera_from_world`, the RMS reprojection error of each view in px, and the points used.
     """
+    view_count, point_count = observations.visible.shape
+    observations = observations.padded()
     # Unseen pixels are NaN; they are set to zero here and stay masked.
     pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
     rays, valid = camera.unproject(pixels)
@@ -164,7 +167,10 @@ def estimate_view_poses(
     held_start = _hold_intrinsics(start, pinhole, all_views, jnp.zeros(2))
     none_free = jnp.zeros((len(flat), 5), dtype=bool)
     view_fits = _fit_all_views(undistorted, held_start, none_free, flat)
-    return view_fits.camera_from_world, view_fits.rms, view_fits.inliers
+    return (
+        *without_padding((view_fits.camera_from_world, view_fits.rms), view_count),
+        without_padding(view_fits.inliers, view_count, point_count),
+    )
 
 
 def _view_problems(

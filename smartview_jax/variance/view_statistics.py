@@ -21,6 +21,10 @@ from ..engine import (
     JointProblem,
     NormalEquations,
     Step,
+    chain_without_padding,
+    equations_without_padding,
+    padded,
+    padded_step,
 )
 from .likelihood import LinearisedViews, StandardDeviations
 from .model_selection import TARGET_SCALE
@@ -73,12 +77,14 @@ class ViewStatistics:
         self.known_weight: Float[np.ndarray, "free"] = np.where(
             self.group_index < 0, free_weight, 0.0
         )
-        shared, per_view = jax.tree.map(np.asarray, _offset_at_start(problem))
-        self._offset_at_start = Step(shared[self.free], per_view)
+        shared, per_view = jax.tree.map(np.asarray, _offset_at_start(padded(problem)))
+        self._offset_at_start = Step(shared[self.free], per_view[: len(self.per_view_free)])
 
     def linearise(self, z: Step) -> LinearisedViews:
         """Linearise the problem at a step, by another pass over the pixels."""
-        return self._with_equations(_equations_without_priors(self.problem, z), z)
+        problem = padded(self.problem)
+        equations = _equations_without_priors(problem, padded_step(z, problem))
+        return self._with_equations(equations_without_padding(equations, self.problem), z)
 
     def linearised_at_fit(
         self, fitted: JointProblem, z: Step, equations: NormalEquations
@@ -175,9 +181,15 @@ def _offset_at_start(problem: JointProblem) -> Step:
     return problem.offset_from_prior(problem.unscaled_step(problem.zero_step()))
 
 
-@compiled
 def chain_at(problem: JointProblem, z: Step) -> FittedChain:
     """Return the chain of every view at a step."""
+    whole = padded(problem)
+    return chain_without_padding(_chain_at(whole, padded_step(z, whole)), problem)
+
+
+@compiled
+def _chain_at(problem: JointProblem, z: Step) -> FittedChain:
+    """Return the chain of every view at a step, compiled for the shapes that are given."""
     return problem.chain(z)
 
 

@@ -1,0 +1,78 @@
+"""Pad small data sets to a few sizes, so that those of about the same size share programs.
+
+XLA compiles a program for the shapes of its arguments. For a small data set that takes seconds,
+and running the program milliseconds: a second data set, with one view more, should not be compiled
+for again. Padding repeats the last view and the last point; no padded point is visible.
+"""
+
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+
+from .array_namespace import to_device
+
+MAX_PADDED_OBSERVATIONS = 5_000
+"""Largest number of observations, padding included, of a data set that is padded.
+
+Larger ones are compiled optimised (`compilation.MIN_OPTIMISED_ELEMENTS`) and run long enough for
+padding to show.
+"""
+
+MIN_PADDED_COUNT = 8
+"""Smallest number of views, and of points, after padding."""
+
+_Tree = TypeVar("_Tree")
+
+
+def padded_counts(views: int, points: int = 1) -> tuple[int, int]:
+    """Return the numbers of views and of points to pad a data set to.
+
+    They are 8, 12, 16, 24, 32, 48 and so on; for a large data set they are those given.
+    """
+    padded = _next_count(views), _next_count(points)
+    return padded if padded[0] * padded[1] <= MAX_PADDED_OBSERVATIONS else (views, points)
+
+
+def _next_count(count: int) -> int:
+    """Return the smallest power of two, or three quarters of one, that is not below a count."""
+    power = 1 << max(count - 1, 0).bit_length()
+    three_quarters = 3 * power // 4
+    return max(three_quarters if count <= three_quarters else power, MIN_PADDED_COUNT)
+
+
+def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:
+    """Append copies of the last entry to arrays, on the host, until they have a number of entries.
+
+    Args:
+        arrays: pytree of arrays; one without entries stays as it is.
+        count: number of entries wanted; arrays with as many are returned as they are.
+        axis: axis of the entries.
+    """
+
+    def pad(x: Any) -> Any:
+        missing = count - x.shape[axis]
+        if missing <= 0 or x.shape[axis] == 0:
+            return x
+        whole = np.asarray(x)
+        last = np.take(whole, [-1], axis=axis)
+        return to_device(np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis))
+
+    return jax.tree.map(pad, arrays)
+
+
+def without_padding(arrays: _Tree, *counts: int) -> _Tree:
+    """Return the first entries of arrays along their first axes, copied by NumPy if there are more.
+
+    Args:
+        arrays: pytree of arrays.
+        counts: number of entries along the first axis, and so on.
+    """
+    leading = tuple(slice(count) for count in counts)
+
+    def cut(x: Any) -> Any:
+        if all(size <= count for size, count in zip(x.shape, counts, strict=False)):
+            return x
+        return to_device(np.asarray(x)[leading])
+
+    return jax.tree.map(cut, arrays)

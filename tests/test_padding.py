@@ -1,0 +1,128 @@
+"""Small data sets are padded to few sizes: they share programs, and the answers stay the same."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from programs import programs_built
+from starts import nudged
+
+from smartview_jax import Noise, Prior, fit_joint
+from smartview_jax.dataset import chain_residuals
+from smartview_jax.padding import (
+    MAX_PADDED_OBSERVATIONS,
+    padded_counts,
+    repeat_last,
+    without_padding,
+)
+from smartview_jax.robot_errors import LinearInPose
+from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.staged import calibrate_views, kalman_filter
+
+POINTS = paper_points((0.0, 0.02))[::7]
+
+
+def test_there_are_few_sizes_and_each_holds_what_is_padded():
+    counts = [(views, points) for views in range(1, 49) for points in range(1, 97)]
+    padded = np.array([padded_counts(*pair) for pair in counts])
+    assert (padded >= counts).all()
+    assert (padded.prod(axis=1) <= MAX_PADDED_OBSERVATIONS).all()
+    assert set(padded[:, 0]) == {8, 12, 16, 24, 32, 48}
+    # At most half as many again are added.
+    assert (padded <= np.maximum(1.5 * np.array(counts), 8)).all()
+    assert padded_counts(28, 408) == (28, 408)
+
+
+def test_what_is_added_repeats_the_last_entry_and_comes_off_again():
+    arrays = {"a": np.arange(6.0).reshape(3, 2), "none": np.zeros((0, 2)), "flags": np.eye(3) > 0}
+    padded = repeat_last(arrays, 5)
+    np.testing.assert_array_equal(padded["a"], [[0, 1], [2, 3], [4, 5], [4, 5], [4, 5]])
+    assert padded["none"].shape == (0, 2)
+    assert padded["flags"].dtype == bool
+    for name, array in without_padding(padded, 3).items():
+        np.testing.assert_array_equal(array, arrays[name])
+    np.testing.assert_array_equal(without_padding(arrays["a"], 2, 1), [[0.0], [2.0]])
+
+
+def scene_of(views):
+    scene = random_scene(2, views, POINTS, translation_noise=1e-4, rotation_noise=1e-4)
+    hidden = np.asarray(scene.data.visible).copy()
+    hidden[1, ::3] = False
+    return scene, scene.data.with_visible(hidden)
+
+
+@pytest.fixture
+def unpadded(monkeypatch):
+    """Call it, and nothing is padded any more."""
+    return lambda: monkeypatch.setattr("smartview_jax.padding.MAX_PADDED_OBSERVATIONS", 0)
+
+
+def test_steps_1_and_2_find_the_same(unpadded):
+    _, data = scene_of(9)
+    found = []
+    for _ in range(2):
+        step1 = calibrate_views(data.observations, data.image_size)
+        step2 = kalman_filter(
+            data.observations, step1.camera(0, data.image_size), step1.camera_from_world
+        )
+        found.append((step1, step2))
+        unpadded()
+    (padded1, padded2), (plain1, plain2) = found
+    assert padded1.starts == plain1.starts
+    np.testing.assert_allclose(padded1.rms, plain1.rms, rtol=1e-6)
+    np.testing.assert_array_equal(padded1.inliers, plain1.inliers)
+    assert padded2.covariance.shape == (5 + 6 * 9,) * 2
+    np.testing.assert_allclose(padded2.covariance, plain2.covariance, rtol=1e-5, atol=1e-18)
+    np.testing.assert_allclose(
+        padded2.camera_from_world.wxyz_xyz, plain2.camera_from_world.wxyz_xyz, atol=1e-7
+    )
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"noise": "trusted", "loss": "huber"},
+        {
+            "noise": Noise(0.15, 1e-4, 1e-4, (1e-4,) * 4),
+            "field": "linear in pose",
+            "priors": {"pose_corrections.{last}.translation": Prior(std=1e-5, mean=2e-5)},
+        },
+        {"noise": "estimated"},
+    ],
+    ids=["robust", "a prior on the last view", "estimated"],
+)
+def test_a_joint_fit_finds_the_same(unpadded, options):
+    scene, data = scene_of(9)
+    if "field" in options:
+        field = LinearInPose.from_poses(data.base_from_tool)
+        priors = {name.format(last=data.view_ids[-1]): x for name, x in options["priors"].items()}
+        options = options | {"field": field, "priors": priors}
+    fits = []
+    for _ in range(2):
+        fits.append(fit_joint(data, nudged(scene.calibration), **options))
+        unpadded()
+    padded, plain = fits
+    for name in ("residuals", "pose_corrections", "covariance", "field_corrections"):
+        found, expected = (np.asarray(getattr(fit, name)) for fit in fits)
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    assert padded.solution.costs[-1] == pytest.approx(plain.solution.costs[-1], rel=1e-9)
+    np.testing.assert_allclose(list(padded.std.values()), list(plain.std.values()), rtol=1e-6)
+
+
+def test_data_of_another_size_need_no_new_programs():
+    """One view and one point less, and another selection of them."""
+    scene, data = scene_of(12)
+    options = {"noise": Noise(0.15, 1e-4, 1e-4)}
+    fit_joint(data, nudged(scene.calibration), **options)
+    fewer = data.select(range(10))
+    fewer = dataclasses.replace(
+        fewer, points=fewer.points[:, 1:], pixels=fewer.pixels[:, 1:], visible=fewer.visible[:, 1:]
+    )
+    with programs_built() as built:
+        fit_joint(data, nudged(scene.calibration), **options)
+        first = len(built)
+        fit_joint(fewer, nudged(scene.calibration), **options)
+        chain_residuals(scene.calibration, fewer.observations)
+    assert first > 0
+    assert len(built) == first
