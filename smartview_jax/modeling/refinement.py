@@ -266,31 +266,33 @@ def _summarise(
     verdicts, p_value = constraint_verdicts(problem, state, false_alarm)
     free_names = set(problem.uncertainty.names) - set(names)
     return RefinedFeatures(
-        np.where(ok[:, None], state.shape.points, np.nan),
-        Lines(*(np.where(lines_ok[:, None], a, np.nan) for a in state.shape.lines)),
-        status,
-        line_status,
-        np.where((problem.observed.visible & ok)[..., None], at.pictures.residuals, np.nan),
-        np.where(
+        points=np.where(ok[:, None], state.shape.points, np.nan),
+        lines=Lines(*(np.where(lines_ok[:, None], a, np.nan) for a in state.shape.lines)),
+        status=status,
+        line_status=line_status,
+        residuals=np.where(
+            (problem.observed.visible & ok)[..., None], at.pictures.residuals, np.nan
+        ),
+        line_residuals=np.where(
             (problem.observed.segments_visible & lines_ok)[..., None],
             at.pictures.distances,
             np.nan,
         ),
-        np.where(ok[:, None, None], blocks.points, np.nan),
-        np.where(lines_ok[:, None, None], blocks.lines, np.nan),
-        np.where(ok[:, None, None], jacobian, np.nan),
-        covariance,
-        names,
-        {
+        picture_covariance=np.where(ok[:, None, None], blocks.points, np.nan),
+        line_covariance=np.where(lines_ok[:, None, None], blocks.lines, np.nan),
+        calibration_jacobian=np.where(ok[:, None, None], jacobian, np.nan),
+        calibration_covariance=covariance,
+        calibration_names=names,
+        number_offsets={
             name: float(value)
             for name, value in zip(problem.uncertainty.names, offsets, strict=True)
             if name in free_names
         },
-        verdicts,
-        p_value,
-        result,
-        posterior,
-        weak,
+        verdicts=verdicts,
+        constraints_p_value=p_value,
+        result=result,
+        posterior=posterior,
+        weak=weak,
     )
 
 
