@@ -80,7 +80,7 @@ def plan(
                 situation = next_views(paths, camera, span, robot)
             arm, readings = robot.arm_and_readings(situation.calibration)
             found = plan_views(
-                _near(situation.model, readings),
+                _with_readings(situation.model, readings),
                 situation.views,
                 views or (15 if start else 10),
                 goal=None if goal is None else 1e-3 * goal,
@@ -114,8 +114,8 @@ def _give_nothing(found: "ViewPlan", words: tuple[str, ...], json: bool) -> None
         typer.echo("\n".join(words))
 
 
-def _near(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
-    """Return the model with the readings near which an arm takes its views."""
+def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
+    """Return the model with the joint readings near which inverse kinematics looks for views."""
     import equinox as eqx
 
     from ..array_namespace import to_device

@@ -40,12 +40,12 @@ from .triangulation import solve_points
 Freedom: TypeAlias = Literal["nothing", "poses", "calibration"]
 """Estimated besides the features: nothing, the views' own noise, or all that is uncertain."""
 
-WEAK_STD = 10.0
+WEAK_PRIOR_STD = 10.0
 """Standard deviation of a prior, over the distance, that keeps points finite that nothing measures.
 
 It is far above `MAX_RELATIVE_STD`, so that whatever only this prior holds is named."""
 
-FALSE_ALARM = 0.01
+FALSE_ALARM_PROBABILITY = 0.01
 """Probability that any constraint is said to contradict the pictures when all are true."""
 
 
@@ -67,7 +67,7 @@ def refine(
     covariance: CalibrationEstimate | None = None,
     noise: Noise | None = None,
     loss: AbstractLoss | None = None,
-    false_alarm: float = FALSE_ALARM,
+    false_alarm: float = FALSE_ALARM_PROBABILITY,
 ) -> RefinedFeatures:
     """Refine all points and lines together, under constraints.
 
@@ -114,7 +114,7 @@ def refine(
     distance = _typical_distance(observed, points)
     problem = RefinementProblem(
         observed, uncertainty, roots, chosen, tuple(constraints), planes, weak, points,
-        WEAK_STD * distance, loss,
+        WEAK_PRIOR_STD * distance, loss,
     )  # fmt: skip
     state, result = minimise(problem, RefinementState(shape, np.zeros(len(chosen))))
     return _summarise(problem, state, result, line_status, distance, false_alarm)
