@@ -166,27 +166,28 @@ def _eye_to_hand(material: Material) -> str:
     return f"camera_from_base {error:.2f} mm off the truth; mount={fit.calibration.mount}"
 
 
+def _refusal(data: sv.Dataset, poses: SE3) -> str:
+    """Return the message with which the staged fit refuses wrong poses."""
+    try:
+        sv.fit_staged(dataclasses.replace(data, base_from_tool=poses))
+    except ValueError as error:
+        return str(error)
+    raise AssertionError("wrong poses were taken")
+
+
 def _angle_conventions(material: Material) -> str:
     data = material.sample
     angles = np.asarray(data.base_from_tool.rotation().as_rpy_radians()).T
     wrong = SO3.from_rpy_radians(*jnp.asarray(angles[:, ::-1]).T)
     mixed = SE3.from_rotation_and_translation(wrong, data.base_from_tool.translation())
-    try:
-        sv.fit_staged(dataclasses.replace(data, base_from_tool=mixed))
-    except ValueError as error:
-        return f"formats: {', '.join(POSE_CODECS)}; a wrong one: {str(error)[:160]}"
-    raise AssertionError("rotations in a wrong order were taken")
+    return f"formats: {', '.join(POSE_CODECS)}; a wrong one: {_refusal(data, mixed)[:160]}"
 
 
 def _units(material: Material) -> str:
     data = material.sample
     poses = data.base_from_tool
     in_mm = SE3.from_rotation_and_translation(poses.rotation(), 1e3 * poses.translation())
-    try:
-        sv.fit_staged(dataclasses.replace(data, base_from_tool=in_mm))
-    except ValueError as error:
-        return _expect(str(error), "1000|unit|mm")
-    raise AssertionError("millimetres were taken for metres")
+    return _expect(_refusal(data, in_mm), "1000|unit|mm")
 
 
 def _which_views(material: Material) -> str:
@@ -286,11 +287,7 @@ def _bad_samples(material: Material) -> str:
 def _shifted_pairs(material: Material) -> str:
     data = material.sample
     shifted = SE3(jnp.roll(data.base_from_tool.wxyz_xyz, 1, axis=0))
-    try:
-        sv.fit_staged(dataclasses.replace(data, base_from_tool=shifted))
-    except ValueError as error:
-        return _expect(str(error), "pair|order|shift")
-    raise AssertionError("poses that belong to the neighbours were taken")
+    return _expect(_refusal(data, shifted), "pair|order|shift")
 
 
 def _save_and_repeat(material: Material) -> str:

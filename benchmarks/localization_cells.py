@@ -19,14 +19,21 @@ from smartview_jax.simulation import (
     SolidScene,
     Surface,
     box,
-    labelled,
-    matt,
     render_solids,
     speckled,
 )
 from smartview_jax.simulation.cell import CellError, CellObject, SimulatedCell
 
-from .localization_scenes import clutter, hidden_shares, model_of, occluder, resting, solids
+from .localization_scenes import (
+    clutter,
+    hidden_shares,
+    model_of,
+    occluder,
+    plain_surfaces,
+    printed_table,
+    resting,
+    solids,
+)
 
 KINDS = ("single", "occluded", "clutter", "bin", "wrong", "empty")
 """Alone, with some 30 % of its edges hidden, among clutter, 1 to 8 in a bin, another object than
@@ -248,8 +255,7 @@ def _surfaces(
     rng: np.random.Generator,
 ) -> list[Surface]:
     """Return all that is seen: a printed table, objects with grain, plain clutter, the bin."""
-    table = speckled(rng.uniform(0.3, 0.5), 0.03, 0.004, seed=seed + 1)
-    printed = labelled(table, 12 if kind in ("single", "bin") else 30, 0.03, 0.15, seed=seed)
+    printed = printed_table(12 if kind in ("single", "bin") else 30, seed, rng)
     x, y = cell.centre[:2]
     turn = Rotation.from_euler("z", rng.uniform(0.0, 6.3)).as_matrix()[:2, :2]
 
@@ -262,5 +268,4 @@ def _surfaces(
     for k, one in enumerate(placed):
         grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed + 7 * k)
         surfaces.append(Surface.of_polyhedron(one, grain))
-    surfaces += [Surface.of_polyhedron(one, matt(rng.uniform(0.2, 0.8))) for one in around]
-    return surfaces + walls
+    return surfaces + plain_surfaces(around, rng) + walls

@@ -30,6 +30,7 @@ from smartview_jax.simulation import (
     stepped_block,
 )
 from smartview_jax.simulation.ray_casting import MISSED, RayCaster
+from smartview_jax.simulation.textures import Texture
 
 KINDS = ("single", "tilted", "clutter", "occluded")
 
@@ -93,6 +94,17 @@ def camera() -> sv.Camera:
     return sv.Camera(1500.0, 1505.0, 645.0, 472.0, lens, (1280, 960))
 
 
+def printed_table(labels: int, seed: int, rng: np.random.Generator) -> Texture:
+    """Return the texture of a table with fine grain and printed labels."""
+    table = speckled(rng.uniform(0.3, 0.5), 0.03, 0.004, seed=seed + 1)
+    return labelled(table, labels, 0.03, 0.15, seed=seed)
+
+
+def plain_surfaces(solids: list[Polyhedron], rng: np.random.Generator) -> list[Surface]:
+    """Return solids of one shade each, as a camera sees them."""
+    return [Surface.of_polyhedron(solid, matt(rng.uniform(0.2, 0.8))) for solid in solids]
+
+
 def localization_scene(
     name: str, kind: str, seed: int, samples: int = 8, view_count: int = 2
 ) -> LocalizationScene:
@@ -112,10 +124,9 @@ def localization_scene(
     if kind == "occluded":
         others.append(occluder(model, world_from_object, poses, calibration, rng, others))
     grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed)
-    table = speckled(rng.uniform(0.3, 0.5), 0.03, 0.004, seed=seed + 1)
-    printed = labelled(table, 12 if kind in ("single", "tilted") else 30, 0.03, 0.15, seed=seed)
+    printed = printed_table(12 if kind in ("single", "tilted") else 30, seed, rng)
     surfaces = [Surface.of_plane(0.5, printed), Surface.of_polyhedron(placed, grain)]
-    surfaces += [Surface.of_polyhedron(one, matt(rng.uniform(0.2, 0.8))) for one in others]
+    surfaces += plain_surfaces(others, rng)
     pictures = [
         render_solids(
             calibration, pose, SolidScene(surfaces), exposure=1.2, seed=seed + k, samples=samples

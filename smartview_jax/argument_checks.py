@@ -1,5 +1,6 @@
 """Refuse arguments of the wrong kind, with a message that says what was expected."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 
@@ -22,6 +23,18 @@ def require_names(name: str, value: Sequence[str]) -> None:
     # A text is a sequence too: of its letters.
     if isinstance(value, str):
         raise ValueError(f"{name}: expected a list of names such as [{value!r}], found {value!r}")
+
+
+def require_distinct(name: str, values: Sequence[str]) -> None:
+    """Raise a ValueError that names every value which is given more than once.
+
+    Args:
+        name: of the argument.
+        values: names or ids, by which something is found again.
+    """
+    repeated = sorted(value for value, count in Counter(values).items() if count > 1)
+    if repeated:
+        raise ValueError(f"{name}: {', '.join(repeated)} given more than once")
 
 
 def _described(value: object) -> str:

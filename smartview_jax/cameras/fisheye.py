@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
+from .bisection import bisected, end_of_increase
 from .lens import AbstractLens
 
 
@@ -73,25 +74,9 @@ class Fisheye(AbstractLens):
     def _fold_angle(self) -> Float[Array, ""]:
         """Return the smallest angle, rad, at which the polynomial stops increasing.
 
-        It is pi if the polynomial increases everywhere. It is not differentiated, because it only
-        limits where the lens is valid.
+        It is pi if the polynomial increases everywhere.
         """
-        # A grid finds the interval of the derivative's first sign change, and bisection refines it.
-        # `argmin` of truth values gives the index of the first False.
-        angles = jnp.asarray(_FOLD_SEARCH_ANGLES)
-        rising = self._distorted_angle_derivative(angles) > 0.0
-        first = jnp.argmin(rising)
-        low, high = angles[jnp.maximum(first - 1, 0)], angles[first]
-
-        def bisect(_, bracket):
-            """Return the half of the bracket that contains the sign change."""
-            low, high = bracket
-            middle = 0.5 * (low + high)
-            rises = self._distorted_angle_derivative(middle) > 0.0
-            return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
-
-        low, _ = jax.lax.fori_loop(0, 50, bisect, (low, high))
-        return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.pi, low))
+        return end_of_increase(self._distorted_angle_derivative, _FOLD_SEARCH_ANGLES, np.pi)
 
     def _undistorted_angle(
         self, distorted: Float[Array, "*batch"], fold: Float[Array, ""]
@@ -104,16 +89,8 @@ class Fisheye(AbstractLens):
 
         def solve(residual, guess):
             """Return the angle at which the residual is zero, rad."""
-
-            def bisect(_, bracket):
-                """Return the half of each bracket that contains the solution."""
-                low, high = bracket
-                middle = 0.5 * (low + high)
-                below = residual(middle) < 0.0
-                return jnp.where(below, middle, low), jnp.where(below, high, middle)
-
             low, high = jnp.zeros_like(guess), jnp.ones_like(guess) * fold
-            low, high = jax.lax.fori_loop(0, 25, bisect, (low, high))
+            low, high = bisected(lambda middle: residual(middle) < 0.0, low, high, 25)
             angle = 0.5 * (low + high)
             # Newton: theta <- theta - (theta_d(theta) - distorted) / theta_d'(theta). The bound on
             # the derivative only matters next to the fold, where it vanishes.

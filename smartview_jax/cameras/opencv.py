@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
+from .bisection import bisected, end_of_increase
 from .implicit import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
@@ -22,8 +23,14 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
 
     and p1, p2 add the tangential part. See the documentation of OpenCV's calib3d module. The model
     is valid up to the smallest radius at which the radial part stops increasing; beyond it OpenCV
-    itself returns wrong pixels without a warning.
+    itself returns wrong pixels without a warning. Every such lens has k1, k2, p1 and p2; what it
+    has besides is its own.
     """
+
+    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
+    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     @property
     @abc.abstractmethod
@@ -73,24 +80,8 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         """Return the smallest ideal radius at which the radial part stops increasing.
 
         It is infinite if the radial part increases up to the largest of the `_FOLD_SEARCH_RADII`.
-        It is not differentiated, because it only limits where the lens is valid.
         """
-        # A grid finds the interval of the derivative's first sign change, and bisection refines it.
-        # `argmin` of truth values gives the index of the first False.
-        radii = jnp.asarray(_FOLD_SEARCH_RADII)
-        rising = self._radial_derivative(radii) > 0.0
-        first = jnp.argmin(rising)
-        low, high = radii[jnp.maximum(first - 1, 0)], radii[first]
-
-        def bisect(_, bracket):
-            """Return the half of the bracket that contains the sign change."""
-            low, high = bracket
-            middle = 0.5 * (low + high)
-            rises = self._radial_derivative(middle) > 0.0
-            return jnp.where(rises, middle, low), jnp.where(rises, high, middle)
-
-        low, _ = jax.lax.fori_loop(0, 50, bisect, (low, high))
-        return jax.lax.stop_gradient(jnp.where(jnp.all(rising), jnp.inf, low))
+        return end_of_increase(self._radial_derivative, _FOLD_SEARCH_RADII, np.inf)
 
     def _radial_derivative(self, radius: Float[Array, "*grid"]) -> Float[Array, "*grid"]:
         """Return a positive multiple of the derivative of the distorted radius by the ideal one.
@@ -127,18 +118,14 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         k1, k2, _, _, k3, k4, k5, k6 = jax.lax.stop_gradient(self.coefficients)
         target_radius = jnp.linalg.norm(jax.lax.stop_gradient(distorted), axis=-1)
 
-        def bisect(_, bracket):
-            """Return the half of each bracket that contains the solution."""
-            low, high = bracket
-            middle = 0.5 * (low + high)
-            s = middle * middle
+        def is_below(radius):
+            """Return whether ideal radii are distorted to less than the target radius."""
+            s = radius * radius
             denominator = 1.0 + s * (k4 + s * (k5 + s * k6))
-            distorted_radius = middle * (1.0 + s * (k1 + s * (k2 + s * k3))) / denominator
-            below = distorted_radius < target_radius
-            return jnp.where(below, middle, low), jnp.where(below, high, middle)
+            return radius * (1.0 + s * (k1 + s * (k2 + s * k3))) / denominator < target_radius
 
         low, high = jnp.zeros_like(target_radius), jnp.full_like(target_radius, 1.0) * limit
-        low, high = jax.lax.fori_loop(0, 40, bisect, (low, high))
+        low, high = bisected(is_below, low, high, 40)
         ratio = 0.5 * (low + high) / jnp.where(target_radius > 0.0, target_radius, 1.0)
         return (
             jax.lax.stop_gradient(distorted) * jnp.where(target_radius > 0.0, ratio, 1.0)[..., None]
@@ -147,11 +134,6 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
 
 class OpenCV4(AbstractOpenCVLens):
     """A lens with OpenCV's four coefficients k1, k2, p1, p2."""
-
-    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     @property
     def coefficients(self) -> Float[Array, "8"]:
@@ -163,10 +145,6 @@ class OpenCV4(AbstractOpenCVLens):
 class OpenCV5(AbstractOpenCVLens):
     """A lens with OpenCV's five coefficients k1, k2, p1, p2, k3."""
 
-    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
     k3: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
 
     @property
@@ -179,10 +157,6 @@ class OpenCV5(AbstractOpenCVLens):
 class OpenCV8(AbstractOpenCVLens):
     """A lens with the eight coefficients k1, k2, p1, p2, k3, k4, k5, k6 of the rational model."""
 
-    k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    k2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    p1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
-    p2: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
     k3: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
     k4: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
     k5: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..files import file_transaction, refuse_unwritable
-from . import fit_options, options
+from . import options
+from .fit_options import FitKnowledge, parse_fit_options
 from .json_document import print_document
 from .load import load_named, with_estimated_clock
+from .option_groups import with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from .calibrate_result import CalibrateResult
 
 
+@with_option_groups
 def calibrate(
     dataset: options.DatasetArgument = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("calibration"),
@@ -31,11 +34,8 @@ def calibrate(
     diagnose: Annotated[
         bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
     ] = False,
-    camera: fit_options.CameraOption = None,
-    fixed: fit_options.FixedOption = None,
-    free: fit_options.FreeOption = None,
-    prior: fit_options.PriorOption = None,
-    start: fit_options.StartOption = None,
+    *,
+    known: FitKnowledge,
     bad_views: options.BadViewsOption = options.BadViews.RAISE,
     base_from_world: options.BaseFromWorldOption = None,
     time_offset: options.TimeOffsetOption = False,
@@ -62,24 +62,22 @@ def calibrate(
             if time_offset:
                 data = with_estimated_clock(data, dataset, lens, progress)
             # The transforms' names depend on the mount, which only the data set says.
-            known = fit_options.parse_fit_options(
-                lens, data.mount, camera, fixed, free, prior, start
-            )
+            fit_options = parse_fit_options(lens, data.mount, known)
 
             # Folds and halves are fitted with the same knowledge as the whole.
             def fit_views(
                 part: "Dataset", progress: Callable[[str], None] | None
             ) -> "CalibrationFit":
-                options = known.arguments()
-                return fit_both(part, lens, noise=noise.value, progress=progress, **options)
+                given = fit_options.arguments()
+                return fit_both(part, lens, noise=noise.value, progress=progress, **given)
 
             result = fit_and_judge(data, name, fit_views, held_out, diagnose, progress)
         if not json:
             print_calibrate_result(result)
         with progress_line() as progress:
-            files = _write_files(result, out, run, known.given, progress)
+            files = _write_files(result, out, run, fit_options.given, progress)
         if json:
-            print_document("calibrate", calibrate_document(result, run, known.given, files))
+            print_document("calibrate", calibrate_document(result, run, fit_options.given, files))
         else:
             for file in files:
                 typer.echo(f"{file}: {_RESULT_FILES[file.name]}")

@@ -1,20 +1,20 @@
 """Define `smartview compare`, which prints several methods side by side."""
 
-from . import fit_options, options
+from . import options
 from .error_documents import method_document, views_left_out
+from .fit_options import FitKnowledge, parse_fit_options
 from .json_document import print_document
 from .load import load_named
+from .option_groups import with_option_groups
 from .terminal import errors_reported, progress_line
 
 
+@with_option_groups
 def compare(
     dataset: options.DatasetArgument = None,
     lens: options.LensOption = "opencv4",
-    camera: fit_options.CameraOption = None,
-    fixed: fit_options.FixedOption = None,
-    free: fit_options.FreeOption = None,
-    prior: fit_options.PriorOption = None,
-    start: fit_options.StartOption = None,
+    *,
+    known: FitKnowledge,
     bad_views: options.BadViewsOption = options.BadViews.RAISE,
     base_from_world: options.BaseFromWorldOption = None,
     json: options.JsonOption = False,
@@ -31,19 +31,21 @@ def compare(
 
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress, base_from_world)
-            known = fit_options.parse_fit_options(
-                lens, data.mount, camera, fixed, free, prior, start
-            )
-            methods = standard_methods(lens, **known.arguments())
+            fit_options = parse_fit_options(lens, data.mount, known)
+            methods = standard_methods(lens, **fit_options.arguments())
             rows = compare_methods(data, methods, progress=progress)
         # The same numbers as in the tables, unrounded.
         if json:
-            entries = [method_document(row) for row in rows]
-            left_out = views_left_out(data.masked_views)
-            content = {"data_set": name, "lens": lens, "given": known.given, "methods": entries}
-            # Notes are in the document: nothing but it is on stdout.
-            notes = {"left_out_views": left_out, "notes": list(data.notes)}
-            print_document("compare", content | notes)
+            content = {
+                "data_set": name,
+                "lens": lens,
+                "given": fit_options.given,
+                "methods": [method_document(row) for row in rows],
+                "left_out_views": views_left_out(data.masked_views),
+                # In the document too: nothing but it is on stdout.
+                "notes": list(data.notes),
+            }
+            print_document("compare", content)
             return
         console = Console()
         console.print(f"{name}, lens {lens}", highlight=False, markup=False)

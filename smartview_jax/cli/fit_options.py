@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -59,6 +60,17 @@ _PRIOR = re.compile(rf"\s*({_NUMBER})?\s*(?:\+-|±)\s*({_NUMBER})\s*([a-z]*)\s*"
 """A value, which may be missing, its standard deviation, and their unit."""
 
 
+@dataclass(frozen=True)
+class FitKnowledge:
+    """The options of a subcommand that fits by which a person says what is known already."""
+
+    camera: CameraOption = None
+    fixed: FixedOption = None
+    free: FreeOption = None
+    prior: PriorOption = None
+    start: StartOption = None
+
+
 class FitOptions(NamedTuple):
     """The knowledge that a person has already, for `calibrate`.
 
@@ -84,25 +96,13 @@ class FitOptions(NamedTuple):
         return {key: value for key, value in named.items() if value}
 
 
-def parse_fit_options(
-    lens: str,
-    mount: str,
-    camera: Path | None = None,
-    fixed: Sequence[str] | None = None,
-    free: Sequence[str] | None = None,
-    prior: Sequence[str] | None = None,
-    start: Sequence[str] | None = None,
-) -> FitOptions:
+def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
     """Read the texts of the options; every error names the option and what it expects.
 
     Args:
         lens: name of the lens model, without a known camera.
         mount: `"eye_in_hand"` or `"eye_to_hand"`, which names the transforms.
-        camera: file of a known camera.
-        fixed: texts of the option; `free`, `prior` and `start` likewise.
-        free: see `fixed`.
-        prior: see `fixed`.
-        start: see `fixed`.
+        known: file of a known camera and texts of the other options.
 
     Raises:
         ValueError: an unknown name, a missing unit, or options that contradict each other.
@@ -110,27 +110,31 @@ def parse_fit_options(
     from ..io import read_camera
 
     # Read before anything is detected or fitted: a misspelt name should cost no minutes.
-    known = None if camera is None else read_camera(camera)
-    units = _units_by_name(lens, mount, known)
+    camera = None if known.camera is None else read_camera(known.camera)
+    fixed, free = tuple(known.fixed or ()), tuple(known.free or ())
+    units = _units_by_name(lens, mount, camera)
     for option, paths in (("--fixed", fixed), ("--free", free)):
-        for path in paths or ():
+        for path in paths:
             _names_of(option, path, units)
-    priors = dict(_parse_prior(text, units) for text in _prior_texts(prior or ()))
-    freed = tuple(free or ()) + tuple(path for path in priors if path == "target_scale")
-    _refuse_contradictions(known is not None, tuple(fixed or ()), tuple(free or ()), priors, units)
-    texts = [("--camera", [] if camera is None else [str(camera)])]
-    texts += [("--fixed", fixed), ("--free", free), ("--prior", prior), ("--start", start)]
-    # In the order of the options, whatever the order on the command line.
-    given = ", ".join(f"{option} {text}" for option, listed in texts for text in listed or ())
+    priors = dict(_parse_prior(text, units) for text in _prior_texts(known.prior or ()))
+    freed = free + tuple(path for path in priors if path == "target_scale")
+    _refuse_contradictions(camera is not None, fixed, free, priors, units)
     return FitOptions(
-        known,
-        _parse_start(start or (), mount),
-        tuple(fixed or ()),
+        camera,
+        _parse_start(known.start or (), mount),
+        fixed,
         # A prior on what is held says nothing: who states one means the parameter to be free.
         tuple(dict.fromkeys(freed)),
         priors or None,
-        given,
+        _in_words(known),
     )
+
+
+def _in_words(known: FitKnowledge) -> str:
+    """Return the options as a person would write them, always in the same order."""
+    texts = [("camera", () if known.camera is None else (str(known.camera),))]
+    texts += [(name, getattr(known, name) or ()) for name in ("fixed", "free", "prior", "start")]
+    return ", ".join(f"--{name} {text}" for name, listed in texts for text in listed)
 
 
 def _units_by_name(lens: str, mount: str, camera: "Camera | None") -> dict[str, str]:

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import refuse_unwritable
 from . import options
-from .robot_commands import CommandSheet, arm_from_option, parse_joint_readings
+from .option_groups import with_option_groups
+from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ COMMAND_NAMES = ("approach", "grasp")
 _POSE = "x,y,z in m and yaw,pitch,roll in degrees"
 
 
+@with_option_groups
 def grasp(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     object_pose: Annotated[
@@ -46,11 +47,8 @@ def grasp(
     approach: Annotated[
         float, typer.Option(min=0.0, help="How far before the grasp the way in begins, mm.")
     ] = 100.0,
-    arm: options.ArmOption = None,
-    near: options.NearOption = None,
-    out: options.CommandsOutOption = None,
-    pose_format: options.PoseFormatOption = "val_oat",
-    force: options.ForceOption = False,
+    *,
+    robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -60,29 +58,26 @@ def grasp(
     commands out of reach, behind the target's plane, or where the robot's error is not known.
     """
     with errors_reported(debug):
-        from ..geometry import pose_codec
         from ..grasping import TOOL_CHECKS, tool_commands
         from ..joint import load_with_uncertainty
 
-        if out is not None:
-            refuse_unwritable(out.parent, "--out")
-        codec = pose_codec(pose_format)
+        codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
         world_from_gripper = _pose("--object-pose", object_pose) @ _grasp(grasp_pose, model, name)
-        serial_arm = arm_from_option(arm, loaded_calibration)
+        arm, readings = robot.arm_and_readings(loaded_calibration)
         tool = tool_commands(
             loaded_calibration,
             # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
             _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", gripper)),
             estimate=estimate,
-            arm=serial_arm,
-            near=parse_joint_readings(near, serial_arm),
+            arm=arm,
+            near=readings,
         )
-        sheet = CommandSheet(COMMAND_NAMES, tool.commands, codec, serial_arm, TOOL_CHECKS)
+        sheet = CommandSheet(COMMAND_NAMES, tool.commands, codec, arm, TOOL_CHECKS)
         sheet.give(
             "grasp",
-            out,
-            force,
+            robot.out,
+            robot.force,
             json,
             lambda: typer.echo(_error_text(tool, calibration)),
             error=_error_document(tool),

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..files import refuse_unwritable
 from . import options
 from .fit_options import StartOption
 from .json_document import print_document
+from .option_groups import with_option_groups
 from .plan_situation import ViewLimits, first_views, next_views
 from .plan_words import plan_entries, plan_words
-from .robot_commands import CommandSheet, arm_from_option, parse_joint_readings
+from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..viewpoints import InformationModel, ViewPlan
 
 
+@with_option_groups
 def plan(
     paths: Annotated[
         list[Path],
@@ -53,11 +54,8 @@ def plan(
         float, typer.Option(min=1.0, max=180.0, help="Greatest, about the optical axis, degrees.")
     ] = 90.0,
     below: options.BelowOption = None,
-    arm: options.ArmOption = None,
-    near: options.NearOption = None,
-    out: options.CommandsOutOption = None,
-    pose_format: options.PoseFormatOption = "val_oat",
-    force: options.ForceOption = False,
+    *,
+    robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -70,29 +68,26 @@ def plan(
     with errors_reported(debug):
         import math
 
-        from ..geometry import host_transforms, pose_codec
+        from ..geometry import host_transforms
         from ..viewpoints import SAFETY_CHECKS, plan_views, viewpoint_commands
 
-        if out is not None:
-            refuse_unwritable(out.parent, "--out")
-        codec = pose_codec(pose_format)
+        codec = robot.codec()
         span = ViewLimits(distance, math.radians(tilt), math.radians(roll), below)
         with progress_line() as progress:
             if start:
                 situation = first_views(paths, start, camera, span)
             else:
-                situation = next_views(paths, camera, span, arm, near)
-            serial_arm = arm_from_option(arm, situation.calibration)
-            readings = parse_joint_readings(near, serial_arm)
+                situation = next_views(paths, camera, span, robot)
+            arm, readings = robot.arm_and_readings(situation.calibration)
             found = plan_views(
-                _near(situation.model, readings),
+                _with_readings(situation.model, readings),
                 situation.views,
                 views or (15 if start else 10),
                 goal=None if goal is None else 1e-3 * goal,
                 # First views are all needed; the rule is about views that come on top.
                 least_gain=0.0 if start else 0.01 * gain,
                 border_margin=situation.border_margin,
-                arm=serial_arm,
+                arm=arm,
                 progress=progress,
             )
         words = (*situation.assumptions, *plan_words(found, 0.01 * gain, goal, bool(start)))
@@ -101,13 +96,13 @@ def plan(
             return
         wanted = host_transforms(found.camera_from_world)
         commands = viewpoint_commands(
-            situation.calibration, wanted, situation.points, serial_arm, readings
+            situation.calibration, wanted, situation.points, arm, readings
         )
         names = _new_names(situation.names, len(found.camera_from_world))
-        sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
+        sheet = CommandSheet(names, commands, codec, arm, SAFETY_CHECKS)
         # The words come after the table: they are what a person is to remember.
         say = partial(typer.echo, "\n".join(words))
-        sheet.give("plan", out, force, json, say, **plan_entries(found), words=words)
+        sheet.give("plan", robot.out, robot.force, json, say, **plan_entries(found), words=words)
 
 
 def _give_nothing(found: "ViewPlan", words: tuple[str, ...], json: bool) -> None:
@@ -119,8 +114,8 @@ def _give_nothing(found: "ViewPlan", words: tuple[str, ...], json: bool) -> None
         typer.echo("\n".join(words))
 
 
-def _near(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
-    """Return the model with the readings near which an arm takes its views."""
+def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
+    """Return the model with the joint readings near which inverse kinematics looks for views."""
     import equinox as eqx
 
     from ..array_namespace import to_device

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .fit_options import parse_transforms
-from .robot_commands import arm_from_option, parse_joint_readings
+from .robot_commands import RobotOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,7 +58,7 @@ class Situation(NamedTuple):
 
 
 def next_views(
-    paths: list[Path], camera: Path | None, limits: ViewLimits, arm: str | None, near: str | None
+    paths: list[Path], camera: Path | None, limits: ViewLimits, robot: RobotOptions
 ) -> Situation:
     """Return what a calibration and its data set say."""
     import numpy as np
@@ -76,7 +76,7 @@ def next_views(
     estimate = load_estimate(paths[0])
     data = load_dataset(paths[1], "mask", keep_detections=False)
     points = np.asarray(data.points[0])
-    readings = parse_joint_readings(near, arm_from_option(arm, estimate.calibration))
+    _, readings = robot.arm_and_readings(estimate.calibration)
     # Without an arm there are no readings, and the robot is commanded by poses.
     model = model_from_estimate(estimate, points, readings)
     # New views are near those that the calibration is known from.

@@ -1,11 +1,14 @@
 """Print, check and write the robot's commands, for all subcommands that compute some."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
+from ..files import refuse_unwritable
+from . import options
 from .json_document import print_document
 
 if TYPE_CHECKING:
@@ -15,6 +18,39 @@ if TYPE_CHECKING:
     from ..geometry import PoseCodec
     from ..robots import SerialArm
     from ..viewpoints import ViewpointCommands
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """The options of a subcommand that gives commands: for which robot, and where they go."""
+
+    arm: options.ArmOption = None
+    near: options.NearOption = None
+    out: options.CommandsOutOption = None
+    pose_format: options.PoseFormatOption = "val_oat"
+    force: options.ForceOption = False
+
+    def codec(self) -> "PoseCodec":
+        """Return the pose format.
+
+        It is asked for first, so that nothing is computed in vain.
+
+        Raises:
+            ValueError: the format has no such name.
+            OSError: the file of `--out` could not be written.
+        """
+        from ..geometry import pose_codec
+
+        if self.out is not None:
+            refuse_unwritable(self.out.parent, "--out")
+        return pose_codec(self.pose_format)
+
+    def arm_and_readings(
+        self, calibration: "Calibration"
+    ) -> "tuple[SerialArm | None, np.ndarray | None]":
+        """Return the arm and the joint readings (rad, m) to set out from; None where none is."""
+        arm = _arm(self.arm, calibration)
+        return arm, _joint_readings(self.near, arm)
 
 
 class CommandSheet(NamedTuple):
@@ -134,7 +170,7 @@ def numbered_names(count: int) -> tuple[str, ...]:
     return tuple(f"v{1 + k}" for k in range(count))
 
 
-def arm_from_option(text: str | None, calibration: "Calibration") -> "SerialArm | None":
+def _arm(text: str | None, calibration: "Calibration") -> "SerialArm | None":
     """Return the named arm, or else the arm whose errors the calibration corrects, or None."""
     from ..io import load_urdf
     from ..robot_errors import nominal_arm
@@ -146,7 +182,7 @@ def arm_from_option(text: str | None, calibration: "Calibration") -> "SerialArm 
     return nominal_arm(calibration.field)
 
 
-def parse_joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
+def _joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
     """Return joint readings (rad, m) from text in degrees and metres; None without an arm."""
     import numpy as np
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..files import refuse_unwritable
 from . import options
-from .robot_commands import CommandSheet, arm_from_option, numbered_names, parse_joint_readings
+from .option_groups import with_option_groups
+from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
 from .viewpoint import requested_camera_poses
 
@@ -20,6 +20,7 @@ SURPRISING_P_VALUE = 0.01
 """Probability below which misses are called larger than the calibration expects."""
 
 
+@with_option_groups
 def stylus(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     tip: Annotated[
@@ -42,11 +43,8 @@ def stylus(
         Path | None,
         typer.Option(help="Measured misses: .csv (view,x_mm,y_mm,z_mm) or .yaml, world's axes."),
     ] = None,
-    arm: options.ArmOption = None,
-    near: options.NearOption = None,
-    out: options.CommandsOutOption = None,
-    pose_format: options.PoseFormatOption = "val_oat",
-    force: options.ForceOption = False,
+    *,
+    robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -58,16 +56,13 @@ def stylus(
     with errors_reported(debug):
         import numpy as np
 
-        from ..geometry import pose_codec
         from ..grasping import TOOL_CHECKS, tip_error_factor, tool_commands
         from ..io import read_misses
         from ..joint import load_with_uncertainty
 
-        if out is not None:
-            refuse_unwritable(out.parent, "--out")
-        codec = pose_codec(pose_format)
+        codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
-        serial_arm = arm_from_option(arm, loaded_calibration)
+        arm, readings = robot.arm_and_readings(loaded_calibration)
         poses = _touching_poses(
             loaded_calibration,
             np.array(tip),
@@ -81,16 +76,21 @@ def stylus(
             loaded_calibration,
             poses,
             estimate=estimate,
-            arm=serial_arm,
-            near=parse_joint_readings(near, serial_arm),
+            arm=arm,
+            near=readings,
         )
         names = numbered_names(len(poses))
         factor = tip_error_factor(touches, np.array(tip))
         measured = None if misses is None else read_misses(misses, names)
-        sheet = CommandSheet(names, touches.commands, codec, serial_arm, TOOL_CHECKS)
+        sheet = CommandSheet(names, touches.commands, codec, arm, TOOL_CHECKS)
         judged = _judgement(names, factor, measured)
         sheet.give(
-            "stylus", out, force, json, lambda: _print_judgement(judged, calibration), **judged
+            "stylus",
+            robot.out,
+            robot.force,
+            json,
+            lambda: _print_judgement(judged, calibration),
+            **judged,
         )
 
 

@@ -5,14 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..files import refuse_unwritable
 from . import options
-from .robot_commands import (
-    CommandSheet,
-    arm_from_option,
-    numbered_names,
-    parse_joint_readings,
-)
+from .option_groups import with_option_groups
+from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
@@ -22,6 +17,7 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
 
 
+@with_option_groups
 def viewpoint(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     at: Annotated[
@@ -40,11 +36,8 @@ def viewpoint(
         bool, typer.Option("--five", help="The paper's five viewpoints; tilt is their step.")
     ] = False,
     below: options.BelowOption = None,
-    arm: options.ArmOption = None,
-    near: options.NearOption = None,
-    out: options.CommandsOutOption = None,
-    pose_format: options.PoseFormatOption = "val_oat",
-    force: options.ForceOption = False,
+    *,
+    robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -57,27 +50,25 @@ def viewpoint(
         import numpy as np
 
         from ..calibration import Calibration
-        from ..geometry import pose_codec
         from ..viewpoints import SAFETY_CHECKS, viewpoint_commands
 
-        if out is not None:
-            refuse_unwritable(out.parent, "--out")
-        loaded_calibration, codec = Calibration.load(calibration), pose_codec(pose_format)
+        codec = robot.codec()
+        loaded_calibration = Calibration.load(calibration)
         point = np.array(at)
         camera_from_world = requested_camera_poses(
             loaded_calibration, point, distance, (tilt, azimuth, roll), five, below
         )
-        serial_arm = arm_from_option(arm, loaded_calibration)
+        arm, readings = robot.arm_and_readings(loaded_calibration)
         commands = viewpoint_commands(
             loaded_calibration,
             camera_from_world,
             point[None],
-            serial_arm,
-            parse_joint_readings(near, serial_arm),
+            arm,
+            readings,
         )
         names = numbered_names(len(commands.xyzoat))
-        sheet = CommandSheet(names, commands, codec, serial_arm, SAFETY_CHECKS)
-        sheet.give("viewpoint", out, force, json)
+        sheet = CommandSheet(names, commands, codec, arm, SAFETY_CHECKS)
+        sheet.give("viewpoint", robot.out, robot.force, json)
 
 
 DEFAULT_DISTANCE = 0.2

@@ -6,6 +6,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..argument_checks import require_distinct
 from ..compilation import compiled
 from ..geometry import PoseLike, host_matrices
 from ..robots import SerialArm
@@ -104,9 +105,7 @@ def checked_view_ids(view_ids: Sequence[str | int] | None, view_count: int) -> t
     if len(ids) != view_count:
         raise ValueError(f"view_ids: expected {view_count}, found {len(ids)}")
     # Poses and pictures are paired by id, so a duplicate would pair them wrongly.
-    duplicates = sorted({view for view in ids if ids.count(view) > 1})
-    if duplicates:
-        raise ValueError(f"view_ids: {', '.join(duplicates)} given more than once")
+    require_distinct("view_ids", ids)
     return ids
 
 

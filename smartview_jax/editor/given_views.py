@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..argument_checks import require_distinct
 from ..detection import read_picture
 
 MIN_VIEWS = 2
@@ -19,9 +20,7 @@ def checked_names(names: Sequence[str] | None, count: int) -> list[str]:
     given = [f"v{1 + k}" for k in range(count)] if names is None else [str(name) for name in names]
     if len(given) != count:
         raise ValueError(f"expected a name for each of {count} pictures, found {len(given)}")
-    twice = sorted({name for name in given if given.count(name) > 1})
-    if twice:
-        raise ValueError(f"view {twice[0]!r} comes twice")
+    require_distinct("names", given)
     return given
 
 

@@ -50,19 +50,37 @@ class Members(NamedTuple):
         return Members(self.line[keep], self.point[keep])
 
 
-class LineFits(NamedTuple):
-    """Lines, and the points that each of them runs through.
+class CentredLines(NamedTuple):
+    """Straight lines of some length.
 
     Attributes:
         centres: the middle of each line.
         normals: unit normals, from dark to light.
         half_lengths: px.
-        members: points of the lines, none of a line that was given up.
     """
 
     centres: Float[np.ndarray, "lines 2"]
     normals: Float[np.ndarray, "lines 2"]
     half_lengths: Float[np.ndarray, "lines"]
+
+    @classmethod
+    def between(cls, ends: Float[np.ndarray, "lines 2 2"]) -> "CentredLines":
+        """Return the lines between two ends each; the sign of their normals is any."""
+        spans = ends[:, 1] - ends[:, 0]
+        lengths = np.linalg.norm(spans, axis=1)
+        normals = np.column_stack([-spans[:, 1], spans[:, 0]]) / lengths[:, None]
+        return cls(ends.mean(axis=1), normals, 0.5 * lengths)
+
+
+class LineFits(NamedTuple):
+    """Lines, and the points that each of them runs through.
+
+    Attributes:
+        lines: where each line is.
+        members: points of the lines, none of a line that was given up.
+    """
+
+    lines: CentredLines
     members: Members
 
 
@@ -153,52 +171,38 @@ def directions_of(normals: Float[np.ndarray, "lines 2"]) -> Float[np.ndarray, "l
 
 def fit_lines(grid: PointGrid, proposals: Float[np.ndarray, "lines 2 2"]) -> LineFits:
     """Return the lines of edge points along proposals and beyond their ends."""
-    spans = proposals[:, 1] - proposals[:, 0]
-    lengths = np.linalg.norm(spans, axis=1)
-    centres, half_lengths = proposals.mean(axis=1), 0.5 * lengths
-    normals = np.column_stack([-spans[:, 1], spans[:, 0]]) / lengths[:, None]
-    normals = _towards_light(grid, centres, normals, half_lengths)
+    lines = _towards_light(grid, CentredLines.between(proposals))
     members, alive = Members(np.zeros(0, int), np.zeros(0, int)), np.arange(len(proposals))
     for half_width in BAND_HALF_WIDTHS:
         # Looked up anew, because the lines may have grown.
-        reaches = 2.0 * half_lengths[alive] + MAX_EXTENSION
-        near = grid.near(centres[alive], normals[alive], reaches, half_width)
+        reaches = 2.0 * lines.half_lengths[alive] + MAX_EXTENSION
+        near = grid.near(lines.centres[alive], lines.normals[alive], reaches, half_width)
         near = Members(alive[near.line], near.point)
-        runs = _runs(grid, near, centres, normals, half_lengths)
-        counts = np.bincount(runs.line, minlength=len(centres))
+        runs = _runs(grid, near, lines)
+        counts = np.bincount(runs.line, minlength=len(proposals))
         alive = np.flatnonzero(counts >= MIN_POINTS)
         members = runs.of(counts[runs.line] >= MIN_POINTS)
         if not len(alive):
             break
-        centres, normals, half_lengths = _refitted(grid, members, centres, normals, half_lengths)
-    return LineFits(centres, normals, half_lengths, members)
+        lines = _refitted(grid, members, lines)
+    return LineFits(lines, members)
 
 
-def _towards_light(
-    grid: PointGrid,
-    centres: Float[np.ndarray, "lines 2"],
-    normals: Float[np.ndarray, "lines 2"],
-    half_lengths: Float[np.ndarray, "lines"],
-) -> Float[np.ndarray, "lines 2"]:
-    """Return the normals with the sign that most of the gradients along the lines agree with."""
-    line, point = grid.near(centres, normals, half_lengths, BAND_HALF_WIDTHS[0])
-    alignment = (grid.normals[point] * normals[line]).sum(axis=1)
+def _towards_light(grid: PointGrid, lines: CentredLines) -> CentredLines:
+    """Return the lines with normals of the sign that most gradients along them agree with."""
+    line, point = grid.near(*lines, BAND_HALF_WIDTHS[0])
+    alignment = (grid.normals[point] * lines.normals[line]).sum(axis=1)
     # Where two edges run side by side, both polarities are near: the more frequent one wins.
     votes = (alignment > MIN_ALIGNMENT).astype(int) - (alignment < -MIN_ALIGNMENT)
-    darker = np.bincount(line, votes, minlength=len(centres)) < 0.0
-    return np.where(darker[:, None], -normals, normals)
+    darker = np.bincount(line, votes, minlength=len(lines.centres)) < 0.0
+    return lines._replace(normals=np.where(darker[:, None], -lines.normals, lines.normals))
 
 
-def _runs(
-    grid: PointGrid,
-    near: Members,
-    centres: Float[np.ndarray, "lines 2"],
-    normals: Float[np.ndarray, "lines 2"],
-    half_lengths: Float[np.ndarray, "lines"],
-) -> Members:
+def _runs(grid: PointGrid, near: Members, lines: CentredLines) -> Members:
     """Return the points of each line without gaps that cover most of its interval so far."""
-    near = near.of((grid.normals[near.point] * normals[near.line]).sum(axis=1) > MIN_ALIGNMENT)
-    along = along_lines(grid, near, centres, normals)
+    alignment = (grid.normals[near.point] * lines.normals[near.line]).sum(axis=1)
+    near = near.of(alignment > MIN_ALIGNMENT)
+    along = along_lines(grid, near, lines.centres, lines.normals)
     order = np.lexsort((along, near.line))
     near, along = Members(near.line[order], near.point[order]), along[order]
     if not len(along):
@@ -206,7 +210,7 @@ def _runs(
     # Cut into pieces at the gaps; the piece over the proposal goes on.
     is_new = np.r_[True, (np.diff(near.line) > 0) | (np.diff(along) > MAX_GAP)]
     piece = np.cumsum(is_new) - 1
-    inside = np.bincount(piece, np.abs(along) <= half_lengths[near.line])
+    inside = np.bincount(piece, np.abs(along) <= lines.half_lengths[near.line])
     owners = near.line[is_new]
     best = np.lexsort((np.arange(len(inside)), -inside, owners))
     first = np.r_[True, np.diff(owners[best]) > 0]
@@ -226,24 +230,18 @@ def along_lines(
     return (gaps * directions_of(normals)[members.line]).sum(axis=1)
 
 
-def _refitted(
-    grid: PointGrid,
-    members: Members,
-    centres: Float[np.ndarray, "lines 2"],
-    normals: Float[np.ndarray, "lines 2"],
-    half_lengths: Float[np.ndarray, "lines"],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centres, normals and half the lengths of lines of least squared distances."""
-    middle = middles(members, along_lines(grid, members, centres, normals))
-    means, fitted, _ = total_least_squares(grid, middle, normals)
-    low, high = ranges(members, along_lines(grid, members, means, fitted), len(centres))
+def _refitted(grid: PointGrid, members: Members, lines: CentredLines) -> CentredLines:
+    """Return the lines of least squared distances to their members."""
+    middle = middles(members, along_lines(grid, members, lines.centres, lines.normals))
+    means, fitted, _ = total_least_squares(grid, middle, lines.normals)
+    low, high = ranges(members, along_lines(grid, members, means, fitted), len(means))
     moved = means + 0.5 * (low + high)[:, None] * directions_of(fitted)
     # Lines without points stay as they are.
     has = np.isfinite(low)
-    return (
-        np.where(has[:, None], moved, centres),
-        np.where(has[:, None], fitted, normals),
-        np.where(has, 0.5 * (high - low), half_lengths),
+    return CentredLines(
+        np.where(has[:, None], moved, lines.centres),
+        np.where(has[:, None], fitted, lines.normals),
+        np.where(has, 0.5 * (high - low), lines.half_lengths),
     )
 
 

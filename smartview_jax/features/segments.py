@@ -131,13 +131,13 @@ def _ideal_normals(edge_points: EdgePoints, plane: IdealPlane) -> Float[np.ndarr
 
 def _lines(grid: PointGrid, fits: LineFits) -> tuple[Lines, Bool[np.ndarray, "lines"]]:
     """Return lines with their variances, and which of them are long, dense and straight enough."""
-    members, count = fits.members, len(fits.centres)
-    along = along_lines(grid, members, fits.centres, fits.normals)
+    members, count = fits.members, len(fits.lines.centres)
+    along = along_lines(grid, members, fits.lines.centres, fits.lines.normals)
     low, high = ranges(members, along, count)
     lengths = np.nan_to_num(high - low)
     # Only what is fitted is freed of outliers; the extent is that of all points.
-    fitted = _without_outliers(grid, middles(members, along), fits.normals)
-    means, normals, variances = total_least_squares(grid, fitted, fits.normals)
+    fitted = _without_outliers(grid, middles(members, along), fits.lines.normals)
+    means, normals, variances = total_least_squares(grid, fitted, fits.lines.normals)
     low, high = ranges(members, along_lines(grid, members, means, normals), count)
     ends = (
         means[:, None]

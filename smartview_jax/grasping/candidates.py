@@ -17,8 +17,8 @@ from ..modeling import (
 )
 from ..robots import Gripper
 
-SUGGESTED_ROOM = 8e-3
-"""Room between each open finger and the object in a suggested grasp, m."""
+SUGGESTED_CLEARANCE = 8e-3
+"""Clearance between each open finger and the object in a suggested grasp, m."""
 
 SPARE_DEPTH = 3e-3
 """Length of the object that a suggested grasp leaves below the fingertips, m."""
@@ -110,7 +110,7 @@ def _grasps_between(
     # The direction of the fingers' width, in the plane of the face.
     across = np.cross(normal, direction)
     extent = float(np.ptp(model.vertices @ across))
-    opening = min(gripper.max_opening, width + 2.0 * SUGGESTED_ROOM)
+    opening = min(gripper.max_opening, width + 2.0 * SUGGESTED_CLEARANCE)
     for shift in SHIFTS:
         try:
             grasp = grasp_on_face(
@@ -147,15 +147,16 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
         if width is None:
             # Of an open model only what the person allowed is known.
             width = max(grasp.opening - 2.0 * grasp.tolerance, 0.0)
-        along = _along_finger(model, gripper, grasp, width)
+        interval = _contact_interval(model, gripper, grasp, width)
         # As wide as the grasp says, and as wide as the gripper goes, which forgives more.
         openings = {min(grasp.opening, gripper.max_opening), gripper.max_opening}
         for object_from_object in _symmetry_transforms(model):
             for half_turn in (False, True):
                 pose = object_from_object @ grasp.object_from_tool
-                ends = along
+                ends = interval
                 if half_turn:
-                    pose, ends = pose @ np.diag([-1.0, -1.0, 1.0, 1.0]), (-along[1], -along[0])
+                    pose = pose @ np.diag([-1.0, -1.0, 1.0, 1.0])
+                    ends = (-interval[1], -interval[0])
                 found += [
                     Candidate(grasp, pose, opening, width, ends) for opening in sorted(openings)
                 ]
@@ -175,10 +176,13 @@ def _symmetry_transforms(model: ObjectModel) -> Float[np.ndarray, "K 4 4"]:
     return revolution.object_from_object
 
 
-def _along_finger(
+def _contact_interval(
     model: ObjectModel, gripper: Gripper, grasp: Grasp, width: float
 ) -> tuple[float, float]:
-    """Return how far the object is as wide along the gripper's y axis, up to a finger's width."""
+    """Return between which shifts along the gripper's y axis the object keeps its width, m.
+
+    Shifts of up to a finger's width are looked at, to either side of the grasp.
+    """
     # Twice as far as half a finger: an object may shift along it and still be held.
     steps = gripper.finger_width * np.linspace(0.0, 1.0, FINGER_STEPS + 1)[1:]
     offsets = np.concatenate([-steps, steps])

@@ -102,7 +102,7 @@ def grasps_for(
 
 
 def _offset(candidate: Candidate, middle: Float[np.ndarray, "3"]) -> float:
-    """Return how far the fingertips are from the object's middle, m, in whole millimetres."""
+    """Return the distance of the fingertips from the object's middle, m, rounded to 1 mm."""
     return round(float(np.linalg.norm(candidate.object_from_gripper[:3, 3] - middle)), 3)
 
 

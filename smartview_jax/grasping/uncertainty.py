@@ -64,12 +64,12 @@ def gripper_errors(
     )
     # exp(twist) camera_from_world, with the twist moved to the gripper's side of the transform.
     to_gripper = host_adjoints(np.linalg.inv(camera_from_gripper))
-    root = _root(known.covariance[:shared, :shared])
+    root = _covariance_root(known.covariance[:shared, :shared])
     found = []
     for k in range(count):
         twist = to_gripper @ known.view_jacobian[k, -6:]
         own = slice(shared + 6 * k, shared + 6 * k + 6)
-        noise_root = _root(known.covariance[own, own])
+        noise_root = _covariance_root(known.covariance[own, own])
         found.append(
             GripperErrors((twist[:, :shared] * moves_tool) @ root, twist[:, own] @ noise_root, root)
         )
@@ -100,7 +100,7 @@ def error_covariance(
         # What is left of the object's covariance is not the calibration's; rounding may leave
         # slightly negative eigenvalues.
         covariance = covariance - shared @ shared.T
-    object_root = _root(covariance)
+    object_root = _covariance_root(covariance)
     blocks = [
         (to_gripper @ object_root, np.zeros_like(object_root)),
         (to_gripper @ shared + errors.shared, errors.shared),
@@ -110,7 +110,7 @@ def error_covariance(
     return root @ root.T
 
 
-def _root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def _covariance_root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return a matrix R with R R^T the covariance, negative eigenvalues taken as zero."""
     if not len(covariance):
         return covariance

@@ -12,8 +12,8 @@ from .edge_lookup import EdgeLookup
 from .refinement import measured_lines
 from .wireframe import Wireframe
 
-PARTLY_SHARES = (0.1, 0.92)
-"""Explained shares between which a part of an edge is there."""
+PARTLY_HIDDEN_SHARES = (0.1, 0.92)
+"""Explained shares of an edge, lower and upper, between which the edge counts as partly hidden."""
 
 MIN_VIEW_PX = 60.0
 """Visible edge length, px, from which a view is judged by its own share."""
@@ -93,10 +93,10 @@ def evidence_of(
 
 
 def _partly_hidden(lines: EdgeLines) -> float:
-    """Return the part of the missing length that is of edges of which a part is there."""
+    """Return the part of the missing length that belongs to edges which are partly hidden."""
     missing = lines.visible_px - lines.explained_px
     shares = lines.explained_px / np.maximum(lines.visible_px, 1.0)
-    partly = (shares > PARTLY_SHARES[0]) & (shares < PARTLY_SHARES[1])
+    partly = (shares > PARTLY_HIDDEN_SHARES[0]) & (shares < PARTLY_HIDDEN_SHARES[1])
     return float(missing[partly].sum() / max(missing.sum(), 1.0))
 
 

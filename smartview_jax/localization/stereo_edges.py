@@ -89,16 +89,16 @@ def stereo_edges(
     if length == 0.0 or not len(first.segments) or not len(second.segments):
         return SpaceEdges(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     rays = [_end_rays(one, plane) @ R[k] for k, one in enumerate((first, second))]
-    turns = _epipolar_turns(rays, baseline / length, MIN_EXTENT / plane.focal_length)
-    low = np.maximum(turns[0].min(axis=1)[:, None], turns[1].min(axis=1)[None])
-    high = np.minimum(turns[0].max(axis=1)[:, None], turns[1].max(axis=1)[None])
-    extents = np.ix_(*(np.ptp(turn, axis=1) for turn in turns))
+    angles = _epipolar_angles(rays, baseline / length, MIN_EXTENT / plane.focal_length)
+    low = np.maximum(angles[0].min(axis=1)[:, None], angles[1].min(axis=1)[None])
+    high = np.minimum(angles[0].max(axis=1)[:, None], angles[1].max(axis=1)[None])
+    extents = np.ix_(*(np.ptp(angle, axis=1) for angle in angles))
     needed = np.maximum(
         MIN_OVERLAP * np.minimum(*extents), MIN_OVERLAP_OF_LONGER * np.maximum(*extents)
     )
     # The lighter side is on the left of the direction in both views, so that the same edge runs
     # across the epipolar lines in the same sense.
-    senses = np.ix_(*(np.sign(turn[:, 1] - turn[:, 0]) for turn in turns))
+    senses = np.ix_(*(np.sign(angle[:, 1] - angle[:, 0]) for angle in angles))
     # Comparisons with NaN, of segments along the epipolar lines, are false.
     with np.errstate(invalid="ignore"):
         i, j = np.nonzero((high - low > needed) & (senses[0] == senses[1]))
@@ -109,8 +109,8 @@ def stereo_edges(
     directions = directions / np.where(sines > 0.0, sines, 1.0)
     # Where the ends of the common part are seen from the first camera, they meet the second plane.
     ends = []
-    for turn in (low[i, j], high[i, j]):
-        share = (turn - turns[0][i, 0]) / (turns[0][i, 1] - turns[0][i, 0])
+    for angle in (low[i, j], high[i, j]):
+        share = (angle - angles[0][i, 0]) / (angles[0][i, 1] - angles[0][i, 0])
         ray = (1.0 - share)[:, None] * rays[0][i, 0] + share[:, None] * rays[0][i, 1]
         towards = (ray * across[1][j]).sum(axis=1)
         depth = (baseline * across[1][j]).sum(axis=1) / np.where(towards == 0.0, np.nan, towards)
@@ -127,7 +127,7 @@ def _end_rays(features: Features, plane: IdealPlane) -> Float[np.ndarray, "segme
     return plane.rays(plane.from_pixels(features.segments.reshape(-1, 2))).reshape(-1, 2, 3)
 
 
-def _epipolar_turns(
+def _epipolar_angles(
     rays: list[Float[np.ndarray, "_ 2 3"]], axis: Float[np.ndarray, "3"], smallest: float
 ) -> list[Float[np.ndarray, "_ 2"]]:
     """Return the angles about the baseline of the planes through it and rays, rad.
@@ -140,10 +140,8 @@ def _epipolar_turns(
     x = mean - axis * (mean @ axis)
     x = x / np.linalg.norm(x)
     y = np.cross(axis, x)
-    turns = [np.arctan2(ray @ y, ray @ x) for ray in rays]
-    return [
-        np.where(np.ptp(turn, axis=1, keepdims=True) > smallest, turn, np.nan) for turn in turns
-    ]
+    angles = [np.arctan2(ray @ y, ray @ x) for ray in rays]
+    return [np.where(np.ptp(one, axis=1, keepdims=True) > smallest, one, np.nan) for one in angles]
 
 
 def model_edges(model: ObjectModel) -> SpaceEdges:

@@ -91,8 +91,8 @@ class ConstrainedSystem(NamedTuple):
     border_constraints: Float[np.ndarray, "constraints border"]
     constraint_variance: Float[np.ndarray, "constraints"]
 
-    def left_open(self, inverse: FeatureBlocks) -> Float[np.ndarray, "constraints"]:
-        """Return the variances that the pictures leave the constraints' numbers.
+    def variance_by_pictures(self, inverse: FeatureBlocks) -> Float[np.ndarray, "constraints"]:
+        """Return the variances of the constraints' numbers by the pictures alone.
 
         Unknowns that only constraints determine, such as their planes, are taken as known here.
 
@@ -115,7 +115,8 @@ class ConstrainedSystem(NamedTuple):
         border = self.border * (1.0 + damping * np.eye(len(self.border)))
         C, reduced_by = self.border_constraints, coupling.T @ eliminated
         size = len(border)
-        S = np.diag(np.maximum(self.constraint_variance, EXACT_VARIANCE * self.left_open(inverse)))
+        exact = EXACT_VARIANCE * self.variance_by_pictures(inverse)
+        S = np.diag(np.maximum(self.constraint_variance, exact))
         reduced = np.block([[border, C.T], [C, -S]]) - reduced_by
         return Factorisation(inverse, coupling, eliminated, _symmetric_inverse(reduced), size)
 

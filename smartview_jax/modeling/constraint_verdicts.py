@@ -61,37 +61,35 @@ def constraint_verdicts(
     _, rest = factors.solve(at.feature_right, at.reduced_right)
     multipliers = rest[factors.border_size :]
     information = -factors.reduced[factors.border_size :, factors.border_size :]
-    left_open = at.system.left_open(factors.features)
+    picture_variance = at.system.variance_by_pictures(factors.features)
     # Bonferroni: the probabilities of all tests together add up to at most the stated one.
     per_test = false_alarm / len(problem.constraints)
     verdicts = []
     for constraint, rows in zip(problem.constraints, at.rows, strict=True):
-        cost, freedom = _score(multipliers[rows], information[rows, rows], left_open[rows])
-        p_value = float(chdtrc(freedom, cost)) if freedom else 1.0
+        cost, dof = _score(multipliers[rows], information[rows, rows], picture_variance[rows])
+        p_value = float(chdtrc(dof, cost)) if dof else 1.0
         values = at.values[rows]
         # An exact constraint is violated only where another exact one contradicts it.
-        tolerance = VIOLATION * np.sqrt(left_open[rows])
+        tolerance = VIOLATION * np.sqrt(picture_variance[rows])
         violated = constraint.sigma is None and bool(np.any(np.abs(values) > tolerance))
         verdicts.append(
-            ConstraintVerdict(
-                constraint, values, cost, freedom, p_value, p_value < per_test, violated
-            )
+            ConstraintVerdict(constraint, values, cost, dof, p_value, p_value < per_test, violated)
         )
-    cost, freedom = _score(multipliers, information, left_open)
-    return tuple(verdicts), float(chdtrc(freedom, cost)) if freedom else 1.0
+    cost, dof = _score(multipliers, information, picture_variance)
+    return tuple(verdicts), float(chdtrc(dof, cost)) if dof else 1.0
 
 
 def _score(
     multipliers: Float[np.ndarray, "rows"],
     information: Float[np.ndarray, "rows rows"],
-    left_open: Float[np.ndarray, "rows"],
+    picture_variance: Float[np.ndarray, "rows"],
 ) -> tuple[float, int]:
     """Return the chi-square that releasing some rows saves, and its degrees of freedom."""
     # m^T (Cov m)^-1 m, with the covariance of the multipliers the block of the inverse matrix. In
     # units of what the pictures leave open, it has eigenvalues of one and more for independent
     # rows, zero for directions that an unknown plane takes up, and those of exact rows that follow
     # from others are limited by `EXACT_VARIANCE` alone.
-    scale = np.sqrt(left_open)
+    scale = np.sqrt(picture_variance)
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     used = (values > 1e-6) & (values < 1e-2 / EXACT_VARIANCE)
     # In the eigenvectors the quadratic form is a sum of squares of independent unit normals.

@@ -67,7 +67,7 @@ class AbstractConstraint(abc.ABC):
 
     @abc.abstractmethod
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
-        """Return its numbers and derivatives.
+        """Return the numbers that are zero where it holds exactly, with their derivatives.
 
         Args:
             shape: vertices, lines and planes.

@@ -24,11 +24,11 @@ from .point_status import PointStatus
 from .triangulation import CLICK_SIGMA, solve_points
 from .view_poses import SeenViews, whitening_of
 
-FALSE_ALARM = 0.01
-"""Probability that any observation is named although all are right."""
+FALSE_ALARM_PROBABILITY = 0.01
+"""Probability that any observation is named wrong although all are right."""
 
-SINGULAR = 1e-8
-"""The share of its largest eigenvalue below which an eigenvalue counts as zero."""
+RELATIVE_EIGENVALUE_FLOOR = 1e-8
+"""Smallest eigenvalue, over the trace of the whole matrix, that does not count as zero."""
 
 
 class WrongCorrespondence(NamedTuple):
@@ -68,7 +68,7 @@ def wrong_correspondences(
     covariance: CalibrationEstimate | None = None,
     noise: Noise | None = None,
     pixel_sigma: float | np.ndarray = CLICK_SIGMA,
-    false_alarm: float = FALSE_ALARM,
+    false_alarm: float = FALSE_ALARM_PROBABILITY,
 ) -> list[WrongCorrespondence]:
     """Return the observations that contradict the others of their feature, the worst first.
 
@@ -113,17 +113,17 @@ class _Deletions(NamedTuple):
     Attributes:
         views: the views that see it.
         chi_square: loss of the feature's chi-square without each.
-        freedom: degrees of freedom of each loss.
+        degrees_of_freedom: degrees of freedom of each loss.
         rest: chi-square of what remains without each.
-        rest_freedom: its degrees of freedom.
+        rest_degrees_of_freedom: its degrees of freedom.
         distance: distance of each from where the others see the feature, px.
     """
 
     views: np.ndarray
     chi_square: Float[np.ndarray, "views"]
-    freedom: np.ndarray
+    degrees_of_freedom: np.ndarray
     rest: Float[np.ndarray, "views"]
-    rest_freedom: np.ndarray
+    rest_degrees_of_freedom: np.ndarray
     distance: Float[np.ndarray, "views"]
 
 
@@ -200,28 +200,28 @@ class _Check(NamedTuple):
         Q = inverse - RJ @ np.linalg.pinv(J.T @ RJ, hermitian=True) @ RJ.T
         rows = slice(2 * place, 2 * place + 2)
         values, vectors = np.linalg.eigh(Q[rows, rows])
-        used = values > SINGULAR * max(np.trace(Q), 1e-300)
+        used = values > RELATIVE_EIGENVALUE_FLOOR * max(np.trace(Q), 1e-300)
         parts = vectors.T @ (Q @ r)[rows]
         chi_square = float(np.sum(parts[used] ** 2 / values[used]))
-        freedom = int(used.sum())
+        degrees_of_freedom = int(used.sum())
         rest = max(float(r @ Q @ r) - chi_square, 0.0)
         distance = float(np.linalg.norm(residual[place])) if len(views) > 2 else np.nan
-        return chi_square, freedom, rest, count - 3 - freedom, distance
+        return chi_square, degrees_of_freedom, rest, count - 3 - degrees_of_freedom, distance
 
 
 def _worst(one: _Deletions, feature: int, per_test: float) -> WrongCorrespondence | None:
     """Return the worst observation of a feature, if chance does not explain it."""
     p_values = np.ones(len(one.views))
-    known = np.isfinite(one.chi_square) & (one.freedom > 0)
-    p_values[known] = chdtrc(one.freedom[known], one.chi_square[known])
+    known = np.isfinite(one.chi_square) & (one.degrees_of_freedom > 0)
+    p_values[known] = chdtrc(one.degrees_of_freedom[known], one.chi_square[known])
     if not p_values.min() < per_test:
         return None
     # The one whose absence leaves the least contradiction; ties of two views go to the first.
     # With the worst one gone the others must agree; where another's absence does as well, both
     # stay suspects.
     rest_p = np.ones(len(one.views))
-    redundant = known & (one.rest_freedom > 0)
-    rest_p[redundant] = chdtrc(one.rest_freedom[redundant], one.rest[redundant])
+    redundant = known & (one.rest_degrees_of_freedom > 0)
+    rest_p[redundant] = chdtrc(one.rest_degrees_of_freedom[redundant], one.rest[redundant])
     order = np.where(known & (p_values < per_test), one.rest, np.inf)
     best = int(np.argmin(order))
     agrees = known & (rest_p >= per_test) & (np.arange(len(one.views)) != best)

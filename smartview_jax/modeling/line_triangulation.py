@@ -9,7 +9,7 @@ Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 200
 four numbers of a line are those of Bartoli and Sturm, Structure-from-motion using lines, 2005.
 """
 
-from typing import NamedTuple
+import dataclasses
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -20,9 +20,10 @@ from ..engine import Noise
 from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
+from .estimated_features import EstimatedFeatures
 from .line_jacobians import Lines, line_jacobians, unit_rays
 from .point_estimation import CONVERGED_DECREMENT, MAX_STEPS
-from .point_status import MAX_RELATIVE_STD, PointStatus, failure_messages
+from .point_status import MAX_RELATIVE_STD, PointStatus
 from .triangulation import CLICK_SIGMA
 from .view_poses import SeenViews, padded_count, padded_to
 
@@ -30,44 +31,17 @@ MIN_SEGMENT_LENGTH = 2.0
 """Shortest segment, px, that has a direction."""
 
 
-class TriangulatedLines(NamedTuple):
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class TriangulatedLines(EstimatedFeatures):
     """Triangulated lines with their errors by cause; NaN where `status` says that one failed.
 
     Attributes:
         lines: a point and the unit direction of each; the point is in the middle of `ends`.
         ends: ends of the part of each line that some view saw, m.
-        picture_covariance: covariance of each line's four numbers (see `Lines`), m and rad.
-        calibration_jacobian: derivatives of these by the uncertain numbers of the calibration.
-        calibration_covariance: covariance of those numbers.
-        calibration_names: names of those numbers.
-        residuals: distance of both ends of each segment from the line's picture, px; NaN where
-            there is no segment.
-        status: a `PointStatus` for each line.
     """
 
     lines: Lines
     ends: Float[np.ndarray, "lines 2 3"]
-    picture_covariance: Float[np.ndarray, "lines 4 4"]
-    calibration_jacobian: Float[np.ndarray, "lines 4 numbers"]
-    calibration_covariance: Float[np.ndarray, "numbers numbers"]
-    calibration_names: tuple[str, ...]
-    residuals: Float[np.ndarray, "views lines 2"]
-    status: Int[np.ndarray, "lines"]
-
-    @property
-    def ok(self) -> Bool[np.ndarray, "lines"]:
-        """Whether each line was estimated."""
-        return self.status == PointStatus.OK
-
-    @property
-    def failures(self) -> dict[int, str]:
-        """The reason, in words, of every line that was not estimated, by its index."""
-        return failure_messages(self.status)
-
-    def covariance(self) -> Float[np.ndarray, "lines 4 4"]:
-        """Return the covariance of each line's four numbers due to pictures and calibration."""
-        J = self.calibration_jacobian
-        return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
 
     @property
     def rms(self) -> float:
@@ -127,14 +101,14 @@ def triangulate_lines(
     jacobian = np.linalg.solve(normal, uncertainty.propagate(sensitivity))
     where = ok[:, None, None]
     return TriangulatedLines(
-        Lines(*(np.where(ok[:, None], array, np.nan) for array in lines)),
-        np.where(where, ends, np.nan),
-        np.where(where, np.linalg.inv(normal), np.nan),
-        np.where(where, jacobian, np.nan),
-        uncertainty.covariance,
-        uncertainty.names,
-        np.where((seen & ok)[..., None], local.distances, np.nan),
-        status,
+        lines=Lines(*(np.where(ok[:, None], array, np.nan) for array in lines)),
+        ends=np.where(where, ends, np.nan),
+        picture_covariance=np.where(where, np.linalg.inv(normal), np.nan),
+        calibration_jacobian=np.where(where, jacobian, np.nan),
+        calibration_covariance=uncertainty.covariance,
+        calibration_names=uncertainty.names,
+        residuals=np.where((seen & ok)[..., None], local.distances, np.nan),
+        status=status,
     )
 
 

@@ -40,12 +40,12 @@ from .triangulation import solve_points
 Freedom: TypeAlias = Literal["nothing", "poses", "calibration"]
 """Estimated besides the features: nothing, the views' own noise, or all that is uncertain."""
 
-WEAK_STD = 10.0
+WEAK_PRIOR_STD = 10.0
 """Standard deviation of a prior, over the distance, that keeps points finite that nothing measures.
 
 It is far above `MAX_RELATIVE_STD`, so that whatever only this prior holds is named."""
 
-FALSE_ALARM = 0.01
+FALSE_ALARM_PROBABILITY = 0.01
 """Probability that any constraint is said to contradict the pictures when all are true."""
 
 
@@ -67,7 +67,7 @@ def refine(
     covariance: CalibrationEstimate | None = None,
     noise: Noise | None = None,
     loss: AbstractLoss | None = None,
-    false_alarm: float = FALSE_ALARM,
+    false_alarm: float = FALSE_ALARM_PROBABILITY,
 ) -> RefinedFeatures:
     """Refine all points and lines together, under constraints.
 
@@ -114,7 +114,7 @@ def refine(
     distance = _typical_distance(observed, points)
     problem = RefinementProblem(
         observed, uncertainty, roots, chosen, tuple(constraints), planes, weak, points,
-        WEAK_STD * distance, loss,
+        WEAK_PRIOR_STD * distance, loss,
     )  # fmt: skip
     state, result = minimise(problem, RefinementState(shape, np.zeros(len(chosen))))
     return _summarise(problem, state, result, line_status, distance, false_alarm)
@@ -266,31 +266,33 @@ def _summarise(
     verdicts, p_value = constraint_verdicts(problem, state, false_alarm)
     free_names = set(problem.uncertainty.names) - set(names)
     return RefinedFeatures(
-        np.where(ok[:, None], state.shape.points, np.nan),
-        Lines(*(np.where(lines_ok[:, None], a, np.nan) for a in state.shape.lines)),
-        status,
-        line_status,
-        np.where((problem.observed.visible & ok)[..., None], at.pictures.residuals, np.nan),
-        np.where(
+        points=np.where(ok[:, None], state.shape.points, np.nan),
+        lines=Lines(*(np.where(lines_ok[:, None], a, np.nan) for a in state.shape.lines)),
+        status=status,
+        line_status=line_status,
+        residuals=np.where(
+            (problem.observed.visible & ok)[..., None], at.pictures.residuals, np.nan
+        ),
+        line_residuals=np.where(
             (problem.observed.segments_visible & lines_ok)[..., None],
             at.pictures.distances,
             np.nan,
         ),
-        np.where(ok[:, None, None], blocks.points, np.nan),
-        np.where(lines_ok[:, None, None], blocks.lines, np.nan),
-        np.where(ok[:, None, None], jacobian, np.nan),
-        covariance,
-        names,
-        {
+        picture_covariance=np.where(ok[:, None, None], blocks.points, np.nan),
+        line_covariance=np.where(lines_ok[:, None, None], blocks.lines, np.nan),
+        calibration_jacobian=np.where(ok[:, None, None], jacobian, np.nan),
+        calibration_covariance=covariance,
+        calibration_names=names,
+        number_offsets={
             name: float(value)
             for name, value in zip(problem.uncertainty.names, offsets, strict=True)
             if name in free_names
         },
-        verdicts,
-        p_value,
-        result,
-        posterior,
-        weak,
+        verdicts=verdicts,
+        constraints_p_value=p_value,
+        result=result,
+        posterior=posterior,
+        weak=weak,
     )
 
 

@@ -202,7 +202,7 @@ def _merit(at: RefinementEquations) -> float:
     inverse = at.system.features.inverse()
     # Exact constraints need a weight that neither hides the pictures nor is hidden by them.
     variance = np.maximum(
-        at.system.constraint_variance, MERIT_VARIANCE * at.system.left_open(inverse)
+        at.system.constraint_variance, MERIT_VARIANCE * at.system.variance_by_pictures(inverse)
     )
     return at.cost + 0.5 * float(np.sum(at.values**2 / variance))
 

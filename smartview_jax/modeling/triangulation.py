@@ -7,8 +7,8 @@ point, and from the calibration, whose errors are common to all points: the two 
 Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, chapter 12.
 """
 
+import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -19,9 +19,10 @@ from ..engine import AbstractLoss, Noise
 from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
+from .estimated_features import EstimatedPoints
 from .pixel_jacobians import pixel_jacobians
 from .point_estimation import estimate_points
-from .point_status import PointStatus, failure_messages
+from .point_status import PointStatus
 from .view_poses import (
     SeenViews,
     padded_count,
@@ -33,58 +34,19 @@ CLICK_SIGMA = 0.5
 """Standard deviation of u and of v, px, of a feature that a person clicked, unless stated."""
 
 
-class TriangulatedPoints(NamedTuple):
-    """Triangulated points with their errors by cause; NaN where `status` says that one failed.
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class TriangulatedPoints(EstimatedPoints):
+    """Triangulated points with their errors by cause; NaN where `status` says that one failed."""
 
-    Attributes:
-        points: in the world, m.
-        picture_covariance: covariance of each point due to the pixels, m^2.
-        calibration_jacobian: derivatives of each point by the uncertain numbers of the calibration
-            and of the views' poses; there are none without a covariance of the calibration.
-        calibration_covariance: covariance of these numbers, in their own units.
-        calibration_names: names of these numbers.
-        residuals: measured minus predicted pixels, NaN where not visible.
-        status: a `PointStatus` for each point.
-    """
-
-    points: Float[np.ndarray, "points 3"]
-    picture_covariance: Float[np.ndarray, "points 3 3"]
-    calibration_jacobian: Float[np.ndarray, "points 3 numbers"]
-    calibration_covariance: Float[np.ndarray, "numbers numbers"]
-    calibration_names: tuple[str, ...]
-    residuals: Float[np.ndarray, "views points 2"]
-    status: Int[np.ndarray, "points"]
-
-    @property
-    def ok(self) -> Bool[np.ndarray, "points"]:
-        """Whether each point was estimated."""
-        return self.status == PointStatus.OK
-
-    @property
-    def failures(self) -> dict[int, str]:
-        """The reason, in words, of every point that was not estimated, by its index."""
-        return failure_messages(self.status)
-
-    def covariance(self) -> Float[np.ndarray, "points 3 3"]:
-        """Return the covariance of each point due to pictures and calibration, m^2."""
-        # Independent causes: their covariances add.
-        J = self.calibration_jacobian
-        return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
-
-    def joint_covariance(
-        self, points: Sequence[int] | None = None
+    def joint_picture_covariance(
+        self, points: Sequence[int]
     ) -> Float[np.ndarray, "coordinates coordinates"]:
-        """Return the covariance of the coordinates of some points, or of all, m^2.
-
-        The coordinates are x, y, z of each point in turn.
-        """
-        chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
-        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
-        total = J @ self.calibration_covariance @ J.T
+        """Return the part of the joint covariance that is due to the pictures, m^2."""
         # The pictures' errors are each point's own: they are on the diagonal only.
-        for k, point in enumerate(chosen):
-            total[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += self.picture_covariance[point]
-        return total
+        covariance = np.zeros((3 * len(points), 3 * len(points)))
+        for k, point in enumerate(points):
+            covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = self.picture_covariance[point]
+        return covariance
 
     @property
     def rms(self) -> float:
@@ -141,13 +103,13 @@ def triangulate_points(
             views, uncertainty, points, picture_covariance, whitening, seen & ok
         )
     return TriangulatedPoints(
-        np.where(ok[:, None], points, np.nan),
-        picture_covariance,
-        jacobian,
-        uncertainty.covariance,
-        uncertainty.names,
-        np.where((seen & ok)[..., None], residuals, np.nan),
-        status,
+        points=np.where(ok[:, None], points, np.nan),
+        picture_covariance=picture_covariance,
+        calibration_jacobian=jacobian,
+        calibration_covariance=uncertainty.covariance,
+        calibration_names=uncertainty.names,
+        residuals=np.where((seen & ok)[..., None], residuals, np.nan),
+        status=status,
     )
 
 

@@ -113,7 +113,7 @@ def look_for(
         enough = found.accepted and (not verify or verification is not None)
         if enough or not (found.accepted or found.open):
             break
-        reachable = Reachable(distance=DISTANCE, arm=arm, near=_near(cell, arm))
+        reachable = Reachable(distance=DISTANCE, arm=arm, near=_start_joints(cell, arm))
         try:
             # What is accepted is verified first, or else what is open is told apart.
             looked_at = found.accepted[:1] or found.open
@@ -131,8 +131,8 @@ def look_for(
     return Look(found, tuple(pictures), stacked_commands(commands), verification, tuple(notes))
 
 
-def _near(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
-    """Return the joints from which an arm sets out."""
+def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
+    """Return the joint readings at which the arm is; None without an arm."""
     joints = cell.where().joints
     return None if arm is None or joints is None else np.asarray(joints)
 
@@ -153,7 +153,7 @@ def _command(
 ) -> Command:
     """Return the command by which the camera looks at a point along a direction."""
     views = look_at(point, direction[None], DISTANCE)
-    near = _near(cell, arm)
+    near = _start_joints(cell, arm)
     commands = viewpoint_commands(calibration, views, arm=None if near is None else arm, near=near)
     problem = commands.checks.reasons(("reach", "tool_distance"))[0]
     if problem:

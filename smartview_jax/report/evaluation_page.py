@@ -6,8 +6,7 @@ from pathlib import Path
 from .. import plots
 from ..calibration import Calibration
 from ..dataset import Dataset
-from ..detection import read_picture
-from .page import median_and_worst_views
+from .page import prediction_overlays
 from .story import Section, StoryFigure, write_story
 from .tables import ErrorSummary
 
@@ -49,13 +48,8 @@ def write_evaluation_page(
         Section("View by view", figures=[by_view]),
     ]
     overlays = [
-        StoryFigure(
-            f"Fig. 1, view {data.view_ids[view]}.",
-            "Crosses: where the calibration puts the points from the robot's pose alone. Dots: "
-            "where they were measured.",
-            plots.prediction_overlay(data, view, read_picture(file), calibration),
-        )
-        for view, file in median_and_worst_views(data, summaries[0])
+        StoryFigure(f"Fig. 1, view {name}.", caption, overlay)
+        for name, caption, overlay in prediction_overlays(data, summaries[0], calibration)
     ]
     if overlays:
         sections.append(Section("In the pictures", figures=overlays))

@@ -10,6 +10,7 @@ import jinja2
 import numpy as np
 
 from .. import plots
+from ..calibration import Calibration
 from ..calibration_pipeline import CalibrationFit
 from ..cameras import lens_name
 from ..dataset import Dataset
@@ -153,14 +154,9 @@ def _figures(
     calibration = fit.joint.calibration
     errors = {row.name: row.reprojection_errors for row in rows}
     overlays = [
-        page_figure(
-            f"Predicted centres, view {data.view_ids[view]}.",
-            "Crosses: where the joint calibration puts the target's points from the robot's "
-            "pose alone. Rings: where they were measured.",
-            plots.prediction_overlay(data, view, read_picture(picture), calibration),
-        )
+        page_figure(f"Predicted centres, view {name}.", f"Of the joint fit. {caption}", overlay)
         # The rows are those of the staged and the joint fit.
-        for view, picture in median_and_worst_views(data, rows[-1])
+        for name, caption, overlay in prediction_overlays(data, rows[-1], calibration)
     ]
     return [
         *overlays,
@@ -202,14 +198,31 @@ def _uncertainty_figures(fit: CalibrationFit, data: Dataset) -> list[PageFigure]
     ]
 
 
-def median_and_worst_views(data: Dataset, summary: tables.ErrorSummary) -> list[tuple[int, Path]]:
-    """Return the views with the median and the largest error, by index, with their pictures."""
+def prediction_overlays(
+    data: Dataset, summary: tables.ErrorSummary, calibration: Calibration
+) -> list[tuple[str, str, plots.PlotFigure]]:
+    """Draw the predictions in the views with the median and with the largest error.
+
+    Returns:
+        The view's name, a caption and the figure of each; none where there are no pictures.
+    """
     if data.pictures is None:
         return []
+    caption = (
+        "Crosses: where the calibration puts the points from the robot's pose alone. Rings: where "
+        "they were measured."
+    )
     errors = summary.reprojection_errors.rms_per_view
     order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
     views = [order[len(order) // 2], order[-1]] if len(order) > 1 else order
-    return [(view, data.pictures[view]) for view in views]
+    return [
+        (
+            data.view_ids[view],
+            caption,
+            plots.prediction_overlay(data, view, read_picture(data.pictures[view]), calibration),
+        )
+        for view in views
+    ]
 
 
 def _fit_facts(

@@ -5,7 +5,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from .entry import Angle, Coordinate, Entry, Expected, FiniteNumber, Flag
+from .entry import (
+    Angle,
+    Coordinate,
+    Entry,
+    Expected,
+    FiniteNumber,
+    Flag,
+    Translation,
+    UnitQuaternion,
+)
 
 _JointCount = Field(min_length=1, max_length=20)
 _Lengths = Annotated[
@@ -19,22 +28,13 @@ _JointLimits = Annotated[
     Field(min_length=2, max_length=2),
     Expected("the least and the largest reading of a joint, rad or m, or null"),
 ]
-_QuaternionComponent = Annotated[
-    float, Field(ge=-1.0001, le=1.0001), Expected("a number from -1 to 1")
-]
 
 
 class TransformEntry(Entry):
     """A rigid transform: metres, and a unit quaternion with its real part first."""
 
-    translation: Annotated[
-        list[Coordinate], Field(min_length=3, max_length=3), Expected("x, y, z in m: 3 numbers")
-    ]
-    quaternion_wxyz: Annotated[
-        list[_QuaternionComponent],
-        Field(min_length=4, max_length=4),
-        Expected("w, x, y, z: 4 numbers"),
-    ]
+    translation: Translation
+    quaternion_wxyz: UnitQuaternion
 
     @model_validator(mode="after")
     def _check_unit_quaternion(self) -> "TransformEntry":

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, mod
 
 from .arm import ArmEntry, TransformEntry
 from .calibration import ImageSize
-from .entry import Coordinate, Entry, Expected, Name
+from .entry import Entry, Expected, Name, Translation
 from .target import TargetEntry
 
 END_MARK = "smartview_dataset"
@@ -117,9 +117,7 @@ _Degrees = Annotated[float, Field(ge=-3600.0, le=3600.0), Expected("degrees, fro
 class YawPitchRollPoseEntry(Entry):
     """A rough pose as a person writes it: metres and degrees."""
 
-    translation: Annotated[
-        list[Coordinate], Field(min_length=3, max_length=3), Expected("x, y, z in m: 3 numbers")
-    ]
+    translation: Translation
     yaw_pitch_roll_deg: Annotated[
         list[_Degrees],
         Field(min_length=3, max_length=3),

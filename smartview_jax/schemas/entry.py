@@ -97,6 +97,13 @@ Length = Annotated[float, Field(gt=0.0, le=100.0), Expected("a length in m, abov
 Coordinate = Annotated[
     float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE), Expected("m, from -100 to 100")
 ]
+Translation = Annotated[
+    list[Coordinate], Field(min_length=3, max_length=3), Expected("x, y, z in m: 3 numbers")
+]
+UnitComponent = Annotated[float, Field(ge=-1.0001, le=1.0001), Expected("a number from -1 to 1")]
+UnitQuaternion = Annotated[
+    list[UnitComponent], Field(min_length=4, max_length=4), Expected("w, x, y, z: 4 numbers")
+]
 Angle = Annotated[float, Field(ge=-100.0, le=100.0), Expected("an angle in rad, from -100 to 100")]
 FiniteNumber = Annotated[float, Field(ge=-1e9, le=1e9), Expected("a finite number, up to 1e9")]
 Flag = Annotated[bool, Expected("true or false")]

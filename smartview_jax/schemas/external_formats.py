@@ -147,26 +147,24 @@ class VispCameraEntry(ForeignEntry):
     v0: Annotated[float, Field(ge=-1e6, le=1e6), Expected("px, from -1e6 to 1e6")]
 
 
+_XyzOat = Annotated[
+    list[FiniteNumber],
+    Field(min_length=6, max_length=6),
+    Expected("x, y, z in mm, O, A, T in degrees"),
+]
+_FormatNumbers = Annotated[
+    list[FiniteNumber],
+    Field(min_length=6, max_length=16),
+    Expected("the numbers that the file's format has, 6 to 16, in the file's units"),
+]
+
+
 class ViewpointEntry(Entry):
     """A command: a pose in a manufacturer's format, and joint readings in rad or m."""
 
     name: Name
-    xyzoat: (
-        Annotated[
-            list[FiniteNumber],
-            Field(min_length=6, max_length=6),
-            Expected("x, y, z in mm, O, A, T in degrees"),
-        ]
-        | None
-    ) = None
-    pose: (
-        Annotated[
-            list[FiniteNumber],
-            Field(min_length=6, max_length=16),
-            Expected("the numbers that the file's format has, 6 to 16, in the file's units"),
-        ]
-        | None
-    ) = None
+    xyzoat: _XyzOat | None = None
+    pose: _FormatNumbers | None = None
     joints: Annotated[list[Angle], Field(min_length=1, max_length=20)] | None = None
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 
 from .arm import TransformEntry
-from .entry import Entry, Expected, Flag
+from .entry import Entry, Expected, Flag, UnitComponent, UnitQuaternion
 
 END_MARK = "smartview_object"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
@@ -22,14 +22,9 @@ _Index = Annotated[
 ]
 _Point = Annotated[list[_Number], Field(min_length=3, max_length=3), Expected("x, y, z: 3 numbers")]
 _UnitVector = Annotated[
-    list[Annotated[float, Field(ge=-1.0001, le=1.0001), Expected("a number from -1 to 1")]],
+    list[UnitComponent],
     Field(min_length=3, max_length=3),
     Expected("x, y, z of a unit vector: 3 numbers"),
-]
-_UnitQuaternion = Annotated[
-    list[Annotated[float, Field(ge=-1.0001, le=1.0001), Expected("a number from -1 to 1")]],
-    Field(min_length=4, max_length=4),
-    Expected("w, x, y, z: 4 numbers"),
 ]
 _Loop = Annotated[
     list[_Index], Field(min_length=3, max_length=10_000), Expected("3 or more vertices")
@@ -79,7 +74,7 @@ class SymmetryEntry(Entry):
     confirmed: Flag
     centre: _Point
     rotations: Annotated[
-        list[_UnitQuaternion], Field(min_length=1, max_length=1000), Expected("1 to 1000 rotations")
+        list[UnitQuaternion], Field(min_length=1, max_length=1000), Expected("1 to 1000 rotations")
     ]
     axis: _UnitVector | None = None
 

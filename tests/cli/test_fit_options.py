@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from smartview_jax import Calibration, load_dataset
 from smartview_jax.cameras import Fisheye, OpenCV4
 from smartview_jax.cli import app
-from smartview_jax.cli.fit_options import parse_fit_options
+from smartview_jax.cli.fit_options import FitKnowledge, parse_fit_options
 from smartview_jax.files import read_yaml
 from smartview_jax.geometry import host_logarithms, host_matrices
 from smartview_jax.io import read_camera, ros_camera_info, save_dataset
@@ -39,7 +39,7 @@ def calibrated(folder, out, *words):
 
 
 def options(**given):
-    return parse_fit_options("opencv4", "eye_in_hand", **given)
+    return parse_fit_options("opencv4", "eye_in_hand", FitKnowledge(**given))
 
 
 def test_a_known_camera_is_held_and_said(folder, tmp_path):

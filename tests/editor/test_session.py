@@ -159,7 +159,7 @@ def test_a_grasp_stays_on_its_face(session, scene):
         ({"poses": "sheared"}, "view v2: not a rotation"),
         ({"picture": np.zeros((48, 64), np.uint8)}, "view v3: the picture has 64 x 48 px"),
         ({"picture": np.zeros((480, 640))}, "view v3: expected uint8"),
-        ({"names": ["a", "b", "a", "c", "d"]}, "view 'a' comes twice"),
+        ({"names": ["a", "b", "a", "c", "d"]}, "names: a given more than once"),
         ({"names": ["a"]}, "expected a name for each of 5"),
     ],
 )

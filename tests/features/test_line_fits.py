@@ -43,7 +43,7 @@ def test_lines_are_those_of_the_singular_value_decomposition(rng):
     grid = PointGrid(points, normals)
     fits = fit_lines(grid, proposals)
     assert (np.bincount(fits.members.line) == 60).all()
-    means, fitted, variances = total_least_squares(grid, fits.members, fits.normals)
+    means, fitted, variances = total_least_squares(grid, fits.members, fits.lines.normals)
     for k in range(len(proposals)):
         own = points[60 * k : 60 * k + 60]
         _, s, Vt = np.linalg.svd(own - own.mean(axis=0))
@@ -60,8 +60,8 @@ def test_many_lines_are_those_of_each_alone(rng):
     together = fit_lines(grid, proposals)
     for k in range(len(proposals)):
         alone = fit_lines(grid, proposals[k : k + 1])
-        np.testing.assert_allclose(alone.centres[0], together.centres[k])
-        np.testing.assert_allclose(alone.normals[0], together.normals[k])
+        np.testing.assert_allclose(alone.lines.centres[0], together.lines.centres[k])
+        np.testing.assert_allclose(alone.lines.normals[0], together.lines.normals[k])
         own = together.members.point[together.members.line == k]
         assert set(alone.members.point) == set(own)
 
@@ -94,4 +94,4 @@ def test_no_points_or_no_proposals_give_no_lines(rng):
     empty = PointGrid(np.zeros((0, 2)), np.zeros((0, 2)))
     assert not len(fit_lines(empty, np.array([[[0.0, 0.0], [10.0, 0.0]]])).members.line)
     points, normals, _ = scene(rng)
-    assert not len(fit_lines(PointGrid(points, normals), np.zeros((0, 2, 2))).centres)
+    assert not len(fit_lines(PointGrid(points, normals), np.zeros((0, 2, 2))).lines.centres)

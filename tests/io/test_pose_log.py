@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from text_files import edit
 
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
@@ -72,28 +73,29 @@ def test_a_folder_with_a_pose_for_every_view_has_no_log(scene, tmp_path):
     assert load_pose_log(tmp_path) is None
 
 
-def test_what_is_wrong_is_named(folder):
-    description, times = folder / "dataset.yaml", (folder / "times.csv").read_text()
-    (folder / "times.csv").write_text(times.replace("499.9", "900.0"))
-    with pytest.raises(ValueError, match=r"view 0: its time, 900\.1 s, is not within"):
+@pytest.mark.parametrize(
+    ("table", "old", "new", "message"),
+    [
+        ("times.csv", "499.9", "900.0", r"view 0: its time, 900\.1 s, is not within"),
+        ("times.csv", "\n1,", "\n0,", r"times\.csv: view 0 has more than one row"),
+        ("times.csv", "499.9", "soon", r"times\.csv: view 0: time is 'soon', not a number"),
+        (
+            "poses.csv",
+            "\n501.0,",
+            "\n500.0,",
+            r"poses\.csv: trajectory: time 2 is 500 s, not after",
+        ),
+        ("poses.csv", "\n501.0,", "\nnan,", r"poses\.csv: view row 3: time is nan"),
+        ("poses.csv", "time,", "view,", "expected the columns time; missing time"),
+    ],
+)
+def test_a_wrong_table_is_named(folder, table, old, new, message):
+    edit(folder / table, old, new)
+    with pytest.raises(ValueError, match=message):
         sv.load_dataset(folder)
-    (folder / "times.csv").write_text(times.replace("\n1,", "\n0,"))
-    with pytest.raises(ValueError, match=r"times\.csv: view 0 has more than one row"):
-        sv.load_dataset(folder)
-    (folder / "times.csv").write_text(times.replace("499.9", "soon"))
-    with pytest.raises(ValueError, match=r"times\.csv: view 0: time is 'soon', not a number"):
-        sv.load_dataset(folder)
-    (folder / "times.csv").write_text(times)
-    log = (folder / "poses.csv").read_text()
-    (folder / "poses.csv").write_text(log.replace("\n501.0,", "\n500.0,"))
-    with pytest.raises(ValueError, match=r"poses\.csv: trajectory: time 2 is 500 s, not after"):
-        sv.load_dataset(folder)
-    (folder / "poses.csv").write_text(log.replace("\n501.0,", "\nnan,"))
-    with pytest.raises(ValueError, match=r"poses\.csv: view row 3: time is nan"):
-        sv.load_dataset(folder)
-    (folder / "poses.csv").write_text(log.replace("time,", "view,"))
-    with pytest.raises(ValueError, match="expected the columns time; missing time"):
-        sv.load_dataset(folder)
-    edit_yaml(description, lambda content: content["poses"].pop("picture_times"))
+
+
+def test_an_offset_without_the_pictures_times_is_refused(folder):
+    edit_yaml(folder / "dataset.yaml", lambda content: content["poses"].pop("picture_times"))
     with pytest.raises(ValueError, match="time_offset: it needs picture_times"):
         sv.load_dataset(folder)

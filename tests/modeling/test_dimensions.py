@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
@@ -15,13 +17,13 @@ def features():
     shift = np.tile(np.eye(3), (4, 1, 1))
     turn = np.stack([np.cross(np.eye(3), point).T for point in np.nan_to_num(POINTS)])
     return TriangulatedPoints(
-        POINTS,
-        roots @ roots.swapaxes(1, 2),
-        np.concatenate([shift, turn], axis=2),
-        np.diag([1e-3] * 3 + [1e-2] * 3) ** 2,
-        tuple("abcdef"),
-        np.zeros((2, 4, 2)),
-        np.zeros(4, dtype=int),
+        points=POINTS,
+        picture_covariance=roots @ roots.swapaxes(1, 2),
+        calibration_jacobian=np.concatenate([shift, turn], axis=2),
+        calibration_covariance=np.diag([1e-3] * 3 + [1e-2] * 3) ** 2,
+        calibration_names=tuple("abcdef"),
+        residuals=np.zeros((2, 4, 2)),
+        status=np.zeros(4, dtype=int),
     )
 
 
@@ -57,9 +59,9 @@ def test_what_cannot_be_measured_is_named(features):
         dimension(features, 1, 1)
     with pytest.raises(ValueError, match="no vertex 7"):
         dimension(features, 0, 7)
-    same = features._replace(points=POINTS[[0, 0, 2, 3]])
+    same = dataclasses.replace(features, points=POINTS[[0, 0, 2, 3]])
     with pytest.raises(ValueError, match="same place"):
         dimension(same, 0, 1)
-    line = features._replace(points=np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 0]]))
+    line = dataclasses.replace(features, points=np.outer([0.0, 1.0, 2.0, 0.0], [1.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="on one line"):
         angle(line, 0, 1, 2)

@@ -10,7 +10,6 @@ from linear_world import (
     TRUTH,
     VIEWS,
     drawn,
-    linear_world,
     linearised,
     with_held,
 )
@@ -22,11 +21,6 @@ from smartview_jax.variance.likelihood import (
     deviance,
     marginalise,
 )
-
-
-@pytest.fixture(scope="module")
-def world():
-    return linear_world()
 
 
 @pytest.mark.parametrize("sizes", [TRUTH, *OTHERS])

@@ -12,7 +12,6 @@ from linear_world import (
     TRUTH,
     VIEWS,
     drawn,
-    linear_world,
     linearised,
     with_held,
 )
@@ -22,11 +21,6 @@ from smartview_jax.variance.kenward_roger import p_value, small_sample_correctio
 from smartview_jax.variance.likelihood import StandardDeviations, marginalise
 
 FITTED = np.flatnonzero(GROUP < 0)
-
-
-@pytest.fixture(scope="module")
-def world():
-    return linear_world()
 
 
 def found_and_doubted(views, active):

@@ -13,7 +13,6 @@ from linear_world import (
     TRUTH,
     VIEWS,
     drawn,
-    linear_world,
     linearised,
     moved,
     with_held,
@@ -27,11 +26,6 @@ from smartview_jax.variance.likelihood import (
     marginalise,
     posterior_mode_step,
 )
-
-
-@pytest.fixture(scope="module")
-def world():
-    return linear_world()
 
 
 def textbook(world, observed, sizes):

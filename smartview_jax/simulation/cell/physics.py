@@ -33,8 +33,8 @@ FALL_SPEED = 0.8
 LINEAR_SPEED, ANGULAR_SPEED = 0.12, 1.0
 """Speeds of the gripper near objects, m/s and rad/s."""
 
-STEPS_BETWEEN_LOOKS = 20
-"""Number of steps after which it is looked whether the physics is still stable."""
+STEPS_BETWEEN_CHECKS = 20
+"""Number of steps after which the physics is checked to be stable still."""
 
 GRIP_TIME = 1.5
 """Longest time that the fingers move, s."""
@@ -232,14 +232,14 @@ class Physics:
         return found
 
     def _run(self, duration: float, each_step: Callable[[], bool]) -> None:
-        """Step until a time is over or a function of each step says that it is enough."""
+        """Step the physics for a duration, or until `each_step` returns that it is enough."""
         with self._whole_motion():
             end, step = self.time + duration - 0.5 * TIME_STEP, 0
             while self.time < end and not each_step():
                 self._mujoco.mj_step(self._model, self._data)
                 step += 1
-                # MuJoCo counts what went wrong: nothing is missed between the looks.
-                if step % STEPS_BETWEEN_LOOKS == 0:
+                # MuJoCo counts what went wrong: nothing is missed between the checks.
+                if step % STEPS_BETWEEN_CHECKS == 0:
                     self._refuse_instability()
             self._refuse_instability()
 
@@ -255,7 +255,7 @@ class Physics:
 
     @contextmanager
     def _whole_motion(self) -> Iterator[None]:
-        """Refuse to go on after a motion that was interrupted in its middle."""
+        """Mark a motion as under way, and refuse to begin one after another was interrupted."""
         # The flag is still set if the motion before did not come to its end.
         if self._moving:
             raise CellError("the last motion was interrupted or failed; drop the objects again")

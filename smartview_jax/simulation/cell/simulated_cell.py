@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from ...argument_checks import require_distinct
 from ...calibration import Calibration
 from ...cameras import Camera
 from ...geometry import as_se3, check_rigid, host_transforms
@@ -27,7 +28,7 @@ MAX_DROPS = 6
 """Number of times that objects are dropped until all lie in the bin."""
 
 CLEAR_HEIGHT = 0.03
-"""Height above everything at which the gripper moves without that its path is simulated, m."""
+"""Height of the gripper above everything from which its path need not be simulated, m."""
 
 HELD_HEIGHT = 2e-3
 """Height of an object's lowest point above the bin or the table from which it counts as lifted."""
@@ -148,7 +149,7 @@ class SimulatedCell:
             ValueError: two objects have one name.
             CellError: they do not come to rest inside the bin.
         """
-        self._take(objects)
+        self._set_objects(objects)
         for attempt in range(MAX_DROPS):
             # Each attempt is another throw, and the same for the same seed.
             rng = np.random.default_rng((seed, 12, attempt))
@@ -183,7 +184,7 @@ class SimulatedCell:
             ValueError: two objects have one name, or a pose is not rigid.
             CellError: they do not come to rest.
         """
-        self._take(objects)
+        self._set_objects(objects)
         poses = np.array(world_from_object, dtype=float).reshape(-1, 4, 4)
         problems = check_rigid(poses, tuple(one.name for one in objects))
         if problems:
@@ -198,11 +199,9 @@ class SimulatedCell:
         self._objects, self.board_shown = (), True
         self._physics = self._new_physics(())
 
-    def _take(self, objects: Sequence[CellObject]) -> None:
-        """Keep the objects for pictures, and take the board away."""
-        names = [one.name for one in objects]
-        if len(set(names)) < len(names):
-            raise ValueError(f"objects: two have the same name among {', '.join(names)}")
+    def _set_objects(self, objects: Sequence[CellObject]) -> None:
+        """Set which objects are seen, and take the board away."""
+        require_distinct("objects", [one.name for one in objects])
         self._objects, self.board_shown = tuple(objects), False
 
     @property

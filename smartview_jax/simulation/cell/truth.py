@@ -1,4 +1,4 @@
-"""Draw the truth of a cell: lens, hand-eye transform and arm as nobody is told.
+"""Draw at random what is true of a cell and known to nobody: lens, hand-eye transform and arm.
 
 The errors are those of DESIGN.md, section 3: joints 2 to 5 err by 0.05 degrees, their links by 0.3
 mm and 0.03 degrees, the arm repeats a pose to 0.02 mm and 0.003 degrees, and the lens has a

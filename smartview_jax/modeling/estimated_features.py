@@ -1,0 +1,82 @@
+"""Define what all estimates of features from pictures have: status, residuals, errors by cause."""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .point_status import PointStatus, failure_messages
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatedFeatures(abc.ABC):
+    """Points or lines, each of n numbers, that were estimated from pictures.
+
+    A feature's errors have two causes: the pictures, which err in each feature, and the
+    calibration, whose errors all features have in common.
+
+    Attributes:
+        picture_covariance: covariance of each feature's numbers due to the pictures; m^2 for
+            points, and m and rad for lines (see `Lines`).
+        calibration_jacobian: derivatives of each feature's numbers by the uncertain numbers of the
+            calibration and of the views' poses; there are none without a covariance of these.
+        calibration_covariance: covariance of the uncertain numbers, in their own units.
+        calibration_names: names of the uncertain numbers.
+        residuals: px, NaN where not visible: of points measured minus predicted pixels; of lines
+            the distances of both ends of each segment from the line's picture.
+        status: a `PointStatus` for each feature; one that failed is NaN.
+    """
+
+    picture_covariance: Float[np.ndarray, "features n n"]
+    calibration_jacobian: Float[np.ndarray, "features n numbers"]
+    calibration_covariance: Float[np.ndarray, "numbers numbers"]
+    calibration_names: tuple[str, ...]
+    residuals: Float[np.ndarray, "views features 2"]
+    status: Int[np.ndarray, "features"]
+
+    @property
+    def ok(self) -> Bool[np.ndarray, "features"]:
+        """Whether each feature was estimated."""
+        return self.status == PointStatus.OK
+
+    @property
+    def failures(self) -> dict[int, str]:
+        """The reason, in words, of every feature that was not estimated, by its index."""
+        return failure_messages(self.status)
+
+    def covariance(self) -> Float[np.ndarray, "features n n"]:
+        """Return the covariance of each feature's numbers due to pictures and calibration."""
+        # Independent causes: their covariances add.
+        J = self.calibration_jacobian
+        return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatedPoints(EstimatedFeatures):
+    """Points that were estimated from pictures.
+
+    Attributes:
+        points: in the world, m.
+    """
+
+    points: Float[np.ndarray, "points 3"]
+
+    def joint_covariance(
+        self, points: Sequence[int] | None = None
+    ) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the covariance of the coordinates of some points, or of all, m^2.
+
+        The coordinates are x, y, z of each point in turn.
+        """
+        chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
+        J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
+        own = self.joint_picture_covariance(chosen.tolist())
+        return own + J @ self.calibration_covariance @ J.T
+
+    @abc.abstractmethod
+    def joint_picture_covariance(
+        self, points: Sequence[int]
+    ) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the part of the joint covariance that is not due to the calibration, m^2."""
