@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
+from ..array_namespace import AnyArray
 from ..cameras import Camera, Radial
 from ..geometry import host_cross_matrices, host_nearest_rotation, host_transforms
 
@@ -27,11 +28,11 @@ _COPLANARITY_TOLERANCE = 1e-3
 class Intrinsics(NamedTuple):
     """The paper's five intrinsics (px; k1 without unit), each a scalar or one entry per view."""
 
-    alpha_u: Array
-    alpha_v: Array
-    u0: Array
-    v0: Array
-    k1: Array
+    alpha_u: AnyArray
+    alpha_v: AnyArray
+    u0: AnyArray
+    v0: AnyArray
+    k1: AnyArray
 
     def camera(self, image_size: tuple[int, int]) -> Camera:
         """Return the pinhole camera (Eq. 2) with these intrinsics and the paper's lens (Eq. 3)."""
