@@ -11,6 +11,7 @@ from .compare import compare
 from .demo import demo
 from .evaluate import evaluate
 from .export import export
+from .garbage import rare_collections
 from .grasp import grasp
 from .logs import configure_logs
 from .model import model
@@ -23,16 +24,17 @@ from .viewpoint import viewpoint
 
 
 class _LoggingGroup(TyperGroup):
-    """The subcommands, each of which logs as `--verbose` says."""
+    """The subcommands, each of which logs as `--verbose` says, and collects garbage rarely."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a subcommand, and leave the loggers of a program that calls it as they were."""
         # Before anything else is imported: some libraries look at their level once.
         restore = configure_logs(ctx.params["verbose"])
-        try:
-            return super().invoke(ctx)
-        finally:
-            restore()
+        with rare_collections():
+            try:
+                return super().invoke(ctx)
+            finally:
+                restore()
 
 
 app = typer.Typer(

@@ -1,13 +1,17 @@
 """Draw an object model in space."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from mpl_toolkits.mplot3d import Axes3D
 
-from ..modeling import ObjectModel
 from .figures import BLUE, RED, PlotFigure
 
+if TYPE_CHECKING:
+    from ..modeling import ObjectModel
 
-def object_model_3d(model: ObjectModel) -> PlotFigure:
+
+def object_model_3d(model: "ObjectModel") -> PlotFigure:
     """Draw the edges of an object model and the places of its grasps, in its own frame, mm."""
     figure = PlotFigure(figsize=(5.0, 4.2), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]

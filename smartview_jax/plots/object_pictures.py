@@ -1,6 +1,12 @@
-"""Draw what was seen and found: edge maps with features, and wireframes over pictures."""
+"""Draw what was seen and found: edge maps with features, and wireframes over pictures.
 
-from collections.abc import Sequence
+What knows objects is imported where one is drawn: a calibration's report draws none, and would take
+a quarter longer to import.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -9,9 +15,11 @@ from jaxtyping import Float, UInt8
 from ..array_namespace import to_device
 from ..cameras import Camera
 from ..compilation import compiled
-from ..features import PictureEvidence
-from ..localization import Wireframe, predict_view
-from ..modeling import ObjectModel
+
+if TYPE_CHECKING:
+    from ..features import PictureEvidence
+    from ..localization import PredictedView
+    from ..modeling import ObjectModel
 
 EDGE_COLOUR, SEGMENT_COLOUR, CORNER_COLOUR = (150, 150, 150), (120, 220, 60), (40, 120, 255)
 """Colours of edge points, segments and corners: blue, green, red."""
@@ -25,10 +33,8 @@ SHIFT = 4
 SAMPLES = 600
 """Points along the edges of a wireframe that are drawn."""
 
-_predicted = compiled(predict_view)
 
-
-def edge_map(evidence: PictureEvidence) -> UInt8[np.ndarray, "rows columns 3"]:
+def edge_map(evidence: "PictureEvidence") -> UInt8[np.ndarray, "rows columns 3"]:
     """Return the edge points of a picture with the segments and corners that were found."""
     width, height = evidence.features.image_size
     canvas = np.full((height, width, 3), 18, np.uint8)
@@ -48,7 +54,7 @@ def with_wireframes(
     picture: UInt8[np.ndarray, "rows columns"] | None,
     camera: Camera,
     camera_from_world: Float[np.ndarray, "4 4"],
-    objects: Sequence[tuple[ObjectModel, Float[np.ndarray, "4 4"]]],
+    objects: Sequence[tuple["ObjectModel", Float[np.ndarray, "4 4"]]],
 ) -> UInt8[np.ndarray, "rows columns 3"]:
     """Return a picture with the visible edges of objects drawn over it.
 
@@ -58,13 +64,16 @@ def with_wireframes(
         camera_from_world: its pose.
         objects: models and their poses `world_from_object`.
     """
+    from ..localization import Wireframe
+
     if picture is None:
         width, height = camera.image_size
         canvas = np.full((height, width, 3), 18, np.uint8)
     else:
         canvas = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     for k, (model, pose) in enumerate(objects):
-        seen = _predicted(Wireframe.of(model, SAMPLES), camera, to_device(camera_from_world @ pose))
+        wireframe, pose_in_camera = Wireframe.of(model, SAMPLES), camera_from_world @ pose
+        seen = _compiled_prediction()(wireframe, camera, to_device(pose_in_camera))
         pixels, visible = np.asarray(seen.samples), np.asarray(seen.sample_visible)
         # Half a step to either side, so that neighbours meet.
         steps = np.asarray(seen.directions) * 0.5 * np.asarray(seen.sample_px)[:, None]
@@ -87,6 +96,14 @@ def cropped(
     low = np.clip(np.floor(known.min(axis=0) - margin), 0, [width - 2, height - 2]).astype(int)
     high = np.clip(np.ceil(known.max(axis=0) + margin), low + 1, [width, height]).astype(int)
     return picture[low[1] : high[1], low[0] : high[0]]
+
+
+@functools.cache
+def _compiled_prediction() -> "Callable[..., PredictedView]":
+    """Return the prediction of a view, compiled at its first use."""
+    from ..localization import predict_view
+
+    return compiled(predict_view)
 
 
 def _fixed(pixel: np.ndarray) -> tuple[int, int]:

@@ -167,14 +167,14 @@ def _ranked_hypotheses(
         corrected = _relative_motions(*mistake.undo(robot, camera), used, in_hand)
         single = ConventionHypothesis(mistake.name, mistake.description, closure_error(corrected))
         hypotheses.append(single)
+        # The rotations are the same in any unit of length.
+        if not single.closure_error.rotation < ANGLE_TOLERANCE:
+            continue
         for scale, words in _LENGTH_UNIT_MISTAKES.items():
             combined = closure_error(corrected, scale)
             # Two mistakes at once are considered only if they leave less than a tenth of the
             # closure error of the first alone.
-            if (
-                combined.rotation < ANGLE_TOLERANCE
-                and combined.score < 0.1 * single.closure_error.score
-            ):
+            if combined.score < 0.1 * single.closure_error.score:
                 hypotheses.append(
                     ConventionHypothesis(
                         mistake.name, f"{mistake.description}, and {words}", combined

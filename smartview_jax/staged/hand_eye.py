@@ -14,6 +14,7 @@ Known weakness of Eq. 17: the norm adds dimensionless rotation entries (radians)
 result depends on the unit of length. It is the metre here, unless a length scale is given.
 """
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -22,7 +23,6 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from .closed_form import CLOSED_FORMS, mean_camera_from_mount
@@ -227,6 +227,9 @@ def _minimise(factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 
 _MAX_GAUSS_NEWTON_STEPS = 20
 """Largest number of Gauss-Newton steps after BFGS. Each gains a factor of about the cost's root."""
 
+_CROSS_PRODUCT = np.cross(np.eye(3)[:, None], np.eye(3)[None]).swapaxes(1, 2).reshape(3, 9)
+"""The matrix that takes a vector a to the entries of `[a]x`, the matrix of its vector product."""
+
 
 def _entries(
     start: Float[np.ndarray, "4 4"], parameters: Float[np.ndarray, "6"]
@@ -238,14 +241,22 @@ def _entries(
     """
     rotation = start[:3, :3]
     axes = []
-    for name, column, angle in zip("ZYX", (2, 1, 0), parameters[:3], strict=True):
+    for axis, angle in zip((2, 1, 0), parameters[:3], strict=True):
         # Each angle turns about an axis of the frame that the previous rotations have reached.
-        axes.append(rotation[:, column])
-        rotation = rotation @ Rotation.from_euler(name, angle).as_matrix()
+        axes.append(rotation[:, axis])
+        rotation = rotation @ _turn_about(axis, angle)
     derivative = np.zeros((13, 6))
-    # dR = a x R for a rotation about the axis a, column by column.
-    derivative[:9, :3] = (
-        np.cross(np.array(axes)[:, None], rotation.T).swapaxes(1, 2).reshape(3, 9).T
-    )
+    # dR = [a]x R for a rotation about the axis a, with the matrix [a]x of the vector product.
+    turns = (np.array(axes) @ _CROSS_PRODUCT).reshape(3, 3, 3) @ rotation
+    derivative[:9, :3] = turns.reshape(3, 9).T
     derivative[9:12, 3:] = np.eye(3)
     return np.concatenate([rotation.ravel(), start[:3, 3] + parameters[3:], [1.0]]), derivative
+
+
+def _turn_about(axis: int, angle: float) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation about a coordinate axis; SciPy takes ten times as long for one matrix."""
+    matrix, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    matrix[i, i] = matrix[j, j] = cosine
+    matrix[i, j], matrix[j, i] = -sine, sine
+    return matrix

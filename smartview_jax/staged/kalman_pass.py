@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial.transform import Rotation
 
 from ..cameras import Camera
-from ..compilation import compiled
+from ..compilation import compiled_optimised
 from ..dataset import Observations
 from ..geometry import host_matrices
 from .kalman_update import (
@@ -134,7 +134,7 @@ def run_pass(
     )
 
 
-@compiled
+@compiled_optimised
 def _linearised_pass(
     camera: Camera,
     in_camera: Float[Array | np.ndarray, "views points 3"],

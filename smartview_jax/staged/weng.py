@@ -18,13 +18,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array, to_device
 from ..cameras import Camera
-from ..compilation import compiled
+from ..compilation import compiled_optimised
 from ..dataset import Observations
 from ..padding import without_padding
 from .weng_alternation import ViewFit, fit_view
-from .weng_start import Intrinsics, Start, coplanar, extents, linear_start, planar_start
+from .weng_start import Intrinsics, Start, coplanar, extents, view_starts
 
 # Names of the starts, reported in `ViewCalibrations.starts`.
 LINEAR_START = "linear"
@@ -81,20 +80,18 @@ def calibrate_views(
         distortion: estimate k1; False holds it at zero.
     """
     view_count, point_count = observations.visible.shape
-    observations = observations.padded()
+    points, pixels, visible = _host_observations(observations.padded())
     centre = (np.array(image_size, dtype=float) - 1.0) / 2.0
-    extent = np.asarray(extents(observations.points, observations.visible))
+    extent = extents(points, visible)
     # Whether the points of a view lie in one plane (any plane), which decides how it is started.
-    flat = np.asarray(coplanar(extent))
-    problems = _view_problems(np.asarray(observations.visible).sum(axis=1), extent, flat)
-    longer_side = as_float_array(float(max(image_size)))
-    # Both linear starts are computed for every view and one is selected: the shapes stay fixed.
-    start = _linear_starts(observations, to_device(centre), longer_side, to_device(flat))
+    flat = coplanar(extent)
+    problems = _view_problems(visible.sum(axis=1), extent, flat)
+    start = view_starts(points, pixels, visible, flat, centre, float(max(image_size)))
     # One plane: only alpha (and k1) are free; alpha_v / alpha_u, u0 and v0 are held.
     free = np.ones((len(flat), 5), dtype=bool)
     free[flat, 1:4] = False
     free[:, 4] = distortion
-    view_fits = _fit_all_views(observations, start, to_device(free), to_device(flat))
+    view_fits = _fit_all_views(points, pixels, visible, start, free, flat)
 
     alpha_relative_std = view_fits.alpha_relative_std
     is_finite = np.isfinite(np.asarray(view_fits.rms))
@@ -104,11 +101,12 @@ def calibrate_views(
         # Focal length and distance are exchangeable in a frontal view of a plane. Fit its pose
         # again with the median intrinsics, or its focal length would be arbitrary.
         median = _median_intrinsics(view_fits, usable, frontal)
-        held_start = _hold_intrinsics(start, median, to_device(frontal), to_device(centre))
+        held_start = _hold_intrinsics(start, median, frontal, centre)
         free[:, :4] = False
-        frontal_only = _mask_other_views(observations, frontal)
-        refit = _fit_all_views(frontal_only, held_start, to_device(free), to_device(flat))
-        view_fits = _select_by_view(to_device(frontal), refit, view_fits)
+        # The points of all other views are masked; shapes stay as compiled.
+        frontal_only = visible & frontal[:, None]
+        refit = _fit_all_views(points, pixels, frontal_only, held_start, free, flat)
+        view_fits = _select_by_view(frontal, refit, view_fits)
     starts = tuple(
         NO_START
         if not is_usable
@@ -145,32 +143,31 @@ def estimate_view_poses(
         `camera_from_world`, the RMS reprojection error of each view in px, and the points used.
     """
     view_count, point_count = observations.visible.shape
-    observations = observations.padded()
-    # Unseen pixels are NaN; they are set to zero here and stay masked.
-    pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
-    rays, valid = camera.unproject(pixels)
-    valid = valid & (rays[..., 2] > 1e-3)
-    rays = jnp.where(valid[..., None], rays, 1.0)
-    undistorted = Observations(
-        observations.points,
-        camera.alpha_u * rays[..., :2] / rays[..., 2:],
-        observations.visible & valid,
-        observations.base_from_tool,
-    )
-    flat = jnp.asarray(coplanar(extents(undistorted.points, undistorted.visible)))
-    all_views = jnp.ones(len(flat), dtype=bool)
-    alpha, zero = camera.alpha_u, jnp.zeros(())
+    points, pixels, visible = _host_observations(observations.padded())
+    rays, valid = map(np.asarray, camera.unproject(jax.device_put(pixels)))
+    visible = visible & valid & (rays[..., 2] > 1e-3)
+    rays = np.where(visible[..., None], rays, 1.0)
     # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
-    pinhole = Intrinsics(alpha, alpha, zero, zero, zero)
-    longer_side = jnp.asarray(float(max(camera.image_size)))
-    start = _linear_starts(undistorted, jnp.zeros(2), longer_side, flat)
-    held_start = _hold_intrinsics(start, pinhole, all_views, jnp.zeros(2))
-    none_free = jnp.zeros((len(flat), 5), dtype=bool)
-    view_fits = _fit_all_views(undistorted, held_start, none_free, flat)
+    alpha = float(camera.alpha_u)
+    undistorted = alpha * rays[..., :2] / rays[..., 2:]
+    flat = coplanar(extents(points, visible))
+    centre, longer_side = np.zeros(2), float(max(camera.image_size))
+    start = view_starts(points, undistorted, visible, flat, centre, longer_side)
+    pinhole = Intrinsics(*np.array([alpha, alpha, 0.0, 0.0, 0.0]))
+    held_start = _hold_intrinsics(start, pinhole, np.ones(len(flat), dtype=bool), centre)
+    none_free = np.zeros((len(flat), 5), dtype=bool)
+    view_fits = _fit_all_views(points, undistorted, visible, held_start, none_free, flat)
     return (
         *without_padding((view_fits.camera_from_world, view_fits.rms), view_count),
         without_padding(view_fits.inliers, view_count, point_count),
     )
+
+
+def _host_observations(observations: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points, pixels and visibility as arrays of NumPy; unseen pixels are zero, not NaN."""
+    visible = np.asarray(observations.visible)
+    pixels = np.where(visible[..., None], np.asarray(observations.pixels), 0.0)
+    return np.asarray(observations.points), pixels, visible
 
 
 def _view_problems(
@@ -190,20 +187,14 @@ def _view_problems(
     return tuple(problems)
 
 
-def _mask_other_views(observations: Observations, views: np.ndarray) -> Observations:
-    """Return the observations with all other views masked out; shapes stay as compiled."""
-    visible = to_device(np.asarray(observations.visible) & views[:, None])
-    return eqx.tree_at(lambda o: o.visible, observations, visible)
-
-
-@compiled
-def _select_by_view(views: Array, selected: ViewFit, unselected: ViewFit) -> ViewFit:
+def _select_by_view(views: np.ndarray, selected: ViewFit, unselected: ViewFit) -> ViewFit:
     """Return the first result in the given views and the second result in all others."""
 
-    def select(a, b):
-        return jnp.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
+    def select(a: Array, b: Array) -> np.ndarray:
+        """Return the rows of one array in the given views, those of the other elsewhere."""
+        return np.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), np.asarray(a), np.asarray(b))
 
-    return jax.tree.map(select, selected, unselected)
+    return jax.device_put(jax.tree.map(select, selected, unselected))
 
 
 def _median_intrinsics(view_fits: ViewFit, usable: np.ndarray, frontal: np.ndarray) -> Intrinsics:
@@ -214,15 +205,12 @@ def _median_intrinsics(view_fits: ViewFit, usable: np.ndarray, frontal: np.ndarr
         alpha_relative_std = np.asarray(view_fits.alpha_relative_std)
         trusted = usable & (alpha_relative_std <= np.median(alpha_relative_std[usable]))
 
-    def median(values: Array) -> Array:
-        """Return the median over the trusted views."""
-        return to_device(np.median(np.asarray(values)[trusted]))
-
-    return jax.tree.map(median, view_fits.intrinsics)
+    return jax.tree.map(lambda values: np.median(np.asarray(values)[trusted]), view_fits.intrinsics)
 
 
-@compiled
-def _hold_intrinsics(start: Start, median: Intrinsics, chosen: Array, centre: Array) -> Start:
+def _hold_intrinsics(
+    start: Start, median: Intrinsics, chosen: np.ndarray, centre: np.ndarray
+) -> Start:
     """Return the starts with the median intrinsics in the chosen views, depths rescaled to match.
 
     The size in the picture is alpha / depth, so depth is multiplied by the ratio of the alphas.
@@ -230,41 +218,26 @@ def _hold_intrinsics(start: Start, median: Intrinsics, chosen: Array, centre: Ar
     ratio = median.alpha_u / start.intrinsics.alpha_u
     held = Intrinsics(median.alpha_u, median.alpha_u, centre[0], centre[1], median.k1)
     intrinsics = jax.tree.map(
-        lambda value, new: jnp.where(chosen, jnp.full_like(value, new), value),
-        start.intrinsics,
-        held,
+        lambda value, new: np.where(chosen, new, value), start.intrinsics, held
     )
-    depth = start.poses.wxyz_xyz[..., 6] * jnp.where(chosen, ratio, 1.0)[:, None]
-    return Start(intrinsics, SE3(start.poses.wxyz_xyz.at[..., 6].set(depth)))
+    poses = np.array(start.poses.wxyz_xyz)
+    poses[..., 6] *= np.where(chosen, ratio, 1.0)[:, None]
+    return Start(intrinsics, SE3(poses))  # pyright: ignore[reportArgumentType]
 
 
-@compiled
-def _linear_starts(
-    observations: Observations, centre: Array, longer_side: Array, flat: Array
-) -> Start:
-    """Compute the linear start of every view, for coplanar or for spatial points."""
-
-    def view_start(points, pixels, visible, planar):
-        plane = planar_start(points, pixels, visible, centre, longer_side)
-        spatial = linear_start(points, pixels, visible)
-        return jax.tree.map(lambda a, b: jnp.where(planar, a, b), plane, spatial)
-
-    pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
-    return jax.vmap(view_start)(observations.points, pixels, observations.visible, flat)
-
-
-@compiled
+@compiled_optimised
 def _fit_all_views(
-    observations: Observations,
+    points: Float[Array | np.ndarray, "views points 3"],
+    pixels: Float[Array | np.ndarray, "views points 2"],
+    visible: Bool[Array | np.ndarray, "views points"],
     start: Start,
-    free: Bool[Array, "views 5"],
-    flat: Bool[Array, "views"],
+    free: Bool[Array | np.ndarray, "views 5"],
+    flat: Bool[Array | np.ndarray, "views"],
 ) -> ViewFit:
     """Fit every view from its two start poses and keep the one with the smaller RMS error.
 
     The two differ for coplanar points only: a small plane has two poses that look almost alike.
     """
-    pixels = jnp.where(observations.visible[..., None], observations.pixels, 0.0)
 
     def fit_one_view(view):
         # `lax.map`, not `vmap`: each view stops when it has converged. Under `vmap` every view
@@ -284,13 +257,5 @@ def _fit_all_views(
 
     return jax.lax.map(
         fit_one_view,
-        (
-            observations.points,
-            pixels,
-            observations.visible,
-            start.intrinsics,
-            start.poses.wxyz_xyz,
-            free,
-            flat,
-        ),
+        (points, pixels, visible, start.intrinsics, start.poses.wxyz_xyz, free, flat),
     )

@@ -227,6 +227,11 @@ def _residuals(state: _State, points: Array, pixels: Array, used: Array) -> Arra
     """
     # Eq. 1 takes the points to the camera frame, `_project` from there to pixels.
     predicted, valid = _project(state.camera_parameters, transform_points(state.pose, points))
+    return _masked_residuals(predicted, valid, pixels, used)
+
+
+def _masked_residuals(predicted: Array, valid: Array, pixels: Array, used: Array) -> Array:
+    """Return measured minus predicted pixels, large without a projection, zero where unused."""
     residual = jnp.where(valid[:, None], pixels - predicted, _UNPROJECTABLE_RESIDUAL)
     return jnp.where(used[:, None], residual, 0.0)
 
@@ -248,20 +253,50 @@ def _normal_equations(
 
     J is the derivative of the prediction by 5 intrinsics and 6 pose unknowns, r the residual.
     """
-    p = transform_points(state.pose, points)
-    J_camera, J_point = jax.vmap(
-        jax.jacfwd(lambda n, q: _project(n, q)[0], argnums=(0, 1)), in_axes=(None, 0)
-    )(state.camera_parameters, p)
-    # Pose Jacobian: a twist (v, w) from the left displaces a camera-frame point p by
-    #     dp = v + w x p,
-    # so d pixel / dv = D and d pixel / dw = p x D (row by row), with D = d pixel / dp. Only D needs
-    # automatic differentiation.
-    J_rotation = jnp.cross(p[:, None], J_point)
-    J = jnp.concatenate([J_camera, J_point, J_rotation], axis=-1)
-    J = jnp.where(used[:, None, None], J, 0.0) * _free_mask(free)[None, None].astype(float)
-    rows = jnp.concatenate([J, _residuals(state, points, pixels, used)[..., None]], axis=-1)
-    rows = rows.reshape(-1, rows.shape[-1])
+    J, predicted, valid = _prediction_jacobian(state, points)
+    J = jnp.where((used & valid)[:, None, None] & _free_mask(free)[None, None], J, 0.0)
+    residual = _masked_residuals(predicted, valid, pixels, used)
+    rows = jnp.concatenate([J, residual[..., None]], axis=-1).reshape(-1, 12)
     return rows.T @ rows
+
+
+def _prediction_jacobian(state: _State, points: Array) -> tuple[Array, Array, Array]:
+    """Return the derivative of the predicted pixels, `(N, 2, 11)`, the pixels and their validity.
+
+    With `n` the ideal and `d` the distorted normalised point, Eq. 3 is `n = (1 + k1 d.d) d`, so
+
+        dn = a dd + 2 k1 (d.dd) d + (d.d) d dk1,      a = 1 + k1 d.d
+        dd = [I - (2 k1 / c) d d'] dn / a - (d.d / c) d dk1,      c = 1 + 3 k1 d.d
+
+    and with the point `p = (x, y, z)` in the camera frame `dn = [I | -n] dp / z`, where `n = a d`.
+    """
+    log_alpha, log_ratio, u0, v0, k1 = state.camera_parameters
+    alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
+    p = transform_points(state.pose, points)
+    predicted, valid = _project(state.camera_parameters, p)
+    offset = predicted - jnp.stack([u0, v0])[None]
+    d = offset / alpha[None]
+    square = jnp.sum(d * d, axis=1)
+    a, c = 1.0 + k1 * square, 1.0 + 3.0 * k1 * square
+    D_ideal = (jnp.eye(2)[None] - (2.0 * k1 / c)[:, None, None] * d[:, :, None] * d[:, None]) / (
+        a[:, None, None]
+    )
+    D = jnp.concatenate([D_ideal, -(a / c)[:, None, None] * d[..., None]], axis=-1)
+    # The derivative by the point, p x D by its rotation: a twist (v, w) from the left displaces a
+    # camera-frame point p by dp = v + w x p.
+    D = D * alpha[None, :, None] / p[:, 2, None, None]
+    D_rotation = jnp.cross(p[:, None], D)
+    by_k1 = -(square / c)[:, None] * offset
+    # The columns of log alpha, of the logarithm of the ratio, of u0, v0 and of k1.
+    ones, zeros = jnp.ones_like(square), jnp.zeros_like(square)
+    by_camera = jnp.stack(
+        [
+            jnp.stack([offset[:, 0], zeros, ones, zeros, by_k1[:, 0]], axis=1),
+            jnp.stack([offset[:, 1], offset[:, 1], zeros, ones, by_k1[:, 1]], axis=1),
+        ],
+        axis=1,
+    )
+    return jnp.concatenate([by_camera, D, D_rotation], axis=-1), predicted, valid
 
 
 def _damped_step(gram: Array, damping: Array) -> Array:
