@@ -117,7 +117,7 @@ def _searches(record: dict[str, Any]) -> int:
 
 
 def _print_accuracy(records: list[dict[str, Any]]) -> float:
-    """Print errors, their ratio to the bound and NEES; return the larger ratio, medians."""
+    """Print errors, NEES, and ratios to the bounds; return the larger ratio to that with grain."""
     print(
         "\npose of accepted objects        number  median mm  RMS mm  median deg   NEES of 6 (band)"
     )
@@ -134,15 +134,25 @@ def _print_accuracy(records: list[dict[str, Any]]) -> float:
             f"median {np.median(squares):.2f}"
         )
     bounds = [one for r in records for one in r["bound"]]
+    _print_over_bound(bounds, "points_", "of the points' noise alone")
+    return _print_over_bound(bounds, "grain_", "of noise and grain")
+
+
+def _print_over_bound(bounds: list[dict[str, float]], prefix: str, name: str) -> float:
+    """Print the ratios of errors to one of the bounds; return the larger one of the RMS errors."""
     worst = 0.0
+    # Records of earlier runs have another bound.
+    known = [one for one in bounds if f"{prefix}mm" in one]
     for unit in ("mm", "degrees"):
-        own, least = (np.array([one[key] for one in bounds]) for key in (f"own_{unit}", unit))
+        own, least = (
+            np.array([one[key] for one in known]) for key in (f"own_{unit}", prefix + unit)
+        )
         if len(own):
             ratio = float(np.sqrt(np.mean(own**2) / np.mean(least**2)))
             typical = float(np.median(own / least))
             worst = max(worst, ratio)
             print(
-                f"RMS over that of the bound, {unit}: {np.sqrt(np.mean(own**2)):.4f} / "
+                f"RMS over that of the bound {name}, {unit}: {np.sqrt(np.mean(own**2)):.4f} / "
                 f"{np.sqrt(np.mean(least**2)):.4f} = {ratio:.2f}; median of ratios {typical:.2f}"
             )
     return worst

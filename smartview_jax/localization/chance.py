@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import betainc, gammaln
+from scipy.special import betainc, binom, gammaln
 
 from ..geometry import host_exponentials
 from ..modeling import ObjectModel, SeenViews
@@ -19,6 +19,15 @@ from .wireframe import Wireframe
 
 CHANCE_POSES = 48
 """Number of displaced poses from which chance is estimated."""
+
+MIN_EXACT_EDGES = 4
+"""Smallest number of edges of which it is asked whether chance fits them so well."""
+
+MIN_VISIBLE = 0.25
+"""Smallest visible edge length of a pose that tells of chance, over the median of all poses.
+
+Of a wireframe that is all but outside the pictures one edge point may explain the whole.
+"""
 
 
 class Chance(NamedTuple):
@@ -96,7 +105,7 @@ def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChanceP
     """Return how much of a wireframe's visible length other places of the pictures explain.
 
     Poses that returned to the object itself are left out, and so are those of which the pictures
-    show nothing.
+    show next to nothing.
 
     Args:
         pose: of the object that is judged.
@@ -107,8 +116,10 @@ def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChanceP
     moved = tried.world_from_object @ middle - pose @ middle
     extent = float(np.ptp(model.vertices, axis=0).max())
     elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
-    shares = tried.lengths[:, 1] / np.maximum(tried.lengths[:, 0], 1.0)
-    values = shares[elsewhere & (shares > 0.0)]
+    visible, explained = tried.lengths.T
+    shares = explained / np.maximum(visible, 1.0)
+    seen = visible >= MIN_VISIBLE * np.median(visible)
+    values = shares[elsewhere & seen & (shares > 0.0)]
     if len(values) < 5:
         # Nothing else is in the pictures: chance explains next to nothing.
         return Chance(0.05, 0.05)
@@ -122,17 +133,41 @@ def _middle_frame(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
     return middle
 
 
-def log_chance_of_exactness(rms: float, edges: int) -> float:
+def log_chance_of_exactness(rms: float, edges: int, absorbed: float = 0.0) -> float:
     """Return the decimal logarithm of the probability that edges of clutter fit so well.
 
-    Two numbers of each edge, less the six of the pose, are anywhere within `EXPLAINED_DISTANCE` by
-    chance (Moisan and Stival, "A probabilistic criterion to detect rigid point matches", 2004).
+    Two numbers of each edge, less the six of the pose and those that errors of the calibration
+    absorb, are anywhere within `EXPLAINED_DISTANCE` by chance (Moisan and Stival, "A probabilistic
+    criterion to detect rigid point matches", 2004).
     """
     # The ball sum x^2 <= n r^2 has the part pi^(n/2) (r sqrt(n))^n / Gamma(n/2 + 1) of the cube
     # (2 d)^n.
-    n = 2 * edges - 6
+    n = 2 * edges - 6 - absorbed
     if n <= 0:
         return 0.0
     radius = max(rms, MIN_POINT_SIGMA) / np.sqrt(2.0) * np.sqrt(n)
     part = 0.5 * n * np.log(np.pi) + n * np.log(radius / (2.0 * EXPLAINED_DISTANCE))
     return min(float((part - gammaln(0.5 * n + 1.0)) / np.log(10.0)), 0.0)
+
+
+def log_chance_of_exact_edges(
+    distances: Float[np.ndarray, "edges"], absorbed: float = 0.0
+) -> float:
+    """Return the decimal logarithm of how many sets of edges fit so well by chance.
+
+    An edge of something else beside one of the object's is no evidence against the others. Of the
+    sets of k best edges the one counts that chance explains least, and the number of sets that it
+    was chosen from counts against it: all of k out of n, for each k, as in Moisan and Stival.
+
+    Args:
+        distances: of the measured edges from the model, px.
+        absorbed: as in `log_chance_of_exactness`.
+    """
+    n, squares = len(distances), np.cumsum(np.sort(distances) ** 2)
+    sizes = range(MIN_EXACT_EDGES, n + 1)
+    logs = [
+        np.log10(len(sizes) * binom(n, k))
+        + log_chance_of_exactness(float(np.sqrt(squares[k - 1] / k)), k, absorbed)
+        for k in sizes
+    ]
+    return float(min(0.0, *logs)) if logs else 0.0

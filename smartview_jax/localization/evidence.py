@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..modeling import SeenViews
+from .chance import log_chance_of_exact_edges
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
 from .refinement import measured_lines
@@ -40,6 +41,7 @@ class Evidence(NamedTuple):
         in_picture: part of the vertices within the picture, in the view that has most of them.
         in_front: part of its edges that no known object hides, all views together.
         log_likelihood: of the visible edges being found or not, over their being clutter.
+        log_exactness: see `log_chance_of_exact_edges`.
     """
 
     explained: float
@@ -52,6 +54,7 @@ class Evidence(NamedTuple):
     in_picture: float
     in_front: float
     log_likelihood: float
+    log_exactness: float
 
 
 def evidence_of(
@@ -61,6 +64,7 @@ def evidence_of(
     lookup: EdgeLookup,
     strengths: Sequence[Float[np.ndarray, "_"]],
     chance: float,
+    absorbed: float = 0.0,
 ) -> Evidence:
     """Return what the pictures say for and against a pose.
 
@@ -71,11 +75,14 @@ def evidence_of(
         lookup: edge points of the views.
         strengths: gradients of all edge points of each view, grey levels per px.
         chance: share of visible length that clutter explains.
+        absorbed: how many numbers of the edges were explained by errors of the calibration, with
+            which the views are corrected.
     """
     lines = measured_lines(wireframe, views, lookup, pose, EXPLAINED_DISTANCE)
     visible, explained = lines.visible_px.sum(axis=1), lines.explained_px.sum(axis=1)
     in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
-    numbers = lines.offsets[lines.measured]
+    # The two numbers are distances at the mean and at the spread: their squares add up.
+    distances = np.linalg.norm(lines.offsets[lines.measured], axis=1)
     total, share = float(visible.sum()), float(explained.sum() / max(visible.sum(), 1.0))
     return Evidence(
         share,
@@ -83,12 +90,12 @@ def evidence_of(
         total,
         int(lines.measured.sum()),
         _partly_hidden(lines),
-        # The two numbers are distances at the mean and at the spread: their squares add up.
-        float(np.sqrt((numbers**2).sum(axis=1).mean())) if len(numbers) else np.inf,
+        float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
         _contrast(lines, strengths),
         float(lines.in_picture.max()),
         total / max(total + float(lines.behind_px.sum()), 1.0),
         log_likelihood_of(share, total, chance),
+        log_chance_of_exact_edges(distances, absorbed),
     )
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..features import PictureEvidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from .chance import Chance, ChancePoses, chance_of, chance_poses
+from .corrected_views import corrected_views
 from .distinct_poses import pose_distances
 from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup
@@ -137,10 +138,16 @@ class Scene:
         self.lookup = self._lookup()
 
     def evidence(
-        self, pose: Float[np.ndarray, "4 4"], wireframe: Wireframe, chance: float
+        self,
+        pose: Float[np.ndarray, "4 4"],
+        wireframe: Wireframe,
+        chance: float,
+        views: SeenViews | None = None,
+        absorbed: float = 0.0,
     ) -> Evidence:
-        """Return what the free edge points say of a pose."""
-        return evidence_of(pose, wireframe, self.views, self.lookup, self._strengths, chance)
+        """Return what the free edge points say of a pose, in views that may be corrected."""
+        views, strengths = self.views if views is None else views, self._strengths
+        return evidence_of(pose, wireframe, views, self.lookup, strengths, chance, absorbed)
 
     def measured(
         self, prepared: Sequence[Prepared], candidates: Sequence[Candidate]
@@ -319,6 +326,10 @@ class _Judging:
         if rivals:
             other = self._prepared[rivals[0].model].model.name
             name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
+        # Rivals are not corrected, and are compared with what is not corrected either.
+        if len(refined.calibration_error):
+            views = corrected_views(scene.views, self._uncertainty, refined.calibration_error)
+            evidence = scene.evidence(pose, one.fine, chance.mean, views, refined.absorbed)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         return Localization(one.model, best.model, refined, verdict, tuple(rivals))

@@ -98,6 +98,9 @@ class PoseStep(NamedTuple):
         tangent: best tangent of the pose.
         pictures, calibration, model: parts of its covariance; their sum is the whole.
         calibration_jacobian: derivatives of the tangent by the numbers of the calibration.
+        calibration_error: likeliest errors of these numbers, given their covariance.
+        absorbed: how many numbers of the equations these errors explain, between none and all that
+            are uncertain.
         chi_square: squared residuals after the step, whitened.
         degrees_of_freedom: number of equations minus six.
     """
@@ -107,6 +110,8 @@ class PoseStep(NamedTuple):
     calibration: Float[np.ndarray, "6 6"]
     model: Float[np.ndarray, "6 6"]
     calibration_jacobian: Float[np.ndarray, "6 numbers"]
+    calibration_error: Float[np.ndarray, "numbers"]
+    absorbed: float
     chi_square: float
     degrees_of_freedom: int
 
@@ -162,6 +167,12 @@ def solve_pose(
     G = covariance @ WJ.T
     rest = equations.residuals - equations.by_pose @ tangent
     from_calibration, from_model = (G @ part @ G.T for part in (by_calibration, by_model))
+    # The best linear prediction of the common errors is S B^T W (r - J t), and of the equations it
+    # takes the trace of S B^T (W - W J C J^T W) B.
+    B = equations.by_calibration
+    WB, SBT = cho_solve(factor, B), errors.calibration @ B.T
+    free = WB - WJ @ (G @ B)
+    weighted_rest = cho_solve(factor, rest)
     # What is neither of calibration nor of model is of pictures: these, and those of the prior.
     return PoseStep(
         tangent,
@@ -169,8 +180,10 @@ def solve_pose(
         from_calibration,
         from_model,
         # A larger number moves the prediction, and with it the residuals the other way.
-        -G @ equations.by_calibration,
-        float(rest @ cho_solve(factor, rest)),
+        -G @ B,
+        SBT @ weighted_rest,
+        float(np.einsum("ij,ji->", SBT, free)),
+        float(rest @ weighted_rest),
         len(rest) - 6,
     )
 

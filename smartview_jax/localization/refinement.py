@@ -61,6 +61,8 @@ class RefinedPose(NamedTuple):
             translation first: `world_from_object @ SE3.exp(tangent)`; m and rad.
         calibration_jacobian: derivatives of that tangent by the numbers of the
             `CalibrationUncertainty` of the views; what else depends on them errs together with it.
+        calibration_error: likeliest errors of these numbers, as the object's edges show them.
+        absorbed: how many of the edges' numbers these errors explain.
         edge_sigma: standard deviation, estimated, by which whole edges of the pictures differ from
             those of the model, px.
         chi_square, degrees_of_freedom: of the residuals, whitened.
@@ -73,6 +75,8 @@ class RefinedPose(NamedTuple):
     calibration: Float[np.ndarray, "6 6"]
     model: Float[np.ndarray, "6 6"]
     calibration_jacobian: Float[np.ndarray, "6 numbers"]
+    calibration_error: Float[np.ndarray, "numbers"]
+    absorbed: float
     edge_sigma: float
     chi_square: float
     degrees_of_freedom: int
@@ -185,6 +189,7 @@ def refine_pose(
             # Two equations of an edge are kept or left out together, so that one of them tells.
             used[lines.measured] = keep[:edge_rows:2]
             parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
+            parts = *parts, step.calibration_error, step.absorbed
             fit = step.chi_square, step.degrees_of_freedom
             return RefinedPose(pose, *parts, edge_sigmas[0], *fit, lines, used)
     raise AssertionError("the last step returns")

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..modeling import ObjectModel
-from .chance import Chance, log_chance_of_exactness
+from .chance import Chance
 from .evidence import Evidence
 
 ACCEPTED_SHARE, REJECTED_SHARE = 0.82, 0.4
@@ -144,10 +144,12 @@ def judge(
     probability = max(own.probability_above(evidence.explained), 1e-300)
     log_false_alarms = float(np.log10(max(tested, 1)) + np.log10(probability))
     share, rms = evidence.explained, evidence.edge_rms
+    is_certain = _is_certain(evidence, log_false_alarms)
     against = []
     if share < REJECTED_SHARE:
         against.append(f"only {share:.0%} of its visible edges are in the pictures")
-    if log_false_alarms > 0.0:
+    # Much else may explain as much, but not by edges that fit so well.
+    if log_false_alarms > 0.0 and not is_certain:
         against.append(
             f"clutter explains as much: {chance.mean:.0%} +- {chance.std:.0%} elsewhere, "
             f"{share:.0%} here"
@@ -159,7 +161,6 @@ def judge(
     if against:
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
     doubts = []
-    is_certain = _is_certain(evidence, log_false_alarms)
     if share < _accepted_share(evidence, is_certain):
         loosely = f", and fit to {rms:.2f} px" if share >= ACCEPTED_SHARE else ""
         doubts.append(f"only {share:.0%} of its visible edges are in the pictures{loosely}")
@@ -194,9 +195,8 @@ def judge(
 
 def _is_certain(evidence: Evidence, log_false_alarms: float) -> bool:
     """Return whether chance is out of the question, because so many edges fit exactly."""
-    exactness = log_chance_of_exactness(evidence.edge_rms, evidence.edges)
     is_exact = evidence.edge_rms <= EXACT_EDGE_RMS
-    return is_exact and log_false_alarms + exactness <= CERTAIN_LOG_FALSE_ALARMS
+    return is_exact and log_false_alarms + evidence.log_exactness <= CERTAIN_LOG_FALSE_ALARMS
 
 
 def _accepted_share(evidence: Evidence, is_certain: bool) -> float:

@@ -2,8 +2,14 @@
 
 import numpy as np
 import pytest
+from placed_box import MODEL, POSE
 
-from smartview_jax.localization.chance import log_chance_of_exactness
+from smartview_jax.localization.chance import (
+    ChancePoses,
+    chance_of,
+    log_chance_of_exact_edges,
+    log_chance_of_exactness,
+)
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 
 
@@ -21,3 +27,37 @@ def test_few_edges_say_nothing_and_inexact_ones_no_more_than_that():
     assert log_chance_of_exactness(0.05, 3) == 0.0
     assert log_chance_of_exactness(10.0, 12) == 0.0
     assert log_chance_of_exactness(0.05, 14) < -15.0
+
+
+def test_numbers_that_the_calibration_absorbs_are_no_evidence():
+    assert log_chance_of_exactness(0.3, 10, 4.0) == log_chance_of_exactness(0.3, 8)
+
+
+def test_one_wrong_edge_leaves_the_others_exact():
+    exact = np.full(11, 0.05)
+    alone = log_chance_of_exact_edges(exact)
+    with_wrong = log_chance_of_exact_edges(np.append(exact, 0.9))
+    # Any of twelve might have been the wrong one.
+    assert alone < with_wrong < alone + np.log10(12.0) + 0.1
+    assert with_wrong < log_chance_of_exactness(np.sqrt((11 * 0.05**2 + 0.9**2) / 12), 12) - 4.0
+
+
+def test_sets_of_edges_that_fit_by_chance_are_as_rare_as_said():
+    """Edges anywhere within the distance: no more than one in ten has a set of one in ten."""
+    rng = np.random.default_rng(5)
+    numbers = rng.uniform(-EXPLAINED_DISTANCE, EXPLAINED_DISTANCE, (4000, 9, 2))
+    logs = [log_chance_of_exact_edges(np.linalg.norm(one, axis=1)) for one in numbers]
+    assert (np.array(logs) < -1.0).mean() < 0.1
+
+
+def test_a_pose_of_which_next_to_nothing_is_seen_tells_nothing_of_chance():
+    """One edge point explained the 43 px of a wireframe that were within the pictures."""
+    rng = np.random.default_rng(0)
+    poses = np.tile(POSE, (20, 1, 1))
+    poses[:, :3, 3] += 0.2
+    visible = rng.uniform(1500.0, 2500.0, 20)
+    lengths = np.column_stack([visible, rng.uniform(0.04, 0.12, 20) * visible])
+    usual = chance_of(POSE, MODEL, ChancePoses(poses, lengths))
+    lengths = np.concatenate([lengths, [[43.0, 43.0]]])
+    found = chance_of(POSE, MODEL, ChancePoses(np.concatenate([poses, poses[:1]]), lengths))
+    assert found == usual

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.localization import Chance, Evidence, judge
+from smartview_jax.localization.chance import log_chance_of_exact_edges
 from smartview_jax.localization.verdict import ACCEPTED_SHARE
 
 CLUTTER = Chance(0.25, 0.08)
@@ -17,11 +18,14 @@ CLEAR = Evidence(
     in_picture=1.0,
     in_front=1.0,
     log_likelihood=300.0,
+    log_exactness=0.0,
 )
 
 
 def verdict(chance=CLUTTER, margin=np.inf, uncertainty=0.0, **changes):
     evidence = CLEAR._replace(**changes)
+    exactness = log_chance_of_exact_edges(np.full(evidence.edges, evidence.edge_rms))
+    evidence = evidence._replace(log_exactness=exactness)
     return judge(evidence, chance, 24, margin, uncertainty=uncertainty)
 
 
@@ -78,6 +82,13 @@ def test_exact_edges_count_against_chance():
     dense = Chance(0.72, 0.12)
     assert verdict(dense, explained=0.97).decision == "accepted"
     assert any("by chance" in r for r in verdict(dense, explained=0.97, edge_rms=0.6).reasons)
+
+
+def test_what_fits_exactly_is_not_rejected_for_what_chance_explains():
+    exact = CLEAR._replace(edges=22, edge_rms=0.05, log_exactness=-40.0)
+    dense = Chance(0.9, 0.1)
+    assert judge(exact, dense, 24, np.inf).decision == "accepted"
+    assert judge(exact._replace(log_exactness=-5.0), dense, 24, np.inf).decision == "rejected"
 
 
 def test_accepted_share_is_not_met_by_chance():

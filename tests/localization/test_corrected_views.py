@@ -1,0 +1,99 @@
+"""An estimated calibration displaces each picture: that is taken away before edges are judged."""
+
+import jax
+import numpy as np
+import pytest
+from drawn_edges import camera, drawn, seen_views
+from placed_box import MIDDLE, MODEL, POSE, placed, projected
+
+import smartview_jax as sv
+from smartview_jax.engine import Noise
+from smartview_jax.geometry import host_exponentials
+from smartview_jax.localization import FIT_SAMPLES, EdgeLookup, Wireframe, refine_pose
+from smartview_jax.localization.corrected_views import corrected_views
+from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
+from smartview_jax.localization.evidence import evidence_of
+from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations, solve_pose
+from smartview_jax.modeling import CalibrationUncertainty
+
+NOISE = Noise(0.1, 3e-4, float(np.deg2rad(0.05)))
+
+
+@pytest.fixture(scope="module")
+def views():
+    return seen_views(MIDDLE)
+
+
+@pytest.fixture(scope="module")
+def uncertainty(views):
+    calibration = sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
+    return CalibrationUncertainty.of(views, calibration, None, NOISE)
+
+
+def test_common_errors_are_those_of_a_least_squares_fit_that_has_them_as_unknowns():
+    rng = np.random.default_rng(0)
+    rows, numbers = 20, 4
+    J, B = rng.standard_normal((rows, 6)), rng.standard_normal((rows, numbers))
+    root = rng.standard_normal((numbers, numbers))
+    r, variances = rng.standard_normal(rows), rng.uniform(0.5, 2.0, rows)
+    equations = PoseEquations(
+        r, J, np.diag(variances), B, np.zeros((rows, 0)), np.arange(rows) // 2
+    )
+    step = solve_pose(equations, CommonErrors(root @ root.T, np.zeros((0, 0))))
+    # The unknowns are the tangent, and x with errors = root x, each x of unit variance.
+    weights = 1.0 / np.sqrt(variances)[:, None]
+    A = np.block([[weights * J, weights * (B @ root)], [np.zeros((numbers, 6)), np.eye(numbers)]])
+    best = np.linalg.lstsq(A, np.append(weights[:, 0] * r, np.zeros(numbers)), rcond=None)[0]
+    np.testing.assert_allclose(step.tangent, best[:6], atol=1e-10)
+    np.testing.assert_allclose(step.calibration_error, root @ best[6:], atol=1e-10)
+    # Of the trace of the hat matrix, what is more than that of the pose alone.
+    hat = A[:rows] @ np.linalg.inv(A.T @ A) @ A[:rows].T
+    assert step.absorbed == pytest.approx(np.trace(hat) - 6.0)
+
+
+def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(views, uncertainty):
+    rng, wireframe = np.random.default_rng(1), Wireframe.of(MODEL, FIT_SAMPLES)
+    sizes = np.repeat([NOISE.translation, NOISE.rotation], 3)
+    gains, misses = [], []
+    for _ in range(6):
+        twists = host_exponentials(sizes * rng.standard_normal((2, 6)))
+        true = views._replace(camera_from_world=twists @ views.camera_from_world)
+        pictures = drawn(MODEL, true, POSE, 0.05, rng)
+        lookup = EdgeLookup.of(pictures, views.camera.image_size)
+        found = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
+        corrected = corrected_views(views, uncertainty, found.calibration_error)
+        strengths = [one.strengths for one in pictures]
+        before, after = (
+            evidence_of(found.world_from_object, wireframe, own, lookup, strengths, 0.2)
+            for own in (views, corrected)
+        )
+        assert before.edge_rms < EXPLAINED_DISTANCE
+        assert after.explained >= before.explained
+        assert 0.0 < found.absorbed < 12.0
+        gains.append(after.edge_rms / before.edge_rms)
+        # The corner pixels are those of the true views, which only the judge knows.
+        seen = projected(true, placed(MODEL.vertices))
+        misses.append(
+            [
+                np.abs(projected(own, placed(MODEL.vertices, found.world_from_object)) - seen).max()
+                for own in (views, corrected)
+            ]
+        )
+    assert np.median(gains) < 0.3
+    nominal, mended = np.median(misses, axis=0)
+    assert mended < 0.3 * nominal
+
+
+def test_an_exact_calibration_is_left_as_it_is(views):
+    assert corrected_views(views, CalibrationUncertainty.none(views), np.zeros(0)) is views
+
+
+def test_numbers_of_the_camera_are_corrected_too(views, uncertainty):
+    count = sum(np.size(leaf) for leaf in jax.tree.leaves(views.camera))
+    jacobian = np.zeros((2, count + 6, 1))
+    jacobian[:, 0] = 2.0
+    own = uncertainty._replace(view_jacobian=jacobian)
+    moved = corrected_views(views, own, np.array([1.5])).camera
+    before, after = jax.tree.leaves(views.camera), jax.tree.leaves(moved)
+    assert float(after[0]) == float(before[0]) + 3.0
+    np.testing.assert_array_equal(np.hstack(after[1:]), np.hstack(before[1:]))
