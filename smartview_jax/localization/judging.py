@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ..features import PictureEvidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from .chance import Chance, ChancePoses, chance_of, chance_poses
-from .distinct_poses import pose_distances
+from .distinct_poses import in_one_place, pose_distances
 from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of, log_likelihood_of
@@ -33,10 +33,6 @@ MAX_JUDGED = 12
 
 SAME_POSE = 0.04
 """Largest RMS distance between the vertices of poses that count as one, over the model's extent."""
-
-SAME_PLACE = 0.5
-"""Distance between the middles of two objects, over the smaller extent, that cannot both be there.
-"""
 
 TYPICAL_CHANCE = 0.25
 """The share of an edge that clutter is taken to explain until it is measured, to rank poses."""
@@ -261,8 +257,12 @@ class _Judging:
     def _elsewhere(self, one: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the candidates that are not where an object is."""
         # Two solids are not in one place.
-        own, pose = self._prepared[one.model_index], one.world_from_object
-        return [c for c in candidates if not _overlap(own, pose, self._prepared[c.model], c.pose)]
+        own, pose = self._prepared[one.model_index].model, one.world_from_object
+        return [
+            c
+            for c in candidates
+            if not in_one_place(own, pose, self._prepared[c.model].model, c.pose)
+        ]
 
     def take(self, one: Localization) -> None:
         """Take the edge points that an object explains, and what an accepted one hides."""
@@ -332,7 +332,11 @@ class _Judging:
     ) -> list[Rival]:
         """Return the other explanations of what is at one place, the best first."""
         one = self._prepared[best.model]
-        there = [c for c in others if _overlap(one, pose, self._prepared[c.model], c.pose)]
+        there = [
+            c
+            for c in others
+            if in_one_place(one.model, pose, self._prepared[c.model].model, c.pose)
+        ]
         there = [
             c
             for c in there
@@ -347,14 +351,3 @@ class _Judging:
                 likelihood = self.scene.evidence(other.pose, fine, chance.mean).log_likelihood
             rivals.append(Rival(other.model, other.pose, likelihood))
         return sorted(rivals, key=lambda rival: -rival.log_likelihood)
-
-
-def _overlap(
-    one: Prepared,
-    pose: Float[np.ndarray, "4 4"],
-    other: Prepared,
-    its_pose: Float[np.ndarray, "4 4"],
-) -> bool:
-    """Return whether two objects would be in one place."""
-    apart = np.linalg.norm(one.middle_at(pose) - other.middle_at(its_pose))
-    return bool(apart < SAME_PLACE * min(one.extent, other.extent))
