@@ -22,7 +22,7 @@ from .known_surfaces import KnownSurfaces
 from .localization import Localization, Rival
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
-from .verdict import REJECTED_SHARE, judge, relative_std
+from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, relative_std
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -313,8 +313,9 @@ class _Judging:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
         evidence = scene.evidence(pose, one.fine, chance.mean)
-        rivals = self._rivals(best, pose, others, chance)
-        margin = evidence.log_likelihood - rivals[0].log_likelihood if rivals else np.inf
+        own = evidence.log_likelihood
+        rivals = self._distinct(best, pose, own, chance, self._rivals(best, pose, others, chance))
+        margin = own - rivals[0].log_likelihood if rivals else np.inf
         name = ""
         if rivals:
             other = self._prepared[rivals[0].model].model.name
@@ -330,7 +331,7 @@ class _Judging:
         others: Sequence[Candidate],
         chance: Chance,
     ) -> list[Rival]:
-        """Return the other explanations of what is at one place, the best first."""
+        """Return the other explanations of what is at one place."""
         one = self._prepared[best.model]
         there = [
             c
@@ -350,4 +351,58 @@ class _Judging:
                 fine = self._prepared[other.model].fine
                 likelihood = self.scene.evidence(other.pose, fine, chance.mean).log_likelihood
             rivals.append(Rival(other.model, other.pose, likelihood))
-        return sorted(rivals, key=lambda rival: -rival.log_likelihood)
+        return rivals
+
+    def _distinct(
+        self,
+        best: Candidate,
+        pose: Float[np.ndarray, "4 4"],
+        own: float,
+        chance: Chance,
+        rivals: Sequence[Rival],
+    ) -> list[Rival]:
+        """Return the rivals that stay others when those that decide are fitted, the best first.
+
+        Few samples and a wide search leave a pose short of the one to which its edges draw it: some
+        rivals are but the pose itself, not yet drawn there.
+
+        Args:
+            best, pose: what is judged, and its fitted pose.
+            own: log-likelihood of that pose.
+            chance: that it was computed with.
+            rivals: in any order.
+        """
+        one, kept = self._prepared[best.model], list[Rival]()
+        for rival in sorted(rivals, key=lambda rival: -rival.log_likelihood):
+            is_close = own - rival.log_likelihood < MIN_MARGIN
+            if not is_close or rival.model != best.model:
+                kept.append(rival)
+                continue
+            fitted = self._fitted(rival, chance)
+            # Neither the pose itself nor a rival that another one was drawn to.
+            known = [pose, *(r.world_from_object for r in kept if r.model == best.model)]
+            apart = pose_distances(one.model, fitted.world_from_object, np.stack(known))
+            if apart.min() >= one.same:
+                kept.append(fitted)
+        return sorted(kept, key=lambda rival: -rival.log_likelihood)
+
+    def _fitted(self, rival: Rival, chance: Chance) -> Rival:
+        """Return a rival at its fitted pose; as it is where that explains less, or is none."""
+        one, scene = self._prepared[rival.model], self.scene
+        try:
+            refined = refine_pose(
+                rival.world_from_object,
+                one.model,
+                one.fine,
+                scene.views,
+                scene.lookup,
+                self._uncertainty,
+            )
+        except ValueError:
+            return rival
+        pose = refined.world_from_object
+        likelihood = scene.evidence(pose, one.fine, chance.mean).log_likelihood
+        # A fit that leaves edges out says nothing against the pose that has them.
+        if likelihood < rival.log_likelihood:
+            return rival
+        return Rival(rival.model, pose, likelihood)

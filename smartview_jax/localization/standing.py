@@ -85,7 +85,8 @@ def hidden_in_views(
     hidden = np.zeros((len(centres), len(points)), dtype=bool)
     on_device = to_device(centres), to_device(points)
     for one in standing:
-        hidden |= np.asarray(_are_behind(*map(to_device, one), *on_device))
+        faces = to_device(one.triangles), to_device(one.triangle_faces)
+        hidden |= np.asarray(_are_behind(*faces, *on_device))
     return hidden
 
 
