@@ -220,6 +220,12 @@ def _solid_walls(cell: SimulatedCell, kind: str) -> list[Polyhedron]:
     return [box(*one.size).moved(one.world_from_box @ _centred(one.size)) for one in cell.fixtures]
 
 
+def walls_of(cell: SimulatedCell, kind: str) -> np.ndarray:
+    """Return the triangles of the bin's walls in the world, m; none where there is no bin."""
+    walls = [one.vertices[one.triangles] for one in _solid_walls(cell, kind)]
+    return np.concatenate([np.zeros((0, 3, 3)), *walls])
+
+
 def _centred(size: np.ndarray) -> np.ndarray:
     """Return the pose at which a box of `simulation.box` has its middle in the origin."""
     pose = np.eye(4)

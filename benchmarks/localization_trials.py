@@ -38,6 +38,7 @@ from .localization_cells import (
     cell_scene,
     taken,
     true_calibration,
+    walls_of,
     workspace_of,
 )
 from .localization_scenes import model_of, solids
@@ -270,7 +271,10 @@ def _third_views(
     if not looked_at:
         return {}
     try:
-        chosen = next_view(looked_at, truth, Reachable(distance=THIRD_DISTANCE), models=models)
+        chosen = next_view(
+            looked_at, truth, Reachable(distance=THIRD_DISTANCE), models=models,
+            neighbours=found, known=walls_of(cell, scene.kind),
+        )  # fmt: skip
     except ValueError:
         return {}
     result: dict[str, Any] = {"before": _judged(scene, found)}

@@ -1,4 +1,4 @@
-"""Keep one of several poses that are almost the same, up to the symmetry of the object."""
+"""Tell which poses are almost the same, up to the symmetry of the object, or in one place."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,6 +7,25 @@ from ..modeling import ObjectModel
 
 SAME_POSE_DISTANCE = 0.06
 """Distance of vertices at two poses, RMS over the object's extent, below which they are one."""
+
+SAME_PLACE = 0.5
+"""Distance between the middles of two objects, over the smaller extent, that cannot both be there.
+"""
+
+
+def in_one_place(
+    model: ObjectModel,
+    pose: Float[np.ndarray, "4 4"],
+    other: ObjectModel,
+    its_pose: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Return whether two objects, each at its world_from_object, would be in one place."""
+    middles = [
+        p[:3, :3] @ m.vertices.mean(axis=0) + p[:3, 3]
+        for m, p in ((model, pose), (other, its_pose))
+    ]
+    smaller = min(float(np.ptp(one.vertices, axis=0).max()) for one in (model, other))
+    return bool(np.linalg.norm(middles[0] - middles[1]) < SAME_PLACE * smaller)
 
 
 def pose_distances(

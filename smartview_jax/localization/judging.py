@@ -14,7 +14,7 @@ from ..features import PictureEvidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .corrected_views import corrected_views
-from .distinct_poses import pose_distances
+from .distinct_poses import in_one_place, pose_distances
 from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of, log_likelihood_of
@@ -23,7 +23,7 @@ from .known_surfaces import KnownSurfaces
 from .localization import Localization, Rival
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
-from .verdict import REJECTED_SHARE, judge, relative_std
+from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, relative_std
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -34,10 +34,6 @@ MAX_JUDGED = 12
 
 SAME_POSE = 0.04
 """Largest RMS distance between the vertices of poses that count as one, over the model's extent."""
-
-SAME_PLACE = 0.5
-"""Distance between the middles of two objects, over the smaller extent, that cannot both be there.
-"""
 
 TYPICAL_CHANCE = 0.25
 """The share of an edge that clutter is taken to explain until it is measured, to rank poses."""
@@ -268,8 +264,12 @@ class _Judging:
     def _elsewhere(self, one: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the candidates that are not where an object is."""
         # Two solids are not in one place.
-        own, pose = self._prepared[one.model_index], one.world_from_object
-        return [c for c in candidates if not _overlap(own, pose, self._prepared[c.model], c.pose)]
+        own, pose = self._prepared[one.model_index].model, one.world_from_object
+        return [
+            c
+            for c in candidates
+            if not in_one_place(own, pose, self._prepared[c.model].model, c.pose)
+        ]
 
     def take(self, one: Localization) -> None:
         """Take the edge points that an object explains, and what an accepted one hides."""
@@ -320,8 +320,9 @@ class _Judging:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
         evidence = scene.evidence(pose, one.fine, chance.mean)
-        rivals = self._rivals(best, pose, others, chance)
-        margin = evidence.log_likelihood - rivals[0].log_likelihood if rivals else np.inf
+        own = evidence.log_likelihood
+        rivals = self._distinct(best, pose, own, chance, self._rivals(best, pose, others, chance))
+        margin = own - rivals[0].log_likelihood if rivals else np.inf
         name = ""
         if rivals:
             other = self._prepared[rivals[0].model].model.name
@@ -341,9 +342,13 @@ class _Judging:
         others: Sequence[Candidate],
         chance: Chance,
     ) -> list[Rival]:
-        """Return the other explanations of what is at one place, the best first."""
+        """Return the other explanations of what is at one place."""
         one = self._prepared[best.model]
-        there = [c for c in others if _overlap(one, pose, self._prepared[c.model], c.pose)]
+        there = [
+            c
+            for c in others
+            if in_one_place(one.model, pose, self._prepared[c.model].model, c.pose)
+        ]
         there = [
             c
             for c in there
@@ -357,15 +362,58 @@ class _Judging:
                 fine = self._prepared[other.model].fine
                 likelihood = self.scene.evidence(other.pose, fine, chance.mean).log_likelihood
             rivals.append(Rival(other.model, other.pose, likelihood))
-        return sorted(rivals, key=lambda rival: -rival.log_likelihood)
+        return rivals
 
+    def _distinct(
+        self,
+        best: Candidate,
+        pose: Float[np.ndarray, "4 4"],
+        own: float,
+        chance: Chance,
+        rivals: Sequence[Rival],
+    ) -> list[Rival]:
+        """Return the rivals that stay others when those that decide are fitted, the best first.
 
-def _overlap(
-    one: Prepared,
-    pose: Float[np.ndarray, "4 4"],
-    other: Prepared,
-    its_pose: Float[np.ndarray, "4 4"],
-) -> bool:
-    """Return whether two objects would be in one place."""
-    apart = np.linalg.norm(one.middle_at(pose) - other.middle_at(its_pose))
-    return bool(apart < SAME_PLACE * min(one.extent, other.extent))
+        Few samples and a wide search leave a pose short of the one to which its edges draw it: some
+        rivals are but the pose itself, not yet drawn there.
+
+        Args:
+            best, pose: what is judged, and its fitted pose.
+            own: log-likelihood of that pose.
+            chance: that it was computed with.
+            rivals: in any order.
+        """
+        one, kept = self._prepared[best.model], list[Rival]()
+        for rival in sorted(rivals, key=lambda rival: -rival.log_likelihood):
+            is_close = own - rival.log_likelihood < MIN_MARGIN
+            if not is_close or rival.model != best.model:
+                kept.append(rival)
+                continue
+            fitted = self._fitted(rival, chance)
+            # Neither the pose itself nor a rival that another one was drawn to.
+            known = [pose, *(r.world_from_object for r in kept if r.model == best.model)]
+            apart = pose_distances(one.model, fitted.world_from_object, np.stack(known))
+            if apart.min() >= one.same:
+                kept.append(fitted)
+        return sorted(kept, key=lambda rival: -rival.log_likelihood)
+
+    def _fitted(self, rival: Rival, chance: Chance) -> Rival:
+        """Return a rival at its fitted pose; as it is where that explains less, or is none."""
+        one, scene = self._prepared[rival.model], self.scene
+        try:
+            refined = refine_pose(
+                rival.world_from_object,
+                one.model,
+                one.fine,
+                scene.views,
+                scene.lookup,
+                self._uncertainty,
+            )
+        except ValueError:
+            return rival
+        pose = refined.world_from_object
+        likelihood = scene.evidence(pose, one.fine, chance.mean).log_likelihood
+        # A fit that leaves edges out says nothing against the pose that has them.
+        if likelihood < rival.log_likelihood:
+            return rival
+        return Rival(rival.model, pose, likelihood)

@@ -16,6 +16,7 @@ from ..geometry import host_matrices, look_at
 from ..modeling import ObjectModel, face_plane
 from ..robots import JointsLike, SerialArm
 from ..viewpoints import Limits, viewpoint_commands
+from .known_surfaces import checked_triangles
 from .localization import Localization
 from .view_gains import ViewGains
 
@@ -77,6 +78,8 @@ def next_view(
     *,
     noise: Noise | None = None,
     models: Sequence[ObjectModel] = (),
+    neighbours: Sequence[Localization] = (),
+    known: Float[np.ndarray, "triangles 3 3"] | None = None,
 ) -> NextView:
     """Return the reachable view that tells the remaining hypotheses apart and shrinks the pose.
 
@@ -110,7 +113,8 @@ def next_view(
     if not ok.any():
         reasons = sorted(set(commands.checks.reasons()))
         raise ValueError(f"reachable: none of {len(candidates)} views: {'; '.join(reasons[:4])}")
-    gains = ViewGains(objects, calibration, candidates, noise, models)
+    triangles = checked_triangles(known)
+    gains = ViewGains(objects, calibration, candidates, noise, models, neighbours, triangles)
     best = int(np.argmax(np.where(ok, gains.total, -np.inf)))
     if not gains.visible[best]:
         raise ValueError("reachable: no view that is reached shows an edge of the objects")

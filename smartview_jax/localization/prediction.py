@@ -106,8 +106,12 @@ def _hidden(
     own: Bool[Array, "n F"],
 ) -> Bool[Array, "n"]:
     """Return which points are hidden, with the faces to which each belongs."""
+    # The point itself is at 1 of its ray; what is nearer to it than the margin does not count.
+    reach = _norm(points - centre[None])
+    last = 1.0 - wireframe.margin / jnp.maximum(reach, wireframe.margin)
+    before = faces_before(wireframe.triangles, wireframe.triangle_faces, centre, points, last)
     # A face does not hide its own border.
-    covered = (_faces_before(wireframe, centre, points) & ~own).any(axis=1)
+    covered = (before & ~own).any(axis=1)
     return covered | _turned_away(wireframe, centre, own)
 
 
@@ -129,18 +133,29 @@ def _turned_away(
     return (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
 
 
-def _faces_before(
-    wireframe: Wireframe, centre: Float[Array, "3"], points: Float[Array, "n 3"]
+def faces_before(
+    triangles: Float[Array, "T 3 3"],
+    triangle_faces: Float[Array, "T F"],
+    centre: Float[Array, "3"],
+    points: Float[Array, "n 3"],
+    last: Float[Array, "n"],
 ) -> Bool[Array, "n F"]:
     """Return which faces the rays from a centre to points pass through before they arrive.
 
     Reference: Moeller and Trumbore, Fast, minimum storage ray-triangle intersection, 1997.
+
+    Args:
+        triangles: of the faces.
+        triangle_faces: sign of each triangle in the row of its face, as of a `Wireframe`.
+        centre: the camera's centre, in the same frame.
+        points: at which the rays arrive.
+        last: part of each ray, from the centre to its point, within which faces count.
     """
     # With the ray c + t d, d = p - c, and the triangle v0, e1, e2:  c - v0 = -t d + u e1 + v e2.
     # By Cramer's rule, with s = c - v0, all four determinants are products of d or e2 with vectors
     # that are common to all rays:
     #     det = d . (e2 x e1),  det u = d . (e2 x s),  det v = d . (s x e1),  det t = e2 . (s x e1).
-    v0, e1, e2 = (wireframe.triangles[:, k] for k in range(3))
+    v0, e1, e2 = (triangles[:, k] for k in range(3))
     e1, e2, s = e1 - v0, e2 - v0, centre[None] - v0
     d = points - centre[None]
     det = d @ jnp.cross(e2, e1).T
@@ -149,14 +164,12 @@ def _faces_before(
     # All are compared after multiplication with det's sign: padded triangles have det = 0.
     sign, size = jnp.sign(det), jnp.abs(det)
     u, v, t = sign * det_u, sign * det_v, sign * det_t
-    # The point itself is at t = 1; what is nearer to it than the margin does not count.
-    last = 1.0 - wireframe.margin / jnp.maximum(_norm(d), wireframe.margin)
     # A ray along the border of two triangles passes through both rather than between them.
     slack = 1e-9 * size
     passed = (u >= -slack) & (v >= -slack) & (u + v <= size + slack)
     passed = passed & (t > 0.0) & (t < last[:, None] * size)
     # How often a ray winds through each face: triangles of opposite sign cancel.
-    return jnp.abs(passed.astype(d.dtype) @ wireframe.triangle_faces) > 0.5
+    return jnp.abs(passed.astype(d.dtype) @ triangle_faces) > 0.5
 
 
 def search_regions(

@@ -2,7 +2,8 @@
 
 A gain is in natural units of information: the expected difference of log-likelihoods between each
 hypothesis and its rivals, that there is nothing at all being one, and half the logarithm by which
-the covariance of the grasp shrinks.
+the covariance of the grasp shrinks. What known surfaces and other objects hide of an object in a
+view tells nothing of it there.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH
 from .localization import Localization
 from .prediction import pose_jacobians, predict_view
+from .standing import Standing, hidden_in_views, leading, standing_beside
 from .verdict import MIN_MARGIN
 from .wireframe import Wireframe
 
@@ -59,6 +61,20 @@ class _Predicted(NamedTuple):
     information: Float[np.ndarray, "views 6 6"]
 
 
+class _Candidates(NamedTuple):
+    """Candidate views of one object.
+
+    Attributes:
+        calibration: with the camera.
+        camera_from_world: of the views.
+        standing: what may hide the object.
+    """
+
+    calibration: Calibration
+    camera_from_world: Float[np.ndarray, "views 4 4"]
+    standing: list[Standing]
+
+
 class ViewGains:
     """The expected gains of candidate views."""
 
@@ -69,14 +85,18 @@ class ViewGains:
         candidates: Float[np.ndarray, "views 4 4"],
         noise: Noise | None,
         models: Sequence[ObjectModel],
+        neighbours: Sequence[Localization],
+        known: Float[np.ndarray, "triangles 3 3"],
     ):
         count = len(candidates)
         self.discrimination, shrinkage = np.zeros(count), np.zeros(count)
         self.std_before, self.std_after = 0.0, np.zeros(count)
         self.visible = np.zeros(count, dtype=bool)
         self.rivals = 0
+        there = leading([*neighbours, *objects])
         for one in objects:
-            own = _predicted(one.model, one.world_from_object, calibration, candidates, one)
+            views = _Candidates(calibration, candidates, standing_beside(one, there, known))
+            own = _predicted(one.model, one.world_from_object, views, one)
             self.visible |= own.visible_px.sum(axis=1) > 0.0
             before, after = _grasp_covariances(one, own, candidates, noise)
             shrinkage += 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
@@ -89,7 +109,7 @@ class ViewGains:
                     continue
                 margin = one.verdict.evidence.log_likelihood - rival.log_likelihood
                 model = one.model if rival.model == one.model_index else models[rival.model]
-                other = _predicted(model, rival.world_from_object, calibration, candidates, one)
+                other = _predicted(model, rival.world_from_object, views, one)
                 needed = max(ENOUGH_MARGIN - margin, 0.0)
                 self.rivals += needed > 0.0
                 gains.append(np.minimum(_difference(own, other), needed))
@@ -214,22 +234,25 @@ def _alike(first: _Predicted, second: _Predicted) -> Bool[np.ndarray, "views S"]
 def _predicted(
     model: ObjectModel,
     pose: Float[np.ndarray, "4 4"],
-    calibration: Calibration,
-    candidates: Float[np.ndarray, "views 4 4"],
+    views: _Candidates,
     one: Localization,
 ) -> _Predicted:
     """Return the visible edges of a hypothesis in all candidate views."""
+    candidates = views.camera_from_world
     wireframe, parts = Wireframe.of(model), []
     sigma = max(float(one.refined.edge_sigma), MIN_POINT_SIGMA)
     scatter = one.refined.lines.scatter[one.refined.used]
     point_sigma = max(float(np.median(scatter)) if len(scatter) else 0.0, MIN_POINT_SIGMA)
+    in_world = np.asarray(wireframe.samples) @ pose[:3, :3].T + pose[:3, 3]
     for start in range(0, len(candidates), POSES_PER_BATCH):
-        own = candidates[start : start + POSES_PER_BATCH] @ pose
+        own = candidates[start : start + POSES_PER_BATCH]
         padded = np.concatenate([own, np.repeat(own[-1:], POSES_PER_BATCH - len(own), axis=0)])
+        centres = np.linalg.inv(padded)[:, :3, 3]
         found = _predict_edges(
             wireframe,
-            calibration.camera,
-            to_device(padded),
+            views.calibration.camera,
+            to_device(padded @ pose),
+            to_device(hidden_in_views(views.standing, centres, in_world)),
             to_device(np.array([point_sigma, sigma])),
         )
         parts.append([np.asarray(array)[: len(own)] for array in found])
@@ -241,22 +264,27 @@ def _predict_edges(
     wireframe: Wireframe,
     camera: Camera,
     camera_from_object: Float[Array, "views 4 4"],
+    hidden: Bool[Array, "views S"],
     sigmas: Float[Array, "2"],
 ) -> tuple[Array, Array, Array, Array]:
     """Return the parts of `_Predicted`, for the noise of edge points and that of whole edges."""
 
-    def in_view(matrix: Float[Array, "4 4"]) -> tuple[Array, Array, Array, Array]:
+    def in_view(
+        matrix: Float[Array, "4 4"], behind: Bool[Array, "S"]
+    ) -> tuple[Array, Array, Array, Array]:
         view = predict_view(wireframe, camera, matrix)
-        px = jnp.where(view.sample_visible, view.sample_px, 0.0)
-        samples = jnp.where(view.sample_visible[:, None], view.samples, 0.0)
+        visible = view.sample_visible & ~behind
+        px = jnp.where(visible, view.sample_px, 0.0)
+        samples = jnp.where(visible[:, None], view.samples, 0.0)
         d = view.directions
         n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
         J = pose_jacobians(wireframe.samples, camera, matrix)[1]
-        J = jnp.einsum("si,sij->sj", n, jnp.where(view.sample_visible[:, None, None], J, 0.0))
+        J = jnp.einsum("si,sij->sj", n, jnp.where(visible[:, None, None], J, 0.0))
         # An edge of length l has the variance c s^2 / l + s_edge^2; a sample, its share of that.
-        length = jnp.maximum(view.edge_px[wireframe.sample_edges], 1.0)
+        edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges].add(px)
+        length = jnp.maximum(edge_px[wireframe.sample_edges], 1.0)
         variance = CORRELATED_LENGTH * sigmas[0] ** 2 / length + sigmas[1] ** 2
         weights = px / length / variance
         return samples, d, px, jnp.einsum("s,si,sj->ij", weights, J, J)
 
-    return jax.vmap(in_view)(camera_from_object)
+    return jax.vmap(in_view)(camera_from_object, hidden)

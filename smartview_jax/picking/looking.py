@@ -117,7 +117,9 @@ def look_for(
         try:
             # What is accepted is verified first, or else what is open is told apart.
             looked_at = found.accepted[:1] or found.open
-            view = next_view(looked_at, calibration, reachable, models=models)
+            view = next_view(
+                looked_at, calibration, reachable, models=models, neighbours=found, known=known
+            )
             commands.append(cell.move(_view_command(view)))
         except (CellError, ValueError) as error:
             notes.append(f"no further view: {error}")

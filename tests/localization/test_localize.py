@@ -21,6 +21,7 @@ from smartview_jax.engine import Noise
 from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
+from smartview_jax.localization.pose_convergence import lengths_of_poses
 from smartview_jax.modeling import ObjectModel, find_symmetry
 
 PLAIN = box()
@@ -110,6 +111,26 @@ def test_a_symmetry_that_is_not_known_is_ambiguous(pictures):
     assert [one.verdict.decision for one in found] == ["open"]
     assert "ambiguous" in found.messages[0]
     assert found[0].rivals
+
+
+def test_a_pose_that_is_drawn_to_the_found_one_is_no_rival(pictures, monkeypatch):
+    """The search may leave two poses apart that the fit brings together, and others it does not."""
+
+    def left_as_they_are(wireframe, views, lookup, poses):
+        return poses, lengths_of_poses(wireframe, views, lookup, poses)
+
+    monkeypatch.setattr("smartview_jax.localization.judging.poses_on_edges", left_as_they_are)
+    # All rivals decide, and 1 mm is another pose: what differs is 4 px.
+    monkeypatch.setattr("smartview_jax.localization.judging.MIN_MARGIN", 1e3)
+    monkeypatch.setattr("smartview_jax.localization.judging.SAME_POSE", 0.01)
+    near = POSE @ host_exponentials(np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    turned = POSE @ MODEL.symmetry.object_from_object[1]
+    found = find(pictures, PLAIN, [Hypothesis(0, p, 0.0, 0.0) for p in (POSE, near, turned)])
+    (rival,) = found[0].rivals
+    # Either may be the likelier by a hair.
+    both = np.stack([found[0].world_from_object, rival.world_from_object])
+    expected = np.stack([POSE, turned])[:: 1 if both[0, 0, 0] * POSE[0, 0] > 0.0 else -1]
+    np.testing.assert_allclose(both, expected, atol=1e-3)
 
 
 def test_another_object_is_not_accepted(pictures):
