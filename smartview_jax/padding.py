@@ -28,17 +28,15 @@ _Tree = TypeVar("_Tree")
 def padded_counts(views: int, points: int = 1) -> tuple[int, int]:
     """Return the numbers of views and of points to pad a data set to.
 
-    They are 8, 12, 16, 24, 32, 48 and so on; for a large data set they are those given.
+    They are powers of two, from 8 on; for a large data set they are those given.
     """
-    padded = _next_count(views), _next_count(points)
+    padded = _next_power_of_two(views), _next_power_of_two(points)
     return padded if padded[0] * padded[1] <= MAX_PADDED_OBSERVATIONS else (views, points)
 
 
-def _next_count(count: int) -> int:
-    """Return the smallest power of two, or three quarters of one, that is not below a count."""
-    power = 1 << max(count - 1, 0).bit_length()
-    three_quarters = 3 * power // 4
-    return max(three_quarters if count <= three_quarters else power, MIN_PADDED_COUNT)
+def _next_power_of_two(count: int) -> int:
+    """Return the smallest power of two that is not below a count, nor below the smallest count."""
+    return max(1 << (count - 1).bit_length(), MIN_PADDED_COUNT)
 
 
 def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:

@@ -202,7 +202,8 @@ def with_free_camera_poses(
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
     """Return the start with another lens, initialised from its own lens; None keeps its own."""
     # The region describes the data of an earlier fit, so that it does not apply to a start.
-    start = dataclasses.replace(start, region=None)
+    if start.region is not None:
+        start = dataclasses.replace(start, region=None)
     if lens is None:
         return start
     return eqx.tree_at(lambda c: c.camera.lens, start, initial_lens(lens, start.camera.lens))
