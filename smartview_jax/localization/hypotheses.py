@@ -1,8 +1,9 @@
 """Find the poses at which known objects may be in the pictures, without a start.
 
 Poses are proposed from corners and segments, scored by the edges of all pictures, made distinct,
-drawn to the edges, and scored again. Nothing is accepted here: every hypothesis is still to be
-fitted and judged.
+drawn to the edges, and scored again. One picture alone proposes paths of its corners, which are a
+small part of a large object: junctions far apart near the best of them propose once more. Nothing
+is accepted here: every hypothesis is still to be fitted and judged.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from jaxtyping import Bool, Float
 from ..features import IdealPlane, PictureEvidence
 from ..modeling import ObjectModel, SeenViews
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
+from .corner_triples import Junctions, poses_from_triples
 from .distinct_poses import distinct_poses
 from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
 from .scoring import PoseScores, SceneMaps, score_poses
@@ -24,14 +26,18 @@ from .wireframe import Wireframe
 MAX_PATHS_ALONE, MAX_PATHS = 300, 40
 """Largest number of paths of a picture, where it is the only one and where there are more."""
 
+WIDENED = 32
+"""Number of the best proposals of one picture near which distant junctions are searched for."""
+
 WORKSPACE_SLACK = 5e-3
 """Distance by which a proposal may leave the workspace, m: proposals err by some millimetres."""
 
 COARSE_SAMPLES, COARSE_GATE = 24, 8.0
 """Samples of the wireframe for the first scores, and their gate, px: proposals err by some px."""
 
-FINE_GATE = 4.0
-"""Gate of the scores of polished poses, px."""
+FINE_GATE, FINE_GATE_ALONE = 4.0, 2.0
+"""Gates of the scores of polished poses, px, in more pictures and in one. One picture leaves more
+freedom to wrong poses, whose edges all lie on others within some px, but not within one."""
 
 COMPARED, FINER_SCORED, POLISHED = 1024, 192, 64
 """Numbers of the best proposals that are compared with one another, to leave out those that are
@@ -85,6 +91,7 @@ def find_hypotheses(
     maps = SceneMaps.of(evidence, views)
     # What the pictures propose is the same for all models.
     paths, edges = _picture_proposals(evidence, views)
+    junctions = _junctions_alone(evidence, views)
     found: list[Hypothesis] = []
     for index, model in enumerate(models):
         proposed = [
@@ -92,7 +99,7 @@ def find_hypotheses(
             for own, camera_from_world in zip(paths, views.camera_from_world, strict=True)
         ]
         proposed += [poses_from_edges(pair, model) for pair in edges]
-        best, scores = _best(maps, model, np.concatenate(proposed), count, box)
+        best, scores = _best(maps, model, np.concatenate(proposed), junctions, count, box)
         found += [
             # Scores of different models compare: both are lengths in the same pictures.
             Hypothesis(index, pose, float(score), float(share))
@@ -126,30 +133,57 @@ def _picture_proposals(
     return paths, edges
 
 
+def _junctions_alone(evidence: Sequence[PictureEvidence], views: SeenViews) -> Junctions | None:
+    """Return the junctions of the picture, if it is the only one: two propose enough."""
+    if len(evidence) > 1:
+        return None
+    return Junctions.of(evidence[0].features, IdealPlane(views.camera), views.camera_from_world[0])
+
+
 def _best(
     maps: SceneMaps,
     model: ObjectModel,
     poses: Float[np.ndarray, "poses 4 4"],
+    junctions: Junctions | None,
     count: int,
     box: Float[np.ndarray, "2 3"] | None,
 ) -> tuple[Float[np.ndarray, "best 4 4"], PoseScores]:
     """Return the best distinct poses after polishing, with their scores."""
     coarse, fine = Wireframe.of(model, COARSE_SAMPLES), Wireframe.of(model)
-    poses = poses[_are_within(model, poses, box)]
-    # Ten thousand proposals and more: few samples, and no hidden lines but those of convex objects.
-    scores = score_poses(maps, coarse, poses, COARSE_GATE, convex=True)
-    poses = poses[np.argsort(-scores.surplus_px, kind="stable")[:COMPARED]]
+    poses = _coarse_ranked(maps, coarse, model, poses, box)
     # A clear object is proposed a hundred times, which would leave no place for the others.
     poses = poses[distinct_poses(model, poses, FINER_SCORED)]
+    wider = np.zeros((0, 4, 4))
+    if junctions is not None:
+        wider = poses_from_triples(junctions, fine, poses[:WIDENED])
+        wider = _coarse_ranked(maps, coarse, model, wider, box)
+        wider = wider[distinct_poses(model, wider, POLISHED)]
     poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
+    # Chosen apart: a wrong pose that three junctions fit may explain more than a right one does
+    # before both are polished.
+    poses = np.concatenate([poses, wider])
     # A wide gate saves proposals that err by degrees, and loses some that were nearly right.
     schedules = WIDE_GATES, NARROW_GATES
     poses = np.concatenate([polished_poses(maps, fine, poses, gates) for gates in schedules])
     # Some are drawn out of the workspace.
-    poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], FINE_GATE)
+    gate = FINE_GATE if junctions is None else FINE_GATE_ALONE
+    poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], gate)
     # Several proposals end in one place.
     kept = distinct_poses(model, poses, count)
     return poses[kept], PoseScores(*(part[kept] for part in scores))
+
+
+def _coarse_ranked(
+    maps: SceneMaps,
+    coarse: Wireframe,
+    model: ObjectModel,
+    poses: Float[np.ndarray, "poses 4 4"],
+    box: Float[np.ndarray, "2 3"] | None,
+) -> Float[np.ndarray, "best 4 4"]:
+    """Return the best of many proposals, the best first."""
+    poses = poses[_are_within(model, poses, box)]
+    # Ten thousand proposals and more: few samples, and no hidden lines but those of convex objects.
+    return _ranked(maps, coarse, poses, COARSE_GATE, convex=True)[0][:COMPARED]
 
 
 def _are_within(
@@ -164,9 +198,14 @@ def _are_within(
 
 
 def _ranked(
-    maps: SceneMaps, wireframe: Wireframe, poses: Float[np.ndarray, "poses 4 4"], gate: float
+    maps: SceneMaps,
+    wireframe: Wireframe,
+    poses: Float[np.ndarray, "poses 4 4"],
+    gate: float,
+    *,
+    convex: bool = False,
 ) -> tuple[Float[np.ndarray, "poses 4 4"], PoseScores]:
     """Return poses and their scores, the best first."""
-    scores = score_poses(maps, wireframe, poses, gate)
+    scores = score_poses(maps, wireframe, poses, gate, convex=convex)
     order = np.argsort(-scores.surplus_px, kind="stable")
     return poses[order], PoseScores(*(part[order] for part in scores))

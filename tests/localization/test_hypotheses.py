@@ -41,6 +41,19 @@ def test_an_object_of_many_corners_is_found_from_one_view(scene):
     assert ((angles < 1.0) & (shifts < 2.0))[:2].any()
 
 
+def test_distant_junctions_are_searched_for_in_one_view_only(scene, monkeypatch):
+    """Two views keep exactly what edges in space and paths propose."""
+
+    def refused(*_):
+        raise AssertionError("three distant junctions")
+
+    monkeypatch.setattr("smartview_jax.localization.hypotheses.poses_from_triples", refused)
+    assert find_hypotheses(scene.evidence, scene.views, scene.models[:1])
+    alone = SeenViews.of(CALIBRATION, np.linalg.inv(scene.views.camera_from_world[:1]))
+    with pytest.raises(AssertionError, match="three distant junctions"):
+        find_hypotheses(scene.evidence[:1], alone, scene.models[:1])
+
+
 def test_equal_poses_of_a_symmetric_object_are_listed_once(scene):
     model, truth = scene.models[1], scene.world_from_object[1]
     assert model.symmetry.order == 4
@@ -56,6 +69,8 @@ def test_pictures_without_segments_give_no_hypotheses(scene):
     evidence = [picture_evidence(ramp, CAMERA)] * 2
     assert not len(evidence[0].features.segments)
     assert find_hypotheses(evidence, scene.views, scene.models) == []
+    alone = SeenViews.of(CALIBRATION, np.linalg.inv(scene.views.camera_from_world[:1]))
+    assert find_hypotheses(evidence[:1], alone, scene.models) == []
 
 
 def test_searches_without_models_pictures_or_edges_are_refused(scene):
