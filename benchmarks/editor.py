@@ -145,13 +145,13 @@ def _page_times(session: ModelSession, count: int) -> list[float] | None:
     except ImportError:
         return None
     addresses: list[str] = []
-    threading.Thread(target=serve, args=(session, 0, addresses.append), daemon=True).start()
-    while not addresses:
-        time.sleep(0.02)
     with sync_playwright() as playwright:
         path = shutil.which("chromium") or playwright.chromium.executable_path
         if not Path(path).is_file():
             return None
+        threading.Thread(target=serve, args=(session, 0, addresses.append), daemon=True).start()
+        while not addresses:
+            time.sleep(0.02)
         browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
         page = browser.new_page(viewport={"width": 1600, "height": 1000})
         start = time.perf_counter()

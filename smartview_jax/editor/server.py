@@ -201,6 +201,13 @@ def serve(
         # The session is opened and closed by the caller, so the server needs no lifespan events.
         config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
         # Whoever opens the page looks at the pictures first; meanwhile the first click is prepared.
-        threading.Thread(target=session.prepare, daemon=True).start()
-        announce(f"http://{HOST}:{taken}/?token={token}")
-        uvicorn.Server(config).run([listener])
+        stop = threading.Event()
+        preparing = threading.Thread(target=session.prepare, args=(stop,), daemon=True)
+        preparing.start()
+        try:
+            announce(f"http://{HOST}:{taken}/?token={token}")
+            uvicorn.Server(config).run([listener])
+        finally:
+            # A thread that still computes when Python ends aborts the process.
+            stop.set()
+            preparing.join()

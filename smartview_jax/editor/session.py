@@ -9,6 +9,7 @@ session.save()
 import contextlib
 import dataclasses
 import os
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -290,8 +291,12 @@ class ModelSession(AbstractDrawing):
     ) -> None:
         self.close()
 
-    def prepare(self) -> None:
-        """Compile what the first clicks need, and find the features of all pictures."""
+    def prepare(self, stop: threading.Event | None = None) -> None:
+        """Compile what the first clicks need, and find the features of all pictures.
+
+        Args:
+            stop: set by another thread to leave out the pictures that are not begun yet.
+        """
         width, height = self.calibration.camera.image_size
         # Any pixel will do: the first call of each program is the slow one.
         middle = (0.5 * width, 0.5 * height)
@@ -299,6 +304,8 @@ class ModelSession(AbstractDrawing):
         self.geometry.curves(self.names[0], middle)
         self.geometry.pixels_of(np.zeros((1, 3)))
         for name in self.names:
+            if stop is not None and stop.is_set():
+                return
             # A picture without features can still be clicked; whoever asks for them is told why.
             with contextlib.suppress(ValueError):
                 self.features(name)

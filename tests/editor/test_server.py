@@ -1,5 +1,8 @@
 """Who is let in: this machine, with the token, from the page itself."""
 
+import threading
+import time
+
 import pytest
 from editor_scene import drawn_scene
 
@@ -87,6 +90,35 @@ def test_a_port_in_use_is_named(session):
         port = taken.getsockname()[1]
         with pytest.raises(OSError, match=f"port {port} of 127.0.0.1"):
             serve(session, port)
+
+
+def test_what_is_prepared_ends_with_the_server(session, monkeypatch):
+    """A thread that still computed when Python ended would abort the process."""
+    import uvicorn
+
+    ended = []
+
+    def prepare(stop):
+        assert stop.wait(timeout=60.0)
+        time.sleep(0.2)
+        ended.append(True)
+
+    monkeypatch.setattr(session, "prepare", prepare)
+    monkeypatch.setattr(uvicorn.Server, "run", lambda *_: None)
+    serve(session)
+    assert ended == [True]
+
+
+def test_preparing_stops_between_pictures(session, monkeypatch):
+    stop, looked_at = threading.Event(), []
+
+    def features(name):
+        looked_at.append(name)
+        stop.set()
+
+    monkeypatch.setattr(session, "features", features)
+    session.prepare(stop)
+    assert looked_at == [session.names[0]]
 
 
 def test_everything_that_the_page_loads_is_in_the_package():
