@@ -78,11 +78,11 @@ def compiled_optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters."""
-    # Level 0 takes the least time to compile; the emitters are left out for the same reason (see
-    # the module's docstring).
     # What JAX was told for all programs applies to these, too.
     if jax.config.values["jax_disable_most_optimizations"]:
         optimisation_level = 0
+    # Level 0 takes the least time to compile; the emitters are left out for the same reason (see
+    # the module's docstring).
     options = {
         "xla_backend_optimization_level": optimisation_level,
         "xla_cpu_use_fusion_emitters": False,

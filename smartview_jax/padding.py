@@ -5,6 +5,7 @@ and running the program milliseconds: a second data set, with one view more, sho
 for again. Padding repeats the last view and the last point; no padded point is visible.
 """
 
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
@@ -43,7 +44,7 @@ def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:
     """Append copies of the last entry to arrays, on the host, until they have a number of entries.
 
     Args:
-        arrays: pytree of arrays; one without entries stays as it is.
+        arrays: pytree of arrays; one without entries stays as it is, and one of NumPy one of NumPy.
         count: number of entries wanted; arrays with as many are returned as they are.
         axis: axis of the entries.
     """
@@ -54,9 +55,21 @@ def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:
             return x
         whole = np.asarray(x)
         last = np.take(whole, [-1], axis=axis)
-        return to_device(np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis))
+        padded = np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
+        return to_device(padded) if isinstance(x, jax.Array) else padded
 
     return jax.tree.map(pad, arrays)
+
+
+def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
+    """Return what a program makes of arrays by views, run with the padded number of views.
+
+    Args:
+        program: from arrays whose first axis is the views to such arrays.
+        by_view: pytree of its arguments, one array at least.
+    """
+    views = len(jax.tree.leaves(by_view)[0])
+    return without_padding(program(repeat_last(by_view, padded_counts(views)[0])), views)
 
 
 def without_padding(arrays: _Tree, *counts: int) -> _Tree:

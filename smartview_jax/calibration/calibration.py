@@ -37,7 +37,7 @@ from ..geometry import (
     transform_text,
     transform_to_dict,
 )
-from ..padding import padded_counts, repeat_last, without_padding
+from ..padding import over_padded_views
 from ..robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
@@ -221,9 +221,7 @@ class Calibration(eqx.Module):
         if is_traced(self, reported):
             return chain_matrices(*chain, reported)
         if self.robot_error is not None:
-            views = len(reported.base_from_tool.wxyz_xyz)
-            padded = repeat_last(reported, padded_counts(views)[0])
-            return without_padding(chain_matrices(*chain, padded), views)
+            return over_padded_views(lambda padded: chain_matrices(*chain, padded), reported)
         # The chain of Eq. 10 without a robot error is a product of matrices: nothing to compile.
         mount_from_holder = host_mount_from_holder(self.mount, reported.base_from_tool)
         return (

@@ -20,7 +20,7 @@ from ..cameras import AbstractLens, Camera, initial_lens
 from ..compilation import compiled, refuse_traced
 from ..dataset import Dataset, chain_residuals
 from ..geometry import host_transforms
-from ..padding import padded_counts, repeat_last, without_padding
+from ..padding import over_padded_views
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..robots import Command
 from .losses import AbstractLoss, loss_by_name
@@ -167,9 +167,7 @@ def prepared_poses(error: RobotError | None, reported: Command) -> Any:
     """Return what a robot error field needs of reported poses; None without a field."""
     if error is None:
         return None
-    views = len(reported.base_from_tool.wxyz_xyz)
-    padded = repeat_last(reported, padded_counts(views)[0])
-    return without_padding(_prepare(error.field, padded), views)
+    return over_padded_views(lambda padded: _prepare(error.field, padded), reported)
 
 
 @compiled

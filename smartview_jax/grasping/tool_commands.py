@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_matrices, host_transforms
+from ..padding import repeat_last
 from ..robots import Gripper, JointsLike, SerialArm
 from ..viewpoints import ViewpointCommands, viewpoint_commands
 from .scene import GraspScene
@@ -107,12 +108,9 @@ def padded_tool_commands(
 ) -> ViewpointCommands:
     """Return commands for poses, the last one repeated until their number is a multiple."""
     # -n mod k poses are missing to the next multiple of k.
-    extra = -len(world_from_tool) % multiple
-
-    def pad(rows: np.ndarray) -> np.ndarray:
-        return np.concatenate([rows, np.repeat(rows[-1:], extra, axis=0)])
-
-    return _commands(calibration, pad(world_from_tool), arm, None if near is None else pad(near))
+    count = len(world_from_tool) + -len(world_from_tool) % multiple
+    world_from_tool, near = repeat_last((world_from_tool, near), count)
+    return _commands(calibration, world_from_tool, arm, near)
 
 
 def _commands(

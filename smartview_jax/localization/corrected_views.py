@@ -13,6 +13,7 @@ from ..array_namespace import to_device
 from ..cameras import Camera
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty, SeenViews
+from ..padding import repeat_last
 
 
 def corrected_views(
@@ -33,8 +34,7 @@ def corrected_views(
     # All views have one camera; its numbers come before the twist of each view.
     camera = _moved_camera(views.camera, local[0, :-6])
     moved = host_exponentials(local[:, -6:]) @ views.camera_from_world
-    extra = len(views.padded) - len(moved)
-    padded = np.concatenate([moved, np.repeat(moved[-1:], extra, axis=0)])
+    padded = repeat_last(moved, len(views.padded))
     return views._replace(camera=camera, camera_from_world=moved, padded=padded)
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..array_namespace import to_device
 from ..features import EdgePoints
+from ..padding import repeat_last
 
 MIN_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
@@ -86,8 +87,7 @@ def padded_view_count(count: int) -> int:
 
 def padded_poses(poses: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "padded 4 4"]:
     """Return poses with the last one repeated up to `padded_view_count`."""
-    extra = padded_view_count(len(poses)) - len(poses)
-    return np.concatenate([poses, np.repeat(poses[-1:], extra, axis=0)])
+    return repeat_last(poses, padded_view_count(len(poses)))
 
 
 def _write_cells(

@@ -19,6 +19,7 @@ from ..array_namespace import to_device
 from ..cameras import Camera
 from ..compilation import compiled_optimised
 from ..modeling import SeenViews
+from ..padding import repeat_last
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .wireframe import Wireframe
@@ -134,8 +135,7 @@ def _in_batches(
     camera_from_world = to_device(padded_poses(views.camera_from_world))
 
     def of_batch(own: Float[np.ndarray, "poses 4 4"]) -> Any:
-        padding = np.repeat(own[-1:], POSES_PER_BATCH - len(own), axis=0)
-        batch = to_device(np.concatenate([own, padding]))
+        batch = to_device(repeat_last(own, POSES_PER_BATCH))
         found = program(wireframe, views.camera, lookup, camera_from_world, batch)
         return jax.block_until_ready(found)
 

@@ -21,6 +21,7 @@ from ..compilation import compiled_optimised
 from ..engine import Noise
 from ..geometry import host_adjoints, host_cross_matrices
 from ..modeling import ObjectModel
+from ..padding import repeat_last
 from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH
 from .localization import Localization
@@ -246,7 +247,7 @@ def _predicted(
     in_world = np.asarray(wireframe.samples) @ pose[:3, :3].T + pose[:3, 3]
     for start in range(0, len(candidates), POSES_PER_BATCH):
         own = candidates[start : start + POSES_PER_BATCH]
-        padded = np.concatenate([own, np.repeat(own[-1:], POSES_PER_BATCH - len(own), axis=0)])
+        padded = repeat_last(own, POSES_PER_BATCH)
         centres = np.linalg.inv(padded)[:, :3, 3]
         found = _predict_edges(
             wireframe,

@@ -16,6 +16,7 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
+from ..padding import repeat_last
 from ..robots import CommandLike
 from .view_poses import SeenViews, single_pose
 
@@ -236,8 +237,7 @@ def _project(
 ) -> tuple[Float[np.ndarray, "views samples 2"], Bool[np.ndarray, "views samples"]]:
     """Return the pixels of the ray's points at inverse depths, each view's own."""
     # Padded views repeat the last one, with its depths.
-    extra = len(views.padded) - len(inverse)
-    padded = np.concatenate([inverse, np.repeat(inverse[-1:], extra, axis=0)])
+    padded = repeat_last(inverse, len(views.padded))
     ray = np.stack([origin, direction])
     pixels, valid = _project_ray(
         views.camera, to_device(views.padded), to_device(ray), to_device(padded)

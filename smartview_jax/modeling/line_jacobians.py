@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..cameras import Camera
 from ..compilation import compiled
+from ..padding import repeat_last
 from .view_poses import SeenViews, padded_count, padded_to
 
 
@@ -101,8 +102,7 @@ def line_jacobians(
     view_count, count = visible.shape
     poses = views.padded
     if camera_from_world is not None:
-        extra = len(poses) - view_count
-        poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])
+        poses = repeat_last(camera_from_world, len(poses))
     shape = (len(poses), padded_count(count))
     # Padding is a line and a pixel that any camera can compute with, and that is not visible.
     filler = views.centres[0] + views.camera_from_world[0, 2, :3]

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..cameras import Camera
 from ..compilation import compiled
+from ..padding import repeat_last
 from .view_poses import SeenViews, padded_count, padded_to
 
 
@@ -46,8 +47,7 @@ def pixel_jacobians(
     view_count, count = len(views.camera_from_world), len(points)
     poses = views.poses_for(count)
     if camera_from_world is not None:
-        extra = len(poses) - view_count
-        poses = np.concatenate([camera_from_world, np.repeat(camera_from_world[-1:], extra, 0)])
+        poses = repeat_last(camera_from_world, len(poses))
     # A padded point may lie behind a camera: it is not valid there, and cut off below.
     padded = padded_to(points, (padded_count(count),), 0.0)
     found = _jacobians(views.camera, to_device(poses), to_device(padded))

@@ -12,6 +12,7 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..geometry import check_rigid, host_matrices, host_transforms
+from ..padding import repeat_last
 from ..robots import Command, CommandLike
 
 PADDED_VIEWS = 4
@@ -75,17 +76,9 @@ def single_pose(pose: CommandLike) -> CommandLike:
 
 def padded_views(command: Command) -> Command:
     """Return the command with its last view repeated, up to a multiple of `PADDED_VIEWS`."""
-    poses, joints = command.base_from_tool.wxyz_xyz, command.joints
+    views = len(command.base_from_tool.wxyz_xyz)
     # -n mod k views are missing to the next multiple of k.
-    extra = -len(poses) % PADDED_VIEWS
-
-    def pad(array: np.ndarray) -> np.ndarray:
-        return np.concatenate([array, np.repeat(array[-1:], extra, axis=0)])
-
-    return Command(
-        SE3(to_device(pad(np.asarray(poses)))),
-        None if joints is None else to_device(pad(np.asarray(joints))),
-    )
+    return jax.tree.map(to_device, repeat_last(command, views + -views % PADDED_VIEWS))
 
 
 def padded_count(count: int) -> int:
