@@ -48,8 +48,10 @@ class Observations(eqx.Module):
             return self
         seen = np.zeros((views, points), dtype=bool)
         seen[: self.visible.shape[0], : self.visible.shape[1]] = np.asarray(self.visible)
-        arrays = repeat_last((self.points, self.pixels, self.visible), points, axis=1)
-        whole = repeat_last(Observations(*arrays, self.base_from_tool, self.joints), views)
+        # Arrays of NumPy come here, too.
+        own = jax.device_put(self)
+        arrays = repeat_last((own.points, own.pixels, own.visible), points, axis=1)
+        whole = repeat_last(Observations(*arrays, own.base_from_tool, own.joints), views)
         return eqx.tree_at(lambda o: o.visible, whole, to_device(seen))
 
     def residuals(
