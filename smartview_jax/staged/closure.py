@@ -53,8 +53,9 @@ class RelativeMotions(NamedTuple):
         camera_translation: translations of the camera's motions, `t_A`, m.
         rotation_error: angle between `R_A` and `R R_B R^T`, rad.
         target_distance: median distance of the target from the camera, m.
-        second_axis_ratio: second over first singular value of the camera's rotation vectors. Near
-            zero all rotations have the same axis, and the hand-eye rotation is not determined.
+        second_axis_ratio: second over first singular value of the rotation vectors, of camera or
+            robot, whichever is smaller. Near zero all rotations have the same axis, and the
+            hand-eye rotation is not determined.
     """
 
     rotation_minus_identity: Float[np.ndarray, "pairs 3 3"]
@@ -84,9 +85,9 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
     cosine = 0.5 * (np.einsum("pab,pab->p", A[:, :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     target_distance = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
-    # Singular values of all rotation vectors: how much rotation there is about each axis.
-    singular_values = np.linalg.svd(a, compute_uv=False)
-    second_axis_ratio = float(singular_values[1] / max(singular_values[0], 1e-12))
+    # The smaller ratio: where the robot turns about one axis only, all rotation of the camera about
+    # a second one is noise, and a single bad view has much of it.
+    second_axis_ratio = min(_second_axis_ratio(a), _second_axis_ratio(b))
     return RelativeMotions(
         A[:, :3, :3] - np.eye(3),
         B[:, :3, 3] @ R.T,
@@ -95,6 +96,12 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
         target_distance,
         second_axis_ratio,
     )
+
+
+def _second_axis_ratio(rotation_vectors: Float[np.ndarray, "pairs 3"]) -> float:
+    """Return the ratio of rotation about a second axis to that about the first."""
+    first, second, _ = np.linalg.svd(rotation_vectors, compute_uv=False)
+    return float(second / max(first, 1e-12))
 
 
 def closure_error(motions: RelativeMotions, scale: float = 1.0) -> ClosureError:

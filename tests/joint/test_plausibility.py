@@ -89,18 +89,16 @@ def test_one_wrong_pose_is_left_out(sample, view):
 
 def test_motion_about_one_axis_says_so():
     """All views turned about the vertical, with some shift: a mount along it is anybody's guess."""
-    # Frontal views of a plane leave the focal length open: of seed 0 it comes out so wrong that, by
-    # the last bits of the start, the conventions of the poses are doubted or not.
-    scene = random_scene(1, 12, FIVE_HEIGHTS[::5])
+    scene = random_scene(0, 12, FIVE_HEIGHTS[::5])
     centre = scene.calibration.base_from_world.translation()
     first = SE3(scene.data.base_from_tool.wxyz_xyz[0])
-    angles, rng = np.linspace(-0.7, 0.7, 12), np.random.default_rng(1)
+    angles, rng = np.linspace(-0.7, 0.7, 12), np.random.default_rng(0)
     poses = []
     for angle in angles:
         turn = SE3.from_rotation_and_translation(SO3.from_z_radians(angle), centre)
         shift = SE3.from_translation(jnp.asarray(rng.uniform(-0.03, 0.03, 3)))
         poses.append((shift @ turn @ SE3.from_translation(-centre) @ first).wxyz_xyz)
-    data = simulate(scene.calibration, SE3(jnp.stack(poses)), FIVE_HEIGHTS[::5], 1, 0.15).data
+    data = simulate(scene.calibration, SE3(jnp.stack(poses)), FIVE_HEIGHTS[::5], 0, 0.15).data
     fit = calibrate(data)
     said = " ".join(fit.warnings)
     assert "all rotations share that axis" in said

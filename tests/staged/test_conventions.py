@@ -56,6 +56,22 @@ def test_inverted_poses_are_named(poses):
     assert "given as tool_from_base where base_from_tool is expected" in problem
 
 
+def test_a_bad_view_of_motion_about_one_axis_is_no_second_axis(poses):
+    """Its error is about another axis, by which the hand-eye rotation seems to be determined."""
+    robot, _ = poses
+    angles = np.linspace(-0.7, 0.7, VIEWS)
+    turned = SE3.from_rotation(SO3.from_z_radians(jnp.asarray(angles)))
+    hand_eye = SE3.from_rotation_and_translation(
+        SO3.from_rpy_radians(0.3, -2.0, 0.5), jnp.array([0.02, 0.09, -0.1])
+    )
+    base_from_tool = turned @ SE3(jnp.broadcast_to(robot.wxyz_xyz[0], (VIEWS, 7)))
+    camera_from_base = hand_eye @ base_from_tool.inverse()
+    noise = np.random.default_rng(0).normal(0.0, 0.008, (VIEWS, 3))
+    noise[3] = [0.3, 0.3, 0.3]
+    noisy = SE3.from_rotation(SO3.exp(jnp.asarray(noise))) @ camera_from_base
+    assert check_conventions(base_from_tool, noisy, "eye_in_hand").problems == ()
+
+
 @pytest.mark.parametrize(
     ("name", "prefix"),
     [("koide_charuco", "20230920_"), ("tampere_synthetic", "cs1_"), ("tampere_synthetic", "cs2_")],
