@@ -3,11 +3,15 @@
 python -m benchmarks                 # what there is
 python -m benchmarks table1          # one, at full size
 python -m benchmarks --smoke         # all, small: do they still run, do their claims hold
+python -m benchmarks --smoke --jobs 2    # the same, each in a process of its own, two at a time
 """
 
 import argparse
 import importlib
+import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 BENCHMARKS = {
@@ -48,6 +52,9 @@ def main() -> int:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="which to run")
     parser.add_argument("--smoke", action="store_true", help="small sizes; all, unless named")
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="with --smoke: in processes, N at a time"
+    )
     parser.add_argument("--beside", metavar="REV", help="startup: another revision in turn")
     parser.add_argument(
         "--results", type=Path, metavar="FILE", help="localization: its records, to go on from"
@@ -56,21 +63,45 @@ def main() -> int:
     unknown = set(arguments.names) - set(BENCHMARKS)
     if unknown:
         parser.error(f"no benchmark is called {', '.join(sorted(unknown))}; there is\n{listing}")
+    if arguments.jobs and not arguments.smoke:
+        parser.error("--jobs goes with --smoke: whoever measures wants the machine alone")
     names = arguments.names or (list(BENCHMARKS) if arguments.smoke else [])
     if not names:
         parser.print_help()
-    failed = []
-    for name in names:
-        print(f"\n== {name}: {BENCHMARKS[name]}")
-        module = importlib.import_module(f"benchmarks.{name}")
-        own = {"startup": {"beside": arguments.beside}}
-        own["localization"] = {"results": arguments.results}
-        options = own.get(name, {})
-        if not module.run(smoke=arguments.smoke, **options):
-            failed.append(name)
+    if arguments.jobs:
+        failed = _failed_in_processes(names, arguments.jobs)
+    else:
+        failed = [name for name in names if not _holds(name, arguments)]
     if failed:
         print(f"\nclaims that did not hold: {', '.join(failed)}")
     return 1 if failed else 0
+
+
+def _holds(name: str, arguments: argparse.Namespace) -> bool:
+    """Run a benchmark, and return whether its claims hold."""
+    print(f"\n== {name}: {BENCHMARKS[name]}")
+    options = {
+        "startup": {"beside": arguments.beside},
+        "localization": {"results": arguments.results},
+    }
+    begun = time.perf_counter()
+    module = importlib.import_module(f"benchmarks.{name}")
+    holds = module.run(smoke=arguments.smoke, **options.get(name, {}))
+    print(f"== {name} took {time.perf_counter() - begun:.0f} s")
+    return holds
+
+
+def _failed_in_processes(names: list[str], jobs: int) -> list[str]:
+    """Run small versions of benchmarks, so many at a time; return those whose claims fail."""
+
+    def run(name: str) -> int:
+        command = [sys.executable, "-m", "benchmarks", "--smoke", name]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        print(done.stdout, end="", flush=True)
+        return done.returncode
+
+    with ThreadPoolExecutor(jobs) as workers:
+        return [name for name, code in zip(names, workers.map(run, names), strict=True) if code]
 
 
 if __name__ == "__main__":
