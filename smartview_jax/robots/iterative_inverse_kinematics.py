@@ -83,7 +83,7 @@ def solve_joints_iteratively(
 
 
 class _Iteration(NamedTuple):
-    """One pose's iteration: where it is, what it knows there, and what it tries next."""
+    """State of one pose's iteration: where it is, what is known there, and what is tried next."""
 
     unbounded: Float[Array, "n"]
     residual: Float[Array, "6"]
@@ -190,10 +190,8 @@ def _residual_and_jacobian(
 def _damped_step(
     residual: Float[Array, "6"], jacobian: Float[Array, "6 n"], radius: Float[Array, ""]
 ) -> Float[Array, "n"]:
-    """Return the Levenberg-Marquardt step, which is the least-squares solution of
-
-    [J; I / sqrt(radius)] step = [-r; 0].
-    """
+    """Return the Levenberg-Marquardt step."""
+    # It is the least-squares solution of [J; I / sqrt(radius)] step = [-r; 0].
     count = jacobian.shape[1]
     orthogonal, triangle = jnp.linalg.qr(
         jnp.concatenate([jacobian, jnp.eye(count) / jnp.sqrt(radius)])
