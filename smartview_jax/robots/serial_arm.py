@@ -130,10 +130,7 @@ class SerialArm(eqx.Module):
 
     def jacobian(self, joints: Float[Array, "joints"] | np.ndarray) -> Float[Array, "6 joints"]:
         """Return the twist at the tool per unit of each joint reading, translation first."""
-        # A revolute joint's reading is added to theta, a prismatic joint's to d.
-        theta_columns, d_columns = jnp.moveaxis(dh_jacobian(self, jnp.asarray(joints))[:, :2], 1, 0)
-        prismatic = jnp.broadcast_to(jnp.array(self.prismatic), theta_columns.shape)
-        return jnp.where(prismatic, d_columns, theta_columns)
+        return pose_and_jacobian(self, jnp.asarray(joints))[1]
 
 
 def _as_jax_array(numbers: Sequence[Any] | np.ndarray | Array) -> Float[Array, "..."]:
@@ -185,26 +182,47 @@ def dh_jacobian(
     frame of the chain, and no automatic differentiation is needed.
     """
     tool, frames = _chain_frames(arm, joints)
-    tool_from_frame = SE3(tool.wxyz_xyz[..., None, None, :]).inverse() @ frames
-    rotations, origins = tool_from_frame.rotation().as_matrix(), tool_from_frame.translation()
-    z_first = arm.convention == "standard"
-    # Pose Jacobian. Let n be the direction of a screw axis and p a point on it, in the tool frame.
-    # Per unit of the parameter the tool moves by the twist (translation, rotation)
-    #     (p x n, n)  for a rotation about the axis (theta about z, alpha about x),
-    #     (n, 0)      for a translation along it (d along z, a along x).
+    theta, d = _screw_twists(arm.convention, tool, frames, 2)
+    alpha, a = _screw_twists(arm.convention, tool, frames, 0)
+    return jnp.swapaxes(jnp.stack([theta, d, a, alpha], axis=-2), -3, -1)
+
+
+def pose_and_jacobian(
+    arm: SerialArm, joints: Float[Array, "joints"]
+) -> tuple[SE3, Float[Array, "6 joints"]]:
+    """Return the tool's pose, and its twist in the tool frame per unit of each joint reading."""
+    tool, frames = _chain_frames(arm, joints)
+    # A revolute joint's reading is added to theta, a prismatic joint's to d.
+    theta, d = _screw_twists(arm.convention, tool, frames, 2)
+    return tool, jnp.where(jnp.array(arm.prismatic)[:, None], d, theta).T
+
+
+def _screw_twists(
+    convention: str, tool: SE3, frames: SE3, axis: int
+) -> tuple[Float[Array, "*views joints 6"], Float[Array, "*views joints 6"]]:
+    """Return the tool's twists per unit of a turn about each joint's z or x axis, and of a slide.
+
+    Args:
+        convention: that of the Denavit-Hartenberg parameters.
+        tool, frames: of `_chain_frames`.
+        axis: 2 for the screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`).
+    """
     # In the standard convention the z screw is the first of a link and the x screw the second; in
     # the modified convention it is the reverse.
-    columns: list[Array] = []
-    for axis, screw in ((2, 0 if z_first else 1), (0, 1 if z_first else 0)):
-        direction, point = rotations[..., screw, :, axis], origins[..., screw, :]
-        rotation_column = jnp.concatenate([jnp.cross(point, direction), direction], axis=-1)
-        translation_column = jnp.concatenate([direction, jnp.zeros_like(direction)], axis=-1)
-        columns += (
-            [rotation_column, translation_column]
-            if axis == 2
-            else [translation_column, rotation_column]
-        )
-    return jnp.swapaxes(jnp.stack(columns, axis=-2), -3, -1)
+    screw = 0 if (axis == 2) == (convention == "standard") else 1
+    tool_from_frame = SE3(tool.wxyz_xyz[..., None, :]).inverse() @ SE3(
+        frames.wxyz_xyz[..., screw, :]
+    )
+    # Let n be the direction of a screw axis and p a point on it, in the tool frame. Per unit of the
+    # parameter the tool moves by the twist (translation, rotation)
+    #     (p x n, n)  for a rotation about the axis (theta about z, alpha about x),
+    #     (n, 0)      for a translation along it (d along z, a along x).
+    direction = tool_from_frame.rotation().as_matrix()[..., axis]
+    turn = jnp.cross(tool_from_frame.translation(), direction)
+    return (
+        jnp.concatenate([turn, direction], axis=-1),
+        jnp.concatenate([direction, jnp.zeros_like(direction)], axis=-1),
+    )
 
 
 @compiled

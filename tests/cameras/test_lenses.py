@@ -108,9 +108,8 @@ def test_jit_and_vmap_agree_with_the_plain_call(case):
     points = rays(half_angle, 20)
     plain, _ = camera(lens).project(points)
     np.testing.assert_allclose(project(camera(lens), points)[0], plain, rtol=1e-12)
-    np.testing.assert_allclose(
-        jax.vmap(lambda p: camera(lens).project(p)[0])(points), plain, rtol=1e-12
-    )
+    one_by_one = eqx.filter_jit(eqx.filter_vmap(lambda c, p: c.project(p)[0], in_axes=(None, 0)))
+    np.testing.assert_allclose(one_by_one(camera(lens), points), plain, rtol=1e-12)
 
 
 @pytest.mark.parametrize("direction", ["project", "unproject"])
@@ -228,8 +227,8 @@ def test_the_papers_lens_is_solved_to_the_last_digits(k1):
         roots = np.roots([k1, 0.0, 1.0, -ideal])
         real = roots[np.abs(roots.imag) < 1e-7].real
         expected = real[np.argmin(np.abs(real - ideal))] if k1 >= 0 else min(real[real > 0])
-        found, valid = Radial(k1).distort_normalised(jnp.array([ideal, 0.0]))
-        assert bool(valid)
+        found, valid = map(np.asarray, distort(Radial(k1), np.array([ideal, 0.0])))
+        assert valid
         residual = found[0] + k1 * found[0] ** 3 - ideal
         assert abs(float(residual)) < 1e-14 * max(1.0, ideal)
         np.testing.assert_allclose(found[0], expected, rtol=1e-5)
@@ -239,7 +238,9 @@ def test_radial_is_weng_with_k1_alone():
     points = rays(30.0)
     for k1 in (0.3, -0.2):
         np.testing.assert_allclose(
-            camera(Radial(k1)).project(points)[0], camera(Weng(k1)).project(points)[0], rtol=1e-12
+            project(camera(Radial(k1)), points)[0],
+            project(camera(Weng(k1)), points)[0],
+            rtol=1e-12,
         )
 
 
@@ -247,10 +248,10 @@ def test_lenses_by_name():
     for name in ("pinhole", "radial", "weng", "opencv4", "opencv5", "opencv8", "fisheye"):
         lens = lens_by_name(name)
         assert lens_name(lens) == name
-        points = rays(30.0, 10)
+        points = rays(30.0)
         if name != "fisheye":
             np.testing.assert_allclose(
-                camera(lens).project(points)[0], camera(Pinhole()).project(points)[0], rtol=1e-12
+                project(camera(lens), points)[0], project(camera(Pinhole()), points)[0], rtol=1e-12
             )
     own = Division(0.1)
     assert lens_by_name(own) is own

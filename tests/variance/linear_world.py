@@ -3,6 +3,8 @@
 Small enough for the textbook's formulas on dense matrices.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +17,20 @@ CAMERA, MOUNT, FIELD, VIEWS = 3, 4, (2, 3), 30
 SHARED = CAMERA + MOUNT + sum(FIELD)
 
 
+class LinearWorld(NamedTuple):
+    """Information of every view's statistics, how these come about, and what hundreds of draws share.
+
+    The root of the noise's covariance (per squared size), and `design.T @ information @ design`.
+    """
+
+    information: np.ndarray
+    design: np.ndarray
+    noise_root: np.ndarray
+    normal_matrix: np.ndarray
+
+
 def linear_world():
-    """Information of every view's statistics, and how these come about."""
+    """Observations of the camera's numbers and of each view's six."""
     rng = np.random.default_rng(0)
     size = CAMERA + 6 * VIEWS
     # An observed value of the camera's numbers and of each view's six, with correlated errors.
@@ -29,7 +43,13 @@ def linear_world():
     design[:CAMERA, :CAMERA] = np.eye(CAMERA)
     design[CAMERA:, CAMERA:SHARED] = rng.normal(size=(6 * VIEWS, SHARED - CAMERA))
     design[CAMERA:, SHARED:] = np.eye(6 * VIEWS)
-    return information, design
+    noise_root = np.linalg.cholesky(np.linalg.inv(information))
+    normal_matrix = design.T @ information @ design
+    off = normal_matrix[SHARED:, SHARED:].copy()
+    for k in range(VIEWS):
+        off[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = 0.0
+    assert np.abs(off).max() < 1e-12
+    return LinearWorld(information, design, noise_root, normal_matrix)
 
 
 TRUTH = StandardDeviations(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
@@ -38,7 +58,6 @@ GROUP = np.repeat([-1, 0, 1], [CAMERA + MOUNT, *FIELD])
 
 def drawn(world, seed, held=None):
     """Statistics drawn from the model; the views' own numbers that are held are nothing."""
-    information, design = world
     rng = np.random.default_rng(seed)
     effects = 2.0 * rng.normal(size=SHARED)
     for k, deviation in enumerate(np.asarray(TRUTH.field)):
@@ -46,22 +65,17 @@ def drawn(world, seed, held=None):
     each = np.repeat([TRUTH.translation, TRUTH.rotation], 3)
     own = (each * rng.normal(size=(VIEWS, 6))).ravel()
     own = own if held is None else np.where(held, 0.0, own)
-    noise = np.linalg.cholesky(np.linalg.inv(information)) @ rng.normal(size=len(information))
-    return design @ np.concatenate([effects, own]) + float(TRUTH.pixel) * noise
+    noise = world.noise_root @ rng.normal(size=len(world.noise_root))
+    return world.design @ np.concatenate([effects, own]) + float(TRUTH.pixel) * noise
 
 
 def linearised(world, observed, at=None):
     """What the library is given: normal equations at a point of all parameters."""
-    information, design = world
+    information, design, _, whole = world
     at = np.zeros(design.shape[1]) if at is None else at
     residual = observed - design @ at
-    whole = design.T @ information @ design
     slope = -design.T @ information @ residual
     own = whole[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6)[range(VIEWS), :, range(VIEWS)]
-    off = whole[SHARED:, SHARED:].copy()
-    for k in range(VIEWS):
-        off[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = 0.0
-    assert np.abs(off).max() < 1e-12
     return LinearisedViews(
         matrix=BlockArrow(
             jnp.asarray(whole[:SHARED, :SHARED]),

@@ -26,7 +26,7 @@ from smartview_jax.variance.likelihood import (
 @pytest.mark.parametrize("sizes", [TRUTH, *OTHERS])
 def test_information_is_that_of_the_textbook(world, sizes):
     """Half the trace of P dV P dV, on dense matrices (Searle, Casella and McCulloch, 6.6)."""
-    inverse, design = world
+    inverse, design = world[:2]
     spread = np.concatenate(
         [
             np.asarray(sizes.field)[GROUP[GROUP >= 0]],

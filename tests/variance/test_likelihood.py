@@ -30,7 +30,7 @@ from smartview_jax.variance.likelihood import (
 
 def textbook(world, observed, sizes):
     """Patterson and Thompson's formula on dense matrices, the likelihood itself by SciPy."""
-    information, design = world
+    information, design = world[:2]
     deviations = np.concatenate([np.asarray(sizes.field)[GROUP[GROUP >= 0]]])
     each = np.tile(np.repeat([sizes.translation, sizes.rotation], 3), VIEWS)
     fixed, random = design[:, GROUP_FIXED], design[:, ~GROUP_FIXED]
