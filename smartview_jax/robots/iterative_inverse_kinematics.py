@@ -1,28 +1,10 @@
-"""Solve inverse kinematics numerically, by Levenberg-Marquardt iteration from a start near by.
-
-Per pose, |r|^2 is minimised over the joints q, with the residual twist
-
-    r(q) = log(wanted^-1 base_from_tool(q)).
-
-Each step solves the damped normal equations
-
-    (J^T J + I / radius) step = -J^T r,    J = dr/dq,
-
-and the radius adapts to how well they predicted the change of |r|^2. With J^T J singular, at a
-singularity or for a redundant arm, the damping makes the step unique. The iteration is written
-here, with the geometric Jacobian: a general solver, which differentiates the chain, makes a program
-five times the size, and one is compiled for every number of poses.
-
-Source of the rule for the radius: Gould, Orban, Sartenaer and Toint, Sensitivity of trust-region
-algorithms to their parameters, 2005.
-"""
-
-from typing import NamedTuple
+"""Solve inverse kinematics numerically, by Levenberg-Marquardt iteration from a start near by."""
 
 import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from ..compilation import compiled_optimised
 from ..geometry import se3_left_jacobian
@@ -34,15 +16,6 @@ MAX_STEPS = 100
 
 TWIST_TOLERANCE = 1e-9
 """Largest component of the residual twist at which a pose counts as reached, m and rad."""
-
-STEP_TOLERANCE = 1e-12
-"""Largest change, absolute and relative, of joints and residual in the last step of all."""
-
-MIN_REDUCTION, GOOD_REDUCTION = 0.01, 0.99
-"""Smallest reduction of |r|^2, per predicted reduction, for a step to be taken, and to be good."""
-
-GROWTH, SHRINKAGE = 3.5, 0.25
-"""Factors of the radius after a good step, and after a step that is not taken."""
 
 MAX_INITIAL_RANGE_FRACTION = 0.999
 """Largest distance of a start from the middle of a joint's range, per half of that range."""
@@ -66,13 +39,34 @@ def solve_joints_iteratively(
     Returns:
         Joint readings, and whether they reach the pose.
     """
+    # Per pose, minimise |r|^2 over the joints q, with the residual twist
+    #     r(q) = log(wanted^-1 base_from_tool(q)).
+    # Each step solves the damped normal equations
+    #     (J^T J + lambda I) step = -J^T r,    J = dr/dq,
+    # and lambda adapts to whether the step reduced |r|^2. With J^T J singular, at a singularity or
+    # for a redundant arm, the damping makes the step unique.
+    solver = optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12)
 
     def solve_view(
         pose: Float[Array, "7"], start: Float[Array, "joints"]
     ) -> tuple[Float[Array, "joints"], Bool[Array, ""]]:
+        def unbounded_residual(
+            unbounded: Float[Array, "joints"], _: None = None
+        ) -> Float[Array, "6"]:
+            at = jax.lax.stop_gradient(unbounded)
+            residual, jacobian = _residual_and_jacobian(arm, pose, at)
+            # The value is r, and J is what differentiation finds. J is held where it is
+            # differentiated again, as Gauss and Newton do: exact where r is zero.
+            return residual + jacobian @ (unbounded - at)
+
+        initial = _unbounded_from_joints(start, arm.limits)
         # The iteration runs over unbounded coordinates, so that no step can leave the joint limits.
-        unbounded, miss = _nearest(arm, pose, _unbounded_from_joints(start, arm.limits))
-        return _joints_from_unbounded(unbounded, arm.limits), miss < TWIST_TOLERANCE
+        # A pose out of reach is not an error here: the second result reports it.
+        solution = optx.least_squares(
+            unbounded_residual, solver, initial, max_steps=MAX_STEPS, throw=False
+        ).value
+        is_reached = jnp.max(jnp.abs(unbounded_residual(solution))) < TWIST_TOLERANCE
+        return _joints_from_unbounded(solution, arm.limits), is_reached
 
     poses = base_from_tool.wxyz_xyz
     starts = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*poses.shape[:-1], arm.joint_count))
@@ -82,101 +76,13 @@ def solve_joints_iteratively(
     return solve_view(poses, starts)
 
 
-class _Iteration(NamedTuple):
-    """State of one pose's iteration: where it is, what is known there, and what is tried next."""
-
-    unbounded: Float[Array, "n"]
-    residual: Float[Array, "6"]
-    jacobian: Float[Array, "6 n"]
-    cost: Float[Array, ""]
-    step: Float[Array, "n"]
-    predicted_change: Float[Array, ""]
-    radius: Float[Array, ""]
-    steps: Int[Array, ""]
-    is_done: Bool[Array, ""]
-
-
-@jax.custom_jvp
-def _nearest(
-    arm: SerialArm, pose: Float[Array, "7"], start: Float[Array, "n"]
-) -> tuple[Float[Array, "n"], Float[Array, ""]]:
-    """Return the unbounded coordinates near a start that minimise |r|^2, and the largest |r_k|."""
-
-    def step(last: _Iteration) -> _Iteration:
-        trial = last.unbounded + last.step
-        residual, jacobian = _residual_and_jacobian(arm, pose, trial)
-        cost = 0.5 * residual @ residual
-        is_taken = cost - last.cost <= MIN_REDUCTION * last.predicted_change
-        is_good = (cost - last.cost < GOOD_REDUCTION * last.predicted_change) & (
-            last.predicted_change < 0.0
-        )
-        radius = last.radius * jnp.where(is_taken, jnp.where(is_good, GROWTH, 1.0), SHRINKAGE)
-        is_converged = (
-            is_taken & _is_close(trial, last.unbounded) & _is_close(residual, last.residual)
-        )
-        unbounded, residual, jacobian, kept_cost = (
-            jnp.where(is_taken, new, old)
-            for new, old in zip((trial, residual, jacobian, cost), last[:4], strict=True)
-        )
-        next_step = _damped_step(residual, jacobian, radius)
-        change = jacobian @ next_step
-        return _Iteration(
-            unbounded,
-            residual,
-            jacobian,
-            kept_cost,
-            next_step,
-            residual @ change + 0.5 * change @ change,
-            radius,
-            last.steps + 1,
-            # No iteration helps a pose that is not finite.
-            is_converged | ~jnp.isfinite(cost),
-        )
-
-    # Nothing is known yet: whatever the start's cost, it is less.
-    zeros = jnp.zeros_like(start)
-    first = _Iteration(
-        start,
-        jnp.zeros(6),
-        jnp.zeros((6, len(start))),
-        jnp.array(jnp.inf),
-        zeros,
-        jnp.array(0.0),
-        jnp.array(1.0),
-        jnp.array(0),
-        jnp.array(False),
-    )
-    last = jax.lax.while_loop(lambda x: (x.steps < MAX_STEPS) & ~x.is_done, step, first)
-    # A start whose cost is infinite or NaN was never taken.
-    miss = jnp.where(jnp.isfinite(last.cost), jnp.max(jnp.abs(last.residual)), jnp.inf)
-    return last.unbounded, miss
-
-
-@_nearest.defjvp
-def _nearest_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
-    """Differentiate the minimum by the implicit function theorem: its gradient J^T r stays zero."""
-    arm, pose, _ = primals
-    minimum, miss = _nearest(*primals)
-
-    def gradient(
-        arm: SerialArm, pose: Float[Array, "7"], unbounded: Float[Array, "n"]
-    ) -> Float[Array, "n"]:
-        residual, jacobian = _residual_and_jacobian(arm, pose, unbounded)
-        return residual @ jacobian
-
-    hessian = jax.jacfwd(gradient, 2)(arm, pose, minimum)
-    _, gradient_change = jax.jvp(
-        lambda arm, pose: gradient(arm, pose, minimum), primals[:2], tangents[:2]
-    )
-    change = jax.scipy.linalg.solve(hessian, -gradient_change, assume_a="pos")
-    # Only whether the pose is reached depends on the miss.
-    return (minimum, miss), (change, jnp.zeros_like(miss))
-
-
 def _residual_and_jacobian(
     arm: SerialArm, pose: Float[Array, "7"], unbounded: Float[Array, "n"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 n"]]:
-    """Return the residual twist and its Jacobian with respect to the unbounded coordinates."""
+    """Return the residual twist and its Jacobian with respect to the unbounded coordinates.
+
+    The geometric Jacobian makes a program a quarter of the size of the differentiated chain's.
+    """
     joints, slopes = jax.jvp(
         lambda x: _joints_from_unbounded(x, arm.limits), (unbounded,), (jnp.ones_like(unbounded),)
     )
@@ -185,23 +91,6 @@ def _residual_and_jacobian(
     # With J_l the left Jacobian of exp, log(exp(r) exp(twist)) = r + J_l(-r)^-1 twist + ...
     jacobian = jnp.linalg.solve(se3_left_jacobian(-residual), tool_twists)
     return residual, jacobian * slopes[None]
-
-
-def _damped_step(
-    residual: Float[Array, "6"], jacobian: Float[Array, "6 n"], radius: Float[Array, ""]
-) -> Float[Array, "n"]:
-    """Return the Levenberg-Marquardt step."""
-    # It is the least-squares solution of [J; I / sqrt(radius)] step = [-r; 0].
-    count = jacobian.shape[1]
-    orthogonal, triangle = jnp.linalg.qr(
-        jnp.concatenate([jacobian, jnp.eye(count) / jnp.sqrt(radius)])
-    )
-    return -jax.scipy.linalg.solve_triangular(triangle, residual @ orthogonal[:6])
-
-
-def _is_close(new: Float[Array, "n"], old: Float[Array, "n"]) -> Bool[Array, ""]:
-    """Return whether no component changed by more than the tolerance of a step."""
-    return jnp.all(jnp.abs(new - old) < STEP_TOLERANCE * (1.0 + jnp.abs(new)))
 
 
 def _unbounded_from_joints(
