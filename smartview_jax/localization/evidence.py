@@ -42,6 +42,7 @@ class Evidence(NamedTuple):
         in_front: part of its edges that no known object hides, all views together.
         log_likelihood: of the visible edges being found or not, over their being clutter.
         log_exactness: see `log_chance_of_exact_edges`.
+        log_ends: see `log_likelihood_of_ends`; zero where it was not asked for.
     """
 
     explained: float
@@ -55,6 +56,7 @@ class Evidence(NamedTuple):
     in_front: float
     log_likelihood: float
     log_exactness: float
+    log_ends: float = 0.0
 
 
 def evidence_of(

@@ -15,15 +15,16 @@ from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .corrected_views import corrected_views
 from .distinct_poses import in_one_place, pose_distances
-from .edge_lines import EdgeLines
+from .edge_ends import log_likelihood_of_ends
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of, log_likelihood_of
 from .hypotheses import Hypothesis
 from .known_surfaces import KnownSurfaces
 from .localization import Localization, Rival
 from .pose_convergence import lengths_of_poses, poses_on_edges
-from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
-from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, relative_std
+from .refinement import FIT_SAMPLES, explained_edge_points, measured_lines, refine_pose
+from .verdict import ACCEPTED_SHARE, MIN_MARGIN, REJECTED_SHARE, judge, relative_std
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -144,6 +145,22 @@ class Scene:
         """Return what the free edge points say of a pose, in views that may be corrected."""
         views, strengths = self.views if views is None else views, self._strengths
         return evidence_of(pose, wireframe, views, self.lookup, strengths, chance, absorbed)
+
+    def with_ends(
+        self,
+        evidence: Evidence,
+        pose: Float[np.ndarray, "4 4"],
+        wireframe: Wireframe,
+        views: SeenViews,
+    ) -> Evidence:
+        """Return evidence of a pose with that of how its edges end, where much of them is missing.
+
+        What another object explains is not found, but its outline may well be before an edge.
+        """
+        if evidence.explained >= ACCEPTED_SHARE:
+            return evidence
+        lines = measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
+        return evidence._replace(log_ends=log_likelihood_of_ends(lines, wireframe, self._points))
 
     def measured(
         self, prepared: Sequence[Prepared], candidates: Sequence[Candidate]
@@ -328,9 +345,11 @@ class _Judging:
             other = self._prepared[rivals[0].model].model.name
             name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
         # Rivals are not corrected, and are compared with what is not corrected either.
+        views = scene.views
         if len(refined.calibration_error):
             views = corrected_views(scene.views, self._uncertainty, refined.calibration_error)
             evidence = scene.evidence(pose, one.fine, chance.mean, views, refined.absorbed)
+        evidence = scene.with_ends(evidence, pose, one.fine, views)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         return Localization(one.model, best.model, refined, verdict, tuple(rivals))

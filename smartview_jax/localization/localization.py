@@ -138,6 +138,12 @@ class Localizations(tuple[Localization, ...]):
         self.messages, self.pictures, self.command = messages, pictures, command
         return self
 
+    def __getnewargs__(
+        self,
+    ) -> tuple[tuple[Localization, ...], tuple[str, ...], tuple[PictureEvidence, ...], Command]:
+        """Return the arguments of `__new__`, from which copies and pickles are made."""
+        return tuple(self), self.messages, self.pictures, self.command
+
     @property
     def accepted(self) -> tuple[Localization, ...]:
         """The localizations whose verdict is "accepted"."""
