@@ -337,9 +337,9 @@ class _Judging:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
         evidence = scene.evidence(pose, one.fine, chance.mean)
-        own = evidence.log_likelihood
-        rivals = self._distinct(best, pose, own, chance, self._rivals(best, pose, others, chance))
-        margin = own - rivals[0].log_likelihood if rivals else np.inf
+        rivals = self._rivals(best, pose, others, chance)
+        rivals = self._distinct(best, pose, evidence, chance, rivals)
+        margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
         name = ""
         if rivals:
             other = self._prepared[rivals[0].model].model.name
@@ -378,16 +378,21 @@ class _Judging:
         for other, likelihood in zip(there, likelihoods, strict=True):
             # The verdict rests on the best ones: few samples would not do for their difference.
             if likelihood > max(likelihoods) - CLOSE_RIVAL:
-                fine = self._prepared[other.model].fine
-                likelihood = self.scene.evidence(other.pose, fine, chance.mean).log_likelihood
-            rivals.append(Rival(other.model, other.pose, likelihood))
+                rivals.append(self._as_rival(other.model, other.pose, chance))
+            else:
+                rivals.append(Rival(other.model, other.pose, likelihood))
         return rivals
+
+    def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
+        """Return a pose as a rival, measured with all samples."""
+        found = self.scene.evidence(pose, self._prepared[model].fine, chance.mean)
+        return Rival(model, pose, found.log_likelihood, found.log_exactness)
 
     def _distinct(
         self,
         best: Candidate,
         pose: Float[np.ndarray, "4 4"],
-        own: float,
+        own: Evidence,
         chance: Chance,
         rivals: Sequence[Rival],
     ) -> list[Rival]:
@@ -398,23 +403,28 @@ class _Judging:
 
         Args:
             best, pose: what is judged, and its fitted pose.
-            own: log-likelihood of that pose.
+            own: evidence of that pose.
             chance: that it was computed with.
             rivals: in any order.
         """
         one, kept = self._prepared[best.model], list[Rival]()
-        for rival in sorted(rivals, key=lambda rival: -rival.log_likelihood):
-            is_close = own - rival.log_likelihood < MIN_MARGIN
-            if not is_close or rival.model != best.model:
+        for rival in sorted(rivals, key=lambda rival: -rival.log_odds):
+            # Before its fit a rival is less exact than it can be.
+            is_close = own.log_likelihood - rival.log_likelihood < MIN_MARGIN
+            is_close |= own.log_odds - rival.log_odds < MIN_MARGIN
+            if not is_close:
                 kept.append(rival)
                 continue
             fitted = self._fitted(rival, chance)
+            if rival.model != best.model:
+                kept.append(fitted)
+                continue
             # Neither the pose itself nor a rival that another one was drawn to.
             known = [pose, *(r.world_from_object for r in kept if r.model == best.model)]
             apart = pose_distances(one.model, fitted.world_from_object, np.stack(known))
             if apart.min() >= one.same:
                 kept.append(fitted)
-        return sorted(kept, key=lambda rival: -rival.log_likelihood)
+        return sorted(kept, key=lambda rival: -rival.log_odds)
 
     def _fitted(self, rival: Rival, chance: Chance) -> Rival:
         """Return a rival at its fitted pose; as it is where that explains less, or is none."""
@@ -430,9 +440,6 @@ class _Judging:
             )
         except ValueError:
             return rival
-        pose = refined.world_from_object
-        likelihood = scene.evidence(pose, one.fine, chance.mean).log_likelihood
+        fitted = self._as_rival(rival.model, refined.world_from_object, chance)
         # A fit that leaves edges out says nothing against the pose that has them.
-        if likelihood < rival.log_likelihood:
-            return rival
-        return Rival(rival.model, pose, likelihood)
+        return rival if fitted.log_odds < rival.log_odds else fitted

@@ -189,6 +189,18 @@ def test_of_two_models_the_right_one_is_accepted(pictures):
     assert "lower: not found" in found.messages[0]
 
 
+def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictures):
+    """A box that is 0.7 % larger has an edge point near each of its own, but not on it."""
+    larger = box(1.007 * 0.06, 1.007 * 0.04, 1.007 * 0.03)
+    larger = dataclasses.replace(larger, name="larger", symmetry=find_symmetry(larger))
+    found = find(pictures, [MODEL, larger], starts() + starts(model=1))
+    (one,) = found.accepted
+    assert one.model.name == "box"
+    found_of_it, (rival, *_) = one.verdict.evidence, one.rivals
+    assert found_of_it.log_likelihood < rival.log_likelihood + 6.0
+    assert one.verdict.margin > 6.0
+
+
 def test_clutter_alone_is_nothing():
     found = find(clutter(np.random.default_rng(0), 80))
     assert not found.accepted
@@ -266,7 +278,12 @@ def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
     down[2, 3] = 0.01
     found = find(pictures, [MODEL, lower], starts() + starts(POSE @ down, model=1))
     verdict = found[0].verdict._replace(decision="open", margin=1.0)
-    rival = found[0].rivals[0]._replace(log_likelihood=verdict.evidence.log_likelihood - 1.0)
+    own = verdict.evidence
+    rival = (
+        found[0]
+        .rivals[0]
+        ._replace(log_likelihood=own.log_likelihood - 1.0, log_exactness=own.log_exactness)
+    )
     open_one = found[0]._replace(verdict=verdict, rivals=(rival,))
     up = POSE[:3, 2]
     side = np.cross(up, [1.0, 0.2, 0.0])
