@@ -71,14 +71,14 @@ LOG_RATIOS = {
 """Log-likelihood ratios of an end by its place in another view and whether an outline crosses it.
 
 Place and crossing are taken as independent: of 216 ends in 23 partly hidden solids, and of 207 in
-33 boxes "seen" at the corners of other blocks, 5 and 37 % of those that two views show were at the
-same place, 47 and 17 % were crossed.
+33 boxes "seen" at the corners of other blocks, 5 and 36 % of those that two views show were at the
+same place, 47 and 14 % were crossed.
 """
 
 LOG_RATIO_BEYOND, LOG_RATIO_VERTEX = -0.8, 0.04
 """Likewise of an edge that is found up to its vertex: of one that goes on there, and of others.
 
-It did at 3.5 % of the vertices of those solids, and at 8 % of those of the boxes."""
+It did at 3 % of the vertices of those solids, and at 8 % of those of the boxes."""
 
 
 class Piece(NamedTuple):
