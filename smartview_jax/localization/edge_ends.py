@@ -70,9 +70,9 @@ LOG_RATIOS = {
 }
 """Log-likelihood ratios of an end by its place in another view and whether an outline crosses it.
 
-Place and crossing are taken as independent: of 216 ends in 23 partly hidden solids, and of 207 in
-33 boxes "seen" at the corners of other blocks, 5 and 36 % of those that two views show were at the
-same place, 47 and 14 % were crossed.
+Place and crossing are nearly independent, and the numbers are within 0.3 of their counts: of 216
+ends in 23 partly hidden solids, and of 207 in 33 boxes "seen" at the corners of other blocks, 5 and
+36 % of those that two views show were at the same place, 47 and 14 % were crossed.
 """
 
 LOG_RATIO_BEYOND, LOG_RATIO_VERTEX = -0.8, 0.04
