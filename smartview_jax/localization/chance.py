@@ -133,6 +133,16 @@ def _middle_frame(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
     return middle
 
 
+def log_odds_of(log_likelihood: float, log_exactness: float) -> float:
+    """Return the log-likelihood over that of clutter, with how exactly the edges fit.
+
+    Args:
+        log_likelihood: of edges being found or not, natural.
+        log_exactness: of `log_chance_of_exact_edges`, decimal.
+    """
+    return log_likelihood - float(np.log(10.0)) * log_exactness
+
+
 def log_chance_of_exactness(rms: float, edges: int, absorbed: float = 0.0) -> float:
     """Return the decimal logarithm of the probability that edges of clutter fit so well.
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..modeling import SeenViews
-from .chance import log_chance_of_exact_edges
+from .chance import log_chance_of_exact_edges, log_odds_of
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
 from .refinement import measured_lines
@@ -42,6 +42,7 @@ class Evidence(NamedTuple):
         in_front: part of its edges that no known object hides, all views together.
         log_likelihood: of the visible edges being found or not, over their being clutter.
         log_exactness: see `log_chance_of_exact_edges`.
+        log_ends: see `log_likelihood_of_ends`; zero where it was not asked for.
     """
 
     explained: float
@@ -55,6 +56,12 @@ class Evidence(NamedTuple):
     in_front: float
     log_likelihood: float
     log_exactness: float
+    log_ends: float = 0.0
+
+    @property
+    def log_odds(self) -> float:
+        """The log-likelihood with how exactly the edges fit; rivals are compared by it."""
+        return log_odds_of(self.log_likelihood, self.log_exactness)
 
 
 def evidence_of(

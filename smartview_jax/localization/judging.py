@@ -15,15 +15,16 @@ from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .corrected_views import corrected_views
 from .distinct_poses import in_one_place, pose_distances
-from .edge_lines import EdgeLines
+from .edge_ends import log_likelihood_of_ends
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of, log_likelihood_of
 from .hypotheses import Hypothesis
 from .known_surfaces import KnownSurfaces
 from .localization import Localization, Rival
 from .pose_convergence import lengths_of_poses, poses_on_edges
-from .refinement import FIT_SAMPLES, explained_edge_points, refine_pose
-from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, relative_std
+from .refinement import FIT_SAMPLES, explained_edge_points, measured_lines, refine_pose
+from .verdict import ACCEPTED_SHARE, MIN_MARGIN, REJECTED_SHARE, judge, relative_std
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -144,6 +145,22 @@ class Scene:
         """Return what the free edge points say of a pose, in views that may be corrected."""
         views, strengths = self.views if views is None else views, self._strengths
         return evidence_of(pose, wireframe, views, self.lookup, strengths, chance, absorbed)
+
+    def with_ends(
+        self,
+        evidence: Evidence,
+        pose: Float[np.ndarray, "4 4"],
+        wireframe: Wireframe,
+        views: SeenViews,
+    ) -> Evidence:
+        """Return evidence of a pose with that of how its edges end, where much of them is missing.
+
+        What another object explains is not found, but its outline may well be before an edge.
+        """
+        if evidence.explained >= ACCEPTED_SHARE:
+            return evidence
+        lines = measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
+        return evidence._replace(log_ends=log_likelihood_of_ends(lines, wireframe, self._points))
 
     def measured(
         self, prepared: Sequence[Prepared], candidates: Sequence[Candidate]
@@ -320,17 +337,19 @@ class _Judging:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
         evidence = scene.evidence(pose, one.fine, chance.mean)
-        own = evidence.log_likelihood
-        rivals = self._distinct(best, pose, own, chance, self._rivals(best, pose, others, chance))
-        margin = own - rivals[0].log_likelihood if rivals else np.inf
+        rivals = self._rivals(best, pose, others, chance)
+        rivals = self._distinct(best, pose, evidence, chance, rivals)
+        margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
         name = ""
         if rivals:
             other = self._prepared[rivals[0].model].model.name
             name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
         # Rivals are not corrected, and are compared with what is not corrected either.
+        views = scene.views
         if len(refined.calibration_error):
             views = corrected_views(scene.views, self._uncertainty, refined.calibration_error)
             evidence = scene.evidence(pose, one.fine, chance.mean, views, refined.absorbed)
+        evidence = scene.with_ends(evidence, pose, one.fine, views)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         return Localization(one.model, best.model, refined, verdict, tuple(rivals))
@@ -359,16 +378,21 @@ class _Judging:
         for other, likelihood in zip(there, likelihoods, strict=True):
             # The verdict rests on the best ones: few samples would not do for their difference.
             if likelihood > max(likelihoods) - CLOSE_RIVAL:
-                fine = self._prepared[other.model].fine
-                likelihood = self.scene.evidence(other.pose, fine, chance.mean).log_likelihood
-            rivals.append(Rival(other.model, other.pose, likelihood))
+                rivals.append(self._as_rival(other.model, other.pose, chance))
+            else:
+                rivals.append(Rival(other.model, other.pose, likelihood))
         return rivals
+
+    def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
+        """Return a pose as a rival, measured with all samples."""
+        found = self.scene.evidence(pose, self._prepared[model].fine, chance.mean)
+        return Rival(model, pose, found.log_likelihood, found.log_exactness)
 
     def _distinct(
         self,
         best: Candidate,
         pose: Float[np.ndarray, "4 4"],
-        own: float,
+        own: Evidence,
         chance: Chance,
         rivals: Sequence[Rival],
     ) -> list[Rival]:
@@ -379,23 +403,28 @@ class _Judging:
 
         Args:
             best, pose: what is judged, and its fitted pose.
-            own: log-likelihood of that pose.
+            own: evidence of that pose.
             chance: that it was computed with.
             rivals: in any order.
         """
         one, kept = self._prepared[best.model], list[Rival]()
-        for rival in sorted(rivals, key=lambda rival: -rival.log_likelihood):
-            is_close = own - rival.log_likelihood < MIN_MARGIN
-            if not is_close or rival.model != best.model:
+        for rival in sorted(rivals, key=lambda rival: -rival.log_odds):
+            # Before its fit a rival is less exact than it can be.
+            is_close = own.log_likelihood - rival.log_likelihood < MIN_MARGIN
+            is_close |= own.log_odds - rival.log_odds < MIN_MARGIN
+            if not is_close:
                 kept.append(rival)
                 continue
             fitted = self._fitted(rival, chance)
+            if rival.model != best.model:
+                kept.append(fitted)
+                continue
             # Neither the pose itself nor a rival that another one was drawn to.
             known = [pose, *(r.world_from_object for r in kept if r.model == best.model)]
             apart = pose_distances(one.model, fitted.world_from_object, np.stack(known))
             if apart.min() >= one.same:
                 kept.append(fitted)
-        return sorted(kept, key=lambda rival: -rival.log_likelihood)
+        return sorted(kept, key=lambda rival: -rival.log_odds)
 
     def _fitted(self, rival: Rival, chance: Chance) -> Rival:
         """Return a rival at its fitted pose; as it is where that explains less, or is none."""
@@ -411,9 +440,6 @@ class _Judging:
             )
         except ValueError:
             return rival
-        pose = refined.world_from_object
-        likelihood = scene.evidence(pose, one.fine, chance.mean).log_likelihood
+        fitted = self._as_rival(rival.model, refined.world_from_object, chance)
         # A fit that leaves edges out says nothing against the pose that has them.
-        if likelihood < rival.log_likelihood:
-            return rival
-        return Rival(rival.model, pose, likelihood)
+        return rival if fitted.log_odds < rival.log_odds else fitted

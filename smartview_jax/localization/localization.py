@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ..features import PictureEvidence
 from ..modeling import ObjectModel
 from ..robots import Command
+from .chance import log_odds_of
 from .refinement import RefinedPose
 from .verdict import Verdict
 
@@ -38,12 +39,19 @@ class Rival(NamedTuple):
     Attributes:
         model: index of the model.
         world_from_object: pose.
-        log_likelihood: over that of clutter, as that of a verdict's evidence.
+        log_likelihood, log_exactness: as those of a verdict's evidence; the second is zero where it
+            was not measured, because the first is too small to decide anything.
     """
 
     model: int
     world_from_object: Float[np.ndarray, "4 4"]
     log_likelihood: float
+    log_exactness: float = 0.0
+
+    @property
+    def log_odds(self) -> float:
+        """The log-likelihood with how exactly the edges fit, by which it is compared."""
+        return log_odds_of(self.log_likelihood, self.log_exactness)
 
 
 class Localization(NamedTuple):
@@ -137,6 +145,12 @@ class Localizations(tuple[Localization, ...]):
         self = super().__new__(cls, found)
         self.messages, self.pictures, self.command = messages, pictures, command
         return self
+
+    def __getnewargs__(
+        self,
+    ) -> tuple[tuple[Localization, ...], tuple[str, ...], tuple[PictureEvidence, ...], Command]:
+        """Return the arguments of `__new__`, from which copies and pickles are made."""
+        return tuple(self), self.messages, self.pictures, self.command
 
     @property
     def accepted(self) -> tuple[Localization, ...]:

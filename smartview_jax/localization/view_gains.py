@@ -108,7 +108,7 @@ class ViewGains:
             for rival in one.rivals[:MAX_RIVALS]:
                 if rival.model != one.model_index and rival.model >= len(models):
                     continue
-                margin = one.verdict.evidence.log_likelihood - rival.log_likelihood
+                margin = one.verdict.evidence.log_odds - rival.log_odds
                 model = one.model if rival.model == one.model_index else models[rival.model]
                 other = _predicted(model, rival.world_from_object, views, one)
                 needed = max(ENOUGH_MARGIN - margin, 0.0)

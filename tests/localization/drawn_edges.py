@@ -6,6 +6,7 @@ Their noise has the correlation that smoothing gives to neighbouring points.
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import ConvexHull, Delaunay
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
@@ -79,6 +80,19 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
         strengths = np.full(int(inside.sum()), 20.0)
         pictures.append(EdgePoints(pixels[inside], normals[inside], strengths, cells[inside]))
     return pictures
+
+
+def not_behind(pictures, views, model, world_from_object):
+    """The edge points that a convex object does not cover; its outline is that of its vertices."""
+    vertices = model.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+    kept = []
+    for points, camera_from_world in zip(pictures, views.camera_from_world, strict=True):
+        in_camera = vertices @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+        seen = np.asarray(views.camera.project(jnp.asarray(in_camera))[0])
+        outline = Delaunay(seen[ConvexHull(seen).vertices])
+        free = outline.find_simplex(points.pixels) < 0
+        kept.append(EdgePoints(*(part[free] for part in points)))
+    return kept
 
 
 def seen_views(model_middle, directions=TWO_DIRECTIONS, distance=0.4):

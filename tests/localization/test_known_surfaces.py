@@ -5,12 +5,11 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drawn_edges import calibration, camera, drawn, evidence, seen_views, together
-from scipy.spatial import ConvexHull, Delaunay
+from drawn_edges import calibration, camera, drawn, evidence, not_behind, seen_views, together
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from solids import box
 
-from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Hypothesis, Wireframe, localize
 from smartview_jax.localization.edge_lookup import KNOWN_CELL_PX, EdgeLookup
@@ -121,24 +120,11 @@ def test_known_triangles_hide_as_an_object_does():
     assert differ.sum() <= 4
 
 
-def without_what_is_behind(pictures, views):
-    """Edge points that the object in front does not cover; its outline is that of its vertices."""
-    vertices = FRONT.vertices @ front_pose()[:3, :3].T + front_pose()[:3, 3]
-    kept = []
-    for points, camera_from_world in zip(pictures, views.camera_from_world, strict=True):
-        in_camera = vertices @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-        seen = np.asarray(views.camera.project(jnp.asarray(in_camera))[0])
-        outline = Delaunay(seen[ConvexHull(seen).vertices])
-        free = outline.find_simplex(points.pixels) < 0
-        kept.append(EdgePoints(*(part[free] for part in points)))
-    return kept
-
-
 def test_what_an_accepted_object_hides_is_not_held_against_another(monkeypatch):
     """The one at the back is judged first, because it is larger, and again with what hides it."""
     monkeypatch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
     monkeypatch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
-    at_back = without_what_is_behind(drawn(BACK, VIEWS, POSE, shift=0.8), VIEWS)
+    at_back = not_behind(drawn(BACK, VIEWS, POSE, shift=0.8), VIEWS, FRONT, front_pose())
     in_front = drawn(FRONT, VIEWS, front_pose(), hidden=(4, 5, 6))
     poses = np.linalg.inv(VIEWS.camera_from_world)
     pictures = evidence(together(at_back, in_front))

@@ -1,6 +1,8 @@
 """From hypotheses to verdicts, and the next view, on drawn edges with known truth."""
 
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
 from smartview_jax.localization.pose_convergence import lengths_of_poses
+from smartview_jax.localization.verdict import MIN_LOG_ENDS
 from smartview_jax.modeling import ObjectModel, find_symmetry
 
 PLAIN = box()
@@ -105,6 +108,21 @@ def test_an_object_is_found_with_its_covariance(found):
     assert all(match.found_px <= match.visible_px + 1e-9 for match in one.matches)
 
 
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_what_was_found_is_copied_whole(pictures, copied):
+    found = find(pictures)
+    other = copied(found)
+    assert [one.message for one in other] == [one.message for one in found]
+    assert other.messages == found.messages
+    assert other.accepted[0].verdict == found.accepted[0].verdict
+    np.testing.assert_array_equal(other[0].covariance, found[0].covariance)
+    np.testing.assert_array_equal(
+        other.pictures[1].edge_points.pixels, found.pictures[1].edge_points.pixels
+    )
+    given, own = (one.command.base_from_tool.as_matrix() for one in (found, other))
+    np.testing.assert_array_equal(own, given)
+
+
 def test_a_symmetry_that_is_not_known_is_ambiguous(pictures):
     turned = POSE @ MODEL.symmetry.object_from_object[1]
     found = find(pictures, PLAIN, starts() + starts(turned))
@@ -153,6 +171,15 @@ def test_a_box_of_another_height_is_not_accepted(pictures):
     assert not found.accepted
 
 
+def test_the_corner_of_another_block_is_not_accepted():
+    """All that is seen of the box is exact, and the rest is missing, as if something hid it."""
+    (one, *_) = find(drawn(box(0.06, 0.03, 0.03), views(), POSE, 0.03))
+    assert 0.5 < one.verdict.evidence.explained < 0.82
+    assert one.verdict.evidence.log_ends < MIN_LOG_ENDS
+    assert one.verdict.decision == "open"
+    assert "end as another object's" in one.message
+
+
 def test_of_two_models_the_right_one_is_accepted(pictures):
     lower = dataclasses.replace(box(z=0.02), name="lower")
     down = np.eye(4)
@@ -160,6 +187,18 @@ def test_of_two_models_the_right_one_is_accepted(pictures):
     found = find(pictures, [lower, MODEL], starts(POSE @ down) + starts(model=1))
     assert [one.model.name for one in found.accepted] == ["box"]
     assert "lower: not found" in found.messages[0]
+
+
+def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictures):
+    """A box that is 0.7 % larger has an edge point near each of its own, but not on it."""
+    larger = box(1.007 * 0.06, 1.007 * 0.04, 1.007 * 0.03)
+    larger = dataclasses.replace(larger, name="larger", symmetry=find_symmetry(larger))
+    found = find(pictures, [MODEL, larger], starts() + starts(model=1))
+    (one,) = found.accepted
+    assert one.model.name == "box"
+    found_of_it, (rival, *_) = one.verdict.evidence, one.rivals
+    assert found_of_it.log_likelihood < rival.log_likelihood + 6.0
+    assert one.verdict.margin > 6.0
 
 
 def test_clutter_alone_is_nothing():
@@ -239,7 +278,12 @@ def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
     down[2, 3] = 0.01
     found = find(pictures, [MODEL, lower], starts() + starts(POSE @ down, model=1))
     verdict = found[0].verdict._replace(decision="open", margin=1.0)
-    rival = found[0].rivals[0]._replace(log_likelihood=verdict.evidence.log_likelihood - 1.0)
+    own = verdict.evidence
+    rival = (
+        found[0]
+        .rivals[0]
+        ._replace(log_likelihood=own.log_likelihood - 1.0, log_exactness=own.log_exactness)
+    )
     open_one = found[0]._replace(verdict=verdict, rivals=(rival,))
     up = POSE[:3, 2]
     side = np.cross(up, [1.0, 0.2, 0.0])

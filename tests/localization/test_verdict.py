@@ -67,6 +67,7 @@ def test_hidden_object_is_accepted_only_where_its_edges_are_cut_off_and_fit_exac
     assert verdict(**hidden | {"edge_rms": 0.6}).decision == "open"
     assert verdict(**hidden | {"edges": 7, "edge_rms": 0.4}).decision == "open"
     assert verdict(**hidden | {"explained": 0.45}).decision == "open"
+    assert verdict(**hidden | {"log_ends": -3.0}).decision == "open"
 
 
 def test_loosely_fitting_pose_needs_more_of_its_edges():
