@@ -70,9 +70,10 @@ LOG_RATIOS = {
 }
 """Log-likelihood ratios of an end by its place in another view and whether an outline crosses it.
 
-Place and crossing are nearly independent, and the numbers are within 0.3 of their counts: of 216
-ends in 23 partly hidden solids, and of 207 in 33 boxes "seen" at the corners of other blocks, 5 and
-36 % of those that two views show were at the same place, 47 and 14 % were crossed.
+Place and crossing are nearly independent, so that the ratios of both are added; where no other view
+shows the place, that of the crossing alone counts. Of 216 ends in 23 partly hidden solids, and of
+207 in 33 boxes "seen" at the corners of other blocks, 5 and 36 % of those that two views show were
+at the same place, 47 and 14 % were crossed.
 """
 
 LOG_RATIO_BEYOND, LOG_RATIO_VERTEX = -0.8, 0.04
