@@ -8,6 +8,7 @@ said: their source may change.
 
 import functools
 import io
+import operator
 import os
 import pickle
 import sys
@@ -113,8 +114,26 @@ def constants() -> dict[str, int]:
 
     Whoever changes one in a running process, such as a limit, gets programs of their own.
     """
-    names = [name for name in sys.modules.copy() if name.partition(".")[0] == _PACKAGE]
-    return {name: _checksum(vars(sys.modules[name]).copy()) for name in names}
+    modules = sys.modules.copy().items()
+    return {
+        name: _checksum_of_module(name, vars(module).copy())
+        for name, module in modules
+        if name.partition(".")[0] == _PACKAGE
+    }
+
+
+_checksums: dict[str, tuple[list[Any], int]] = {}
+"""The variables of every module when its checksum was computed, and the checksum."""
+
+
+def _checksum_of_module(name: str, variables: dict[str, Any]) -> int:
+    """Return the checksum of a module, computed anew if one of its variables is another object."""
+    values = list(variables.values())
+    before, checksum = _checksums.get(name, ([], 0))
+    if len(before) != len(values) or not all(map(operator.is_, before, values)):
+        checksum = _checksum(variables)
+        _checksums[name] = values, checksum
+    return checksum
 
 
 def _checksum(variables: dict[str, Any]) -> int:

@@ -59,7 +59,7 @@ class ArrayKind(NamedTuple):
         shape: the shape.
         dtype: the name of the type.
         weak: whether the type gives way to others, as that of a Python number does.
-        sharding: the devices that hold it; None for one of NumPy.
+        sharding: the devices that hold it; None for the first one, and for an array of NumPy.
     """
 
     shape: tuple[int, ...]
@@ -123,7 +123,7 @@ class ProgramStore:
         folder, name = _folder(), known_name(self._function)
         if folder is None or name is None or not _are_on_first_cpu(arguments):
             return None
-        description = pickled_if_known((name, self._options, _without_devices(arguments)))
+        description = pickled_if_known((name, self._options, arguments))
         if description is None:
             return None
         decided_by = hashlib.sha256(compiler() + sources() + description).hexdigest()
@@ -158,28 +158,25 @@ def _is_kind(x: Any) -> bool:
 def _kind_of(leaf: Any) -> Any:
     """Return the kind of an array; anything else as it is."""
     if isinstance(leaf, jax.Array):
-        return ArrayKind(leaf.shape, leaf.dtype.name, leaf.weak_type, leaf.sharding)
+        sharding = None if leaf.sharding == _first_device() else leaf.sharding
+        return ArrayKind(leaf.shape, leaf.dtype.name, leaf.weak_type, sharding)
     if isinstance(leaf, np.ndarray | np.generic):
         return ArrayKind(leaf.shape, leaf.dtype.name)
     return leaf
+
+
+@functools.cache
+def _first_device() -> jax.sharding.Sharding:
+    """Return the place of arrays that nobody put elsewhere."""
+    return jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
 
 
 def _are_on_first_cpu(arguments: Any) -> bool:
     """Return whether all arrays are on the first CPU, where programs that are read run."""
     if jax.default_backend() != "cpu" or jax.process_count() > 1:
         return False
-    first = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     leaves = jax.tree.leaves(arguments, is_leaf=_is_kind)
-    return all(x.sharding in (None, first) for x in leaves if _is_kind(x))
-
-
-def _without_devices(arguments: Any) -> Any:
-    """Return arguments with what a file can say of their arrays."""
-
-    def plain(x: Any) -> Any:
-        return x._replace(sharding=None) if _is_kind(x) else x
-
-    return jax.tree.map(plain, arguments, is_leaf=_is_kind)
+    return all(x.sharding is None for x in leaves if _is_kind(x))
 
 
 def _folder() -> Path | None:
