@@ -114,11 +114,11 @@ def constants() -> dict[str, int]:
 
     Whoever changes one in a running process, such as a limit, gets programs of their own.
     """
-    modules = sys.modules.copy().items()
+    # A package only shows what its modules define, and some import that when it is first used.
     return {
         name: _checksum_of_module(name, vars(module).copy())
-        for name, module in modules
-        if name.partition(".")[0] == _PACKAGE
+        for name, module in sys.modules.copy().items()
+        if name.partition(".")[0] == _PACKAGE and not hasattr(module, "__path__")
     }
 
 

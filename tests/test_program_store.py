@@ -62,6 +62,14 @@ def test_a_second_process_compiles_nothing_that_the_first_kept(tmp_path):
     assert run(tmp_path) == (1, 0)
 
 
+def test_which_public_names_were_used_does_not_matter(tmp_path):
+    run(tmp_path)
+    (trace,) = (tmp_path / "smartview_jax").glob("*-trace")
+    before = trace.stat().st_mtime_ns
+    run(tmp_path, "sv.fit_joint, sv.calibrate, sv.held_out")
+    assert trace.stat().st_mtime_ns == before, "it was traced again"
+
+
 def test_a_process_with_other_constants_has_other_programs(tmp_path):
     changed = "import smartview_jax.cameras.radial as radial; radial._FOLD_STRENGTH *= 1.5"
     assert run(tmp_path) == (0, 1)
