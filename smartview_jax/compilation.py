@@ -14,6 +14,7 @@ import jax
 from jax.core import Tracer
 
 from .compilation_cache import keep_compiled_programs
+from .program_store import ProgramStore
 
 MIN_OPTIMISED_ELEMENTS = 30_000
 """Smallest number of array elements in the arguments for which a program is compiled optimised.
@@ -89,6 +90,7 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
         # In parts, LLVM would compile in threads; splitting costs more time than they save.
         "xla_cpu_parallel_codegen_split_count": 1,
     }
+    store = ProgramStore(function, options)
     top_level = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
     nested = eqx.filter_jit(function)
@@ -98,6 +100,9 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
         if is_traced(args, kwargs):
             return nested(*args, **kwargs)
         keep_compiled_programs()
+        program, arrays = store.find(args, kwargs)
+        if program is not None:
+            return program(arrays)
         return top_level(*args, **kwargs)
 
     return call

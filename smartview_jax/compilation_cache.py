@@ -9,6 +9,9 @@ the command, a script and a notebook alike. Only settings that the user left alo
   JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS or JAX's own configuration says otherwise: a fit has
   many programs that compile in less than JAX's default of one second.
 
+What `program_store` keeps besides, so that programs need not even be traced again, is in the same
+folder and under the same settings.
+
 JAX_ENABLE_COMPILATION_CACHE=0, or `jax.config.update("jax_enable_compilation_cache", False)` before
 the first fit, turns it off. Programs of other libraries in the same process are kept, too.
 """
@@ -26,6 +29,9 @@ MAX_BYTES = 1_000_000_000
 
 JAX can limit the size by itself, but only where the package filelock is installed.
 """
+
+_SUFFIXES = ("-cache", "-program", "-trace")
+"""The ends of the names of files that JAX and `program_store` write."""
 
 _JAX_MIN_COMPILE_TIME = 1.0
 """JAX's own default of the shortest compile time of a program that is kept, s."""
@@ -85,7 +91,7 @@ def _is_writable(folder: str) -> bool:
 def _remove_least_recently_used(folder: Path, max_bytes: int) -> None:
     """Remove the programs that were last read longest ago, until the rest is small enough."""
     sizes_by_time: list[tuple[float, int, Path]] = []
-    for path in folder.glob("*-cache"):
+    for path in (p for p in folder.iterdir() if p.name.endswith(_SUFFIXES)):
         # Another process may be removing the same files.
         with suppress(OSError):
             status = path.stat()

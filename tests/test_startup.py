@@ -110,7 +110,9 @@ from smartview_jax.cli import app
 from smartview_jax.io import sample_folder
 built = []
 jax.monitoring.register_event_duration_secs_listener(
-    lambda event, *_, **__: built.append(event) if event.endswith("backend_compile_duration") else 0
+    lambda event, *_, **__: built.append(event)
+    if event.endswith(("backend_compile_duration", "program_read"))
+    else 0
 )
 data = sv.load_dataset(sample_folder())
 assert not built, "reading the data compiles nothing"

@@ -3,6 +3,7 @@
 import io
 
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 # The palette of Okabe and Ito, which colour-blind readers can distinguish.
@@ -21,8 +22,11 @@ class PlotFigure(Figure):
 
     def png(self) -> bytes:
         """Return the figure as a PNG file."""
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+        buffer, dots_per_inch = io.BytesIO(), self.dpi
+        self.dpi = DOTS_PER_INCH
+        # The same picture as by `savefig`, which lays out and draws every figure twice.
+        FigureCanvasAgg(self).print_png(buffer)
+        self.dpi = dots_per_inch
         return buffer.getvalue()
 
     def _repr_png_(self) -> bytes:

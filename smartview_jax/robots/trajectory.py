@@ -1,13 +1,15 @@
 """Interpolate the poses that a robot logged while it moved."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from ..geometry import PoseLike, as_se3, host_matrices
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 MIN_LOGGED_POSES = 4
 """Smallest number of poses of which a cubic spline is determined."""
@@ -25,7 +27,7 @@ class Trajectory(NamedTuple):
     times: Float[np.ndarray, "logged"]
     base_from_tool: Float[np.ndarray, "logged 4 4"]
     rotations: RotationSpline
-    positions: CubicSpline
+    positions: "CubicSpline"
 
     @classmethod
     def of(cls, times: Float[np.ndarray, "logged"], base_from_tool: PoseLike) -> "Trajectory":
@@ -47,6 +49,9 @@ class Trajectory(NamedTuple):
                 f"trajectory: time {k + 1} is {seconds[k + 1]:.9g} s, not after {seconds[k]:.9g} s"
             )
         # Made once: a search asks for the poses at many times.
+        # Imported here: it takes a tenth of a second, and most data have no trajectory.
+        from scipy.interpolate import CubicSpline
+
         rotations = RotationSpline(seconds, Rotation.from_matrix(poses[:, :3, :3]))
         return cls(seconds, poses, rotations, CubicSpline(seconds, poses[:, :3, 3]))
 

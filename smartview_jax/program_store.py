@@ -1,0 +1,302 @@
+"""Keep compiled programs with what tracing found out, so that no later process traces them again.
+
+JAX's own cache on disk knows a program by its text. To make the text, a function is traced and
+lowered, which takes three times as long as reading the compiled program. Here two files are kept: a
+trace, known by all that decides the text (`program_identity`), which says how the result is put
+together and what the text was; and the program, known by its text. After a change of the sources
+only the first is made anew, unless the text has changed, too. What is left to JAX alone:
+
+- arguments that hold a class or a function of a user;
+- arrays on several devices, or on another device than the first CPU;
+- programs that call Python while they run;
+- JAX that was told to check, to promote types, or to compute otherwise than it does by itself.
+
+The files are in the folder of JAX's cache and under the same settings (`compilation_cache`).
+Reading one runs what is in it, as reading JAX's own does.
+"""
+
+import functools
+import hashlib
+import pickle
+import threading
+import time
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
+
+from .files import write_atomically
+from .program_identity import compiler, constants, known_name, pickled_if_known, sources
+
+TRACE_SUFFIX, PROGRAM_SUFFIX = "-trace", "-program"
+"""The ends of the names of this store's files; those of JAX's cache end in "-cache"."""
+
+READ_EVENT = "/smartview_jax/program_read"
+"""The event, with its duration, that `jax.monitoring` reports for a program that was read."""
+
+_PLAIN_SETTINGS = {
+    "jax_enable_x64": True,
+    "jax_disable_jit": False,
+    "jax_debug_nans": False,
+    "jax_debug_infs": False,
+    "jax_default_device": None,
+    "jax_default_matmul_precision": None,
+    "jax_numpy_rank_promotion": "allow",
+    "jax_numpy_dtype_promotion": "standard",
+}
+"""Settings that a context of the user may change within a process, and what they must be."""
+
+
+class ArrayKind(NamedTuple):
+    """The shape and type of an array: a program is compiled for all arrays of one kind.
+
+    Attributes:
+        shape: the shape.
+        dtype: the name of the type.
+        weak: whether the type gives way to others, as that of a Python number does.
+        sharding: the devices that hold it; None for the first one, and for an array of NumPy.
+    """
+
+    shape: tuple[int, ...]
+    dtype: str
+    weak: bool = False
+    sharding: Any = None
+
+
+class Program(NamedTuple):
+    """A compiled program, and how its result is put together.
+
+    Attributes:
+        run: from the arrays of the arguments to those of the result.
+        structure: the structure of the result.
+        leaves: its leaves, with an `ArrayKind` in the place of each array.
+    """
+
+    run: jax.stages.Compiled
+    structure: Any
+    leaves: list[Any]
+
+    def __call__(self, arrays: list[Any]) -> Any:
+        """Run the program, wait for it, and return the result."""
+        outputs = self.run(*arrays)
+        if outputs:
+            outputs[0].block_until_ready()
+        found = iter(outputs)
+        return self.structure.unflatten([next(found) if _is_kind(x) else x for x in self.leaves])
+
+
+class ProgramStore:
+    """The programs of one function: those in memory, and through them those on disk."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self._function = function
+        self._options = options
+        self._programs: dict[Any, Program | None] = {}
+        self._lock = threading.RLock()
+
+    def find(self, args: Any, kwargs: Any) -> tuple[Program | None, list[Any]]:
+        """Return the program for arguments, read or compiled if need be, and their arrays.
+
+        There is none where not everything is known that decides the program.
+        """
+        if any(getattr(jax.config, name) != value for name, value in _PLAIN_SETTINGS.items()):
+            return None, []
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        kinds = [_kind_of(leaf) for leaf in leaves]
+        arrays = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if _is_kind(kind)]
+        # One equals True, and zero False, but they are not the same argument.
+        key = structure, tuple(kinds), tuple(map(type, kinds))
+        if key not in self._programs:
+            # A program that two threads want at once is compiled once.
+            with self._lock:
+                if key not in self._programs:
+                    self._programs[key] = self._new_program(structure.unflatten(kinds), arrays)
+        return self._programs[key], arrays
+
+    def _new_program(self, arguments: Any, arrays: list[Any]) -> Program | None:
+        """Return the program for arguments whose arrays are replaced by their kinds."""
+        folder, name = _folder(), known_name(self._function)
+        if folder is None or name is None or not _are_on_first_cpu(arguments):
+            return None
+        description = pickled_if_known((name, self._options, arguments))
+        if description is None:
+            return None
+        decided_by = hashlib.sha256(compiler() + sources() + description).hexdigest()
+        path = folder / f"{self._function.__name__}-{decided_by}{TRACE_SUFFIX}"
+        return _read(path, len(arrays)) or self._traced_anew(path, arguments, arrays)
+
+    def _traced_anew(self, path: Path, arguments: Any, arrays: list[Any]) -> Program:
+        """Trace the function, read or compile its program, and keep what took long enough."""
+        began = time.perf_counter()
+        lowered, (structure, leaves) = _lowered(self._function, arguments, arrays)
+        decided_by = compiler() + repr(self._options).encode() + lowered.as_text().encode()
+        digest = hashlib.sha256(decided_by).hexdigest()
+        program_path = path.with_name(f"{self._function.__name__}-{digest}{PROGRAM_SUFFIX}")
+        run = _read_program(program_path, len(arrays), len([x for x in leaves if _is_kind(x)]))
+        # JAX's settings say what is worth a file; where none can be written, that is nothing.
+        shortest = jax.config.values["jax_persistent_cache_min_compile_time_secs"]
+        if run is None:
+            run, is_new = _compiled(lowered, self._options)
+            # JAX cannot write a program that it has read.
+            if is_new and time.perf_counter() - began >= shortest:
+                _write_program(program_path, run)
+        if program_path.exists() and time.perf_counter() - began >= shortest:
+            _write_trace(path, structure.unflatten(leaves), program_path.name)
+        return Program(run, structure, leaves)
+
+
+def _is_kind(x: Any) -> bool:
+    """Return whether something stands for an array."""
+    return type(x) is ArrayKind
+
+
+def _kind_of(leaf: Any) -> Any:
+    """Return the kind of an array; anything else as it is."""
+    if isinstance(leaf, jax.Array):
+        sharding = None if leaf.sharding == _first_device() else leaf.sharding
+        return ArrayKind(leaf.shape, leaf.dtype.name, leaf.weak_type, sharding)
+    if isinstance(leaf, np.ndarray | np.generic):
+        return ArrayKind(leaf.shape, leaf.dtype.name)
+    return leaf
+
+
+@functools.cache
+def _first_device() -> jax.sharding.Sharding:
+    """Return the place of arrays that nobody put elsewhere."""
+    return jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
+
+
+def _are_on_first_cpu(arguments: Any) -> bool:
+    """Return whether all arrays are on the first CPU, where programs that are read run."""
+    if jax.default_backend() != "cpu" or jax.process_count() > 1:
+        return False
+    leaves = jax.tree.leaves(arguments, is_leaf=_is_kind)
+    return all(x.sharding is None for x in leaves if _is_kind(x))
+
+
+def _folder() -> Path | None:
+    """Return the folder of JAX's cache; None where it is off, or not on a disk."""
+    settings = jax.config.values
+    folder = settings["jax_compilation_cache_dir"]
+    if not settings["jax_enable_compilation_cache"] or not folder or "://" in folder:
+        return None
+    return Path(folder) if Path(folder).is_dir() else None
+
+
+def _lowered(
+    function: Callable[..., Any], arguments: Any, arrays: list[Any]
+) -> tuple[jax.stages.Lowered, tuple[Any, list[Any]]]:
+    """Lower a function for arguments whose arrays are replaced by their kinds.
+
+    Returns:
+        The function from arrays to arrays; and the structure of its result with the leaves, arrays
+        of the result being replaced by their kinds.
+    """
+    leaves, structure = jax.tree.flatten(arguments, is_leaf=_is_kind)
+    result: list[Any] = []
+
+    def on_arrays(*traced: Any) -> list[Any]:
+        """Call the function, and note what in its result is no array."""
+        given = iter(traced)
+        args, kwargs = structure.unflatten([next(given) if _is_kind(x) else x for x in leaves])
+        outputs, result_structure = jax.tree.flatten(function(*args, **kwargs))
+        kinds = [_kind_of_result(x) for x in outputs]
+        result[:] = result_structure, kinds
+        return [x for x, kind in zip(outputs, kinds, strict=True) if _is_kind(kind)]
+
+    # JAX names the program, in its profiles and in its cache, as the function.
+    on_arrays.__name__ = f"{function.__name__}_stored"
+    lowered = jax.jit(on_arrays).lower(*arrays)
+    return lowered, (result[0], result[1])
+
+
+def _kind_of_result(leaf: Any) -> Any:
+    """Return shape and type of an array that may be traced; anything else as it is."""
+    is_array = isinstance(leaf, jax.Array | np.ndarray | np.generic)
+    return ArrayKind(leaf.shape, leaf.dtype.name) if is_array else leaf
+
+
+_reads = threading.local()
+"""The programs that JAX read from its own cache, by thread: `_reads.count`."""
+
+
+@functools.cache
+def _count_reads() -> None:
+    """Have JAX report the programs that it reads from its own cache."""
+
+    def count(event: str, **_: Any) -> None:
+        if event == "/jax/compilation_cache/cache_hits":
+            _reads.count = getattr(_reads, "count", 0) + 1
+
+    jax.monitoring.register_event_listener(count)
+
+
+def _compiled(
+    lowered: jax.stages.Lowered, options: dict[str, Any]
+) -> tuple[jax.stages.Compiled, bool]:
+    """Compile a function; also return whether that was done, instead of reading JAX's cache."""
+    _count_reads()
+    before = getattr(_reads, "count", 0)
+    run = lowered.compile(compiler_options=options)
+    return run, getattr(_reads, "count", 0) == before
+
+
+def _write_program(path: Path, run: jax.stages.Compiled) -> None:
+    """Write a program, unless it is one that lives only in this process."""
+    # A program that calls Python cannot be written, and says so by one exception or another; and
+    # a full disk is no reason to end a fit.
+    with suppress(Exception):
+        write_atomically(path, zlib.compress(serialize(run)[0], 1))
+
+
+def _write_trace(path: Path, result: Any, program: str) -> None:
+    """Write how a result is put together, and the name of the file with the program."""
+    content = pickled_if_known(result)
+    if content is not None:
+        with suppress(OSError):
+            write_atomically(path, pickle.dumps((constants(), content, program)))
+
+
+def _read(path: Path, array_count: int) -> Program | None:
+    """Return the program of a trace; None where there is none that this process can run."""
+    # A file that is broken, or of a library that has changed since, is written anew.
+    with suppress(Exception):
+        then, result, name = pickle.loads(path.read_bytes())
+        if any(then.get(module, now) != now for module, now in constants().items()):
+            return None
+        leaves, structure = jax.tree.flatten(pickle.loads(result), is_leaf=_is_kind)
+        outputs = len([x for x in leaves if _is_kind(x)])
+        run = _read_program(path.with_name(name), array_count, outputs)
+        return None if run is None else Program(run, structure, leaves)
+    return None
+
+
+def _read_program(path: Path, array_count: int, output_count: int) -> jax.stages.Compiled | None:
+    """Return a program from its file, with the numbers of its arrays; None where there is none."""
+    began = time.perf_counter()
+    with suppress(Exception):
+        content = zlib.decompress(path.read_bytes())
+        _prepare_lapack()
+        run = deserialize_and_load(
+            content,
+            jax.tree.structure((tuple(range(array_count)), {})),
+            jax.tree.structure(list(range(output_count))),
+            execution_devices=jax.devices()[:1],
+        )
+        jax.monitoring.record_event_duration_secs(READ_EVENT, time.perf_counter() - began)
+        return run
+    return None
+
+
+@functools.cache
+def _prepare_lapack() -> None:
+    """Have JAX find the functions of LAPACK, as it does when it lowers the first call of one.
+
+    A program that is only read would call what was never found, and crash.
+    """
+    jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))
