@@ -133,3 +133,22 @@ def test_many_poses_at_once():
     found = joints_for_pose(arm, arm.base_from_tool(joints), joints + 0.02)
     assert found.status.shape == (2, 3)
     assert found.is_solved.all()
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1.0], ids=["in reach", "out of reach"])
+def test_derivatives_are_those_of_differences(beyond):
+    """Out of reach the residual is not zero, and its second derivatives count."""
+    arm, start = six_axes(), np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
+    limited = dataclasses.replace(arm, limits=3.0 * jnp.array([[-1.0, 1.0]] * 6))
+    pose = SE3.from_translation(jnp.array([beyond, 0.0, 0.0])) @ arm.base_from_tool(start)
+
+    @jax.jit
+    def found(shift):
+        moved = SE3.from_translation(shift) @ pose
+        return solve_joints_iteratively(limited, moved, start + 0.05)[0]
+
+    forward, reverse = jax.jit(lambda x: (jax.jacfwd(found)(x), jax.jacrev(found)(x)))(np.zeros(3))
+    step = 1e-3 * np.eye(3)
+    expected = np.stack([(found(s) - found(-s)) / 2e-3 for s in step], axis=1)
+    np.testing.assert_allclose(forward, expected, atol=2e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(reverse, forward, atol=1e-9 * np.abs(expected).max())

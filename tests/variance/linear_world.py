@@ -18,7 +18,7 @@ SHARED = CAMERA + MOUNT + sum(FIELD)
 
 
 class LinearWorld(NamedTuple):
-    """Information of every view's statistics, how these come about, and what hundreds of draws share.
+    """Information of every view's statistics, how these come about, and what all draws share.
 
     The root of the noise's covariance (per squared size), and `design.T @ information @ design`.
     """

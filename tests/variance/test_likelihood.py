@@ -77,24 +77,26 @@ def test_its_gradient_is_that_of_differences(world, held):
         free = jnp.asarray(np.random.default_rng(9).random((VIEWS, 6)) < 0.7)
         views = with_held(views, free)
     sizes = OTHERS[0]
-    slopes = jax.grad(lambda s: deviance(views, s))(sizes)
+    value = jax.jit(lambda s: deviance(views, s))
+    slopes = jax.jit(jax.grad(value))(sizes)
     for k, slope in enumerate(slopes.vector):
-        ahead, behind = (deviance(views, moved(sizes, k, s)) for s in (1e-5, -1e-5))
+        ahead, behind = (value(moved(sizes, k, s)) for s in (1e-5, -1e-5))
         difference = (ahead - behind) / (2e-5 * sizes.vector[k])
         np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
 def test_it_is_differentiable_by_the_observations_and_twice_by_the_sizes(world):
     views = linearised(world, drawn(world, 5))
-    by_gradient = jax.grad(lambda v: deviance(v, TRUTH), allow_int=True)(views).gradient.shared
+    by_views = jax.jit(jax.grad(lambda v: deviance(v, TRUTH), allow_int=True))
+    by_gradient = by_views(views).gradient.shared
     step = jnp.zeros(SHARED).at[1].set(1e-4)
     ahead, behind = (
         deviance(eqx.tree_at(lambda v: v.gradient.shared, views, views.gradient.shared + s), TRUTH)
         for s in (step, -step)
     )
     np.testing.assert_allclose(by_gradient[1], (ahead - behind) / 2e-4, rtol=1e-6)
-    slope = jax.grad(lambda s: deviance(views, s))
-    curved = jax.jacfwd(slope)(TRUTH).translation.translation
+    slope = jax.jit(jax.grad(lambda s: deviance(views, s)))
+    curved = jax.jit(jax.jacfwd(slope))(TRUTH).translation.translation
     ahead, behind = (slope(moved(TRUTH, 1, s)).translation for s in (1e-6, -1e-6))
     expected = (ahead - behind) / (2e-6 * TRUTH.translation)
     np.testing.assert_allclose(curved, expected, rtol=1e-5)
