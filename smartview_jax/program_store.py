@@ -12,12 +12,11 @@ only the first is made anew, unless the text has changed, too. What is left to J
 - JAX that was told to check, to promote types, or to compute otherwise than it does by itself.
 
 The files are in the folder of JAX's cache and under the same settings (`compilation_cache`).
-Reading one runs what is in it, as reading JAX's own does.
+Only what its owner wrote is in it: a program that is read is run, here as in JAX's own cache.
 """
 
 import functools
 import hashlib
-import pickle
 import threading
 import time
 import zlib
@@ -31,7 +30,14 @@ import numpy as np
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
 from .files import write_atomically
-from .program_identity import compiler, constants, known_name, pickled_if_known, sources
+from .program_identity import (
+    compiler,
+    constants,
+    known_name,
+    pickled_if_known,
+    sources,
+    unpickled,
+)
 
 TRACE_SUFFIX, PROGRAM_SUFFIX = "-trace", "-program"
 """The ends of the names of this store's files; those of JAX's cache end in "-cache"."""
@@ -256,20 +262,20 @@ def _write_program(path: Path, run: jax.stages.Compiled) -> None:
 
 def _write_trace(path: Path, result: Any, program: str) -> None:
     """Write how a result is put together, and the name of the file with the program."""
-    content = pickled_if_known(result)
+    content = pickled_if_known((constants(), result, program))
     if content is not None:
         with suppress(OSError):
-            write_atomically(path, pickle.dumps((constants(), content, program)))
+            write_atomically(path, content)
 
 
 def _read(path: Path, array_count: int) -> Program | None:
     """Return the program of a trace; None where there is none that this process can run."""
     # A file that is broken, or of a library that has changed since, is written anew.
     with suppress(Exception):
-        then, result, name = pickle.loads(path.read_bytes())
+        then, result, name = unpickled(path.read_bytes())
         if any(then.get(module, now) != now for module, now in constants().items()):
             return None
-        leaves, structure = jax.tree.flatten(pickle.loads(result), is_leaf=_is_kind)
+        leaves, structure = jax.tree.flatten(result, is_leaf=_is_kind)
         outputs = len([x for x in leaves if _is_kind(x)])
         run = _read_program(path.with_name(name), array_count, outputs)
         return None if run is None else Program(run, structure, leaves)

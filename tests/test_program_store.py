@@ -11,7 +11,7 @@ import pytest
 
 from smartview_jax import program_store
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.program_identity import constants, known_name, pickled_if_known
+from smartview_jax.program_identity import constants, known_name, pickled_if_known, unpickled
 from smartview_jax.program_store import ProgramStore
 
 PROGRAM = """
@@ -88,6 +88,25 @@ def test_a_broken_file_is_no_error(tmp_path, suffix):
     (file,) = (tmp_path / "smartview_jax").glob(f"*{suffix}")
     file.write_bytes(file.read_bytes()[:100])
     run(tmp_path)
+
+
+class Calls:
+    """Calls a function when it is read."""
+
+    def __init__(self, function, *arguments):
+        self.call = function, arguments
+
+    def __reduce__(self):
+        return self.call
+
+
+@pytest.mark.parametrize(
+    "content",
+    [Calls(os.getcwd), Calls(eval, "1"), Calls(known_name, Camera), Calls(subprocess.Popen)],
+)
+def test_what_a_trace_would_call_is_not_called(content):
+    with pytest.raises(Exception, match="is no class that is known"):
+        unpickled(pickle.dumps(content))
 
 
 @pytest.fixture

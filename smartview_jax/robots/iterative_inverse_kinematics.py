@@ -1,8 +1,11 @@
 """Solve inverse kinematics numerically, by Levenberg-Marquardt iteration from a start near by."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.custom_derivatives import SymbolicZero
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
@@ -50,23 +53,17 @@ def solve_joints_iteratively(
     def solve_view(
         pose: Float[Array, "7"], start: Float[Array, "joints"]
     ) -> tuple[Float[Array, "joints"], Bool[Array, ""]]:
-        def unbounded_residual(
-            unbounded: Float[Array, "joints"], _: None = None
-        ) -> Float[Array, "6"]:
-            at = jax.lax.stop_gradient(unbounded)
-            residual, jacobian = _residual_and_jacobian(arm, pose, at)
-            # The value is r, and J is what differentiation finds. J is held where it is
-            # differentiated again, as Gauss and Newton do: exact where r is zero.
-            return residual + jacobian @ (unbounded - at)
-
-        initial = _unbounded_from_joints(start, arm.limits)
         # The iteration runs over unbounded coordinates, so that no step can leave the joint limits.
         # A pose out of reach is not an error here: the second result reports it.
-        solution = optx.least_squares(
-            unbounded_residual, solver, initial, max_steps=MAX_STEPS, throw=False
+        unbounded = optx.least_squares(
+            lambda x, _: _residual(arm, pose, x),
+            solver,
+            _unbounded_from_joints(start, arm.limits),
+            max_steps=MAX_STEPS,
+            throw=False,
         ).value
-        is_reached = jnp.max(jnp.abs(unbounded_residual(solution))) < TWIST_TOLERANCE
-        return _joints_from_unbounded(solution, arm.limits), is_reached
+        is_reached = jnp.max(jnp.abs(_residual(arm, pose, unbounded))) < TWIST_TOLERANCE
+        return _joints_from_unbounded(unbounded, arm.limits), is_reached
 
     poses = base_from_tool.wxyz_xyz
     starts = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*poses.shape[:-1], arm.joint_count))
@@ -76,13 +73,49 @@ def solve_joints_iteratively(
     return solve_view(poses, starts)
 
 
+@jax.custom_jvp
+def _residual(
+    arm: SerialArm, pose: Float[Array, "7"], unbounded: Float[Array, "n"]
+) -> Float[Array, "6"]:
+    """Return the residual twist, whose derivative is the geometric Jacobian.
+
+    A program of the iteration is a quarter of the size that it has with the chain differentiated.
+    """
+    return _residual_and_jacobian(arm, pose, unbounded)[0]
+
+
+def _residual_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """Differentiate the residual: by the chain only where arm or pose change, too."""
+    residual, jacobian = _residual_and_jacobian(*primals)
+    change = jnp.zeros_like(residual)
+    if not _is_zero(tangents[2]):
+        change += jacobian @ tangents[2]
+    if not all(map(_is_zero, jax.tree.leaves(tangents[:2], is_leaf=_is_zero))):
+        arm_and_pose = jax.tree.map(
+            lambda x: jnp.zeros(x.shape, x.dtype) if _is_zero(x) else x,
+            tangents[:2],
+            is_leaf=_is_zero,
+        )
+        change += jax.jvp(
+            lambda arm, pose: _residual_and_jacobian(arm, pose, primals[2])[0],
+            primals[:2],
+            arm_and_pose,
+        )[1]
+    return residual, change
+
+
+def _is_zero(tangent: Any) -> bool:
+    """Return whether a tangent is known to be zero."""
+    return isinstance(tangent, SymbolicZero)
+
+
+_residual.defjvp(_residual_jvp, symbolic_zeros=True)
+
+
 def _residual_and_jacobian(
     arm: SerialArm, pose: Float[Array, "7"], unbounded: Float[Array, "n"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 n"]]:
-    """Return the residual twist and its Jacobian with respect to the unbounded coordinates.
-
-    The geometric Jacobian makes a program a quarter of the size of the differentiated chain's.
-    """
+    """Return the residual twist and its Jacobian with respect to the unbounded coordinates."""
     joints, slopes = jax.jvp(
         lambda x: _joints_from_unbounded(x, arm.limits), (unbounded,), (jnp.ones_like(unbounded),)
     )

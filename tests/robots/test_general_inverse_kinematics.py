@@ -66,21 +66,6 @@ def test_a_search_may_begin_at_a_limit_or_beyond_it():
         assert not arm.violated_limits(joints).any()
 
 
-def test_joints_follow_the_pose_by_the_inverse_of_the_jacobian():
-    """Their derivative comes from the minimum, not from the way there."""
-    bounds = jnp.tile(jnp.array([-2.0, 2.0]), (6, 1))
-    arm = dataclasses.replace(six_axes(), limits=bounds)
-    joints = jnp.asarray(JOINTS[:6])
-    pose = arm.base_from_tool(joints)
-
-    def moved(twist):
-        wanted = pose @ SE3.exp(twist)
-        return solve_joints_iteratively(arm, wanted, joints + 0.1)[0]
-
-    found = jax.jacobian(moved)(jnp.zeros(6))
-    np.testing.assert_allclose(found @ arm.jacobian(joints), np.eye(6), atol=1e-7)
-
-
 def test_what_stands_in_the_way_is_named():
     arm = dataclasses.replace(
         kuka_lwr4(), limits=limited(3.0).limits.at[3].set(jnp.array([-0.5, 0.5]))
