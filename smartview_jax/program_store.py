@@ -140,8 +140,9 @@ class ProgramStore:
         """Trace the function, read or compile its program, and keep what took long enough."""
         began = time.perf_counter()
         lowered, (structure, leaves) = _lowered(self._function, arguments, arrays)
-        decided_by = compiler() + repr(self._options).encode() + lowered.as_text().encode()
-        digest = hashlib.sha256(decided_by).hexdigest()
+        # The text does not tell of arguments that have no effect.
+        described = repr((self._options, lowered.in_avals)) + lowered.as_text()
+        digest = hashlib.sha256(compiler() + described.encode()).hexdigest()
         program_path = path.with_name(f"{self._function.__name__}-{digest}{PROGRAM_SUFFIX}")
         run = _read_program(program_path, len(arrays), len([x for x in leaves if _is_kind(x)]))
         # JAX's settings say what is worth a file; where none can be written, that is nothing.

@@ -112,8 +112,13 @@ def test_what_a_trace_would_call_is_not_called(content):
 @pytest.fixture
 def store(tmp_path):
     """Makes the store of a function, where JAX is as it comes and compiles anew."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    settings = {
+        "jax_compilation_cache_dir": str(tmp_path),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+    }
+    before = {name: jax.config.values[name] for name in settings}
+    for name, value in settings.items():
+        jax.config.update(name, value)
 
     def made(function, module="smartview_jax.made_up"):
         function.__module__, function.__qualname__ = module, function.__name__
@@ -121,7 +126,8 @@ def store(tmp_path):
 
     with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
         yield made
-    jax.config.update("jax_compilation_cache_dir", before)
+    for name, value in before.items():
+        jax.config.update(name, value)
 
 
 def test_arguments_that_are_equal_but_not_the_same_have_programs_of_their_own(store):
@@ -134,6 +140,15 @@ def test_arguments_that_are_equal_but_not_the_same_have_programs_of_their_own(st
         result, same = program(arrays)
         np.testing.assert_array_equal(result, [factor, factor])
         assert same is flag
+
+
+def test_arguments_without_effect_decide_too(store):
+    def first_doubled(x, ignored):
+        return 2.0 * x
+
+    for size in (3, 4):
+        program, arrays = store(first_doubled).find((np.ones(2), np.ones(size)), {})
+        np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
 
 
 def test_of_a_function_of_the_user_nothing_is_kept(store):
