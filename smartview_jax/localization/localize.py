@@ -17,8 +17,9 @@ from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
+from .candidates import Prepared, Scene, converged_candidates
 from .hypotheses import Hypothesis, find_hypotheses
-from .judging import Prepared, Scene, converged_candidates, judged
+from .judging import judged
 from .known_surfaces import checked_triangles
 from .localization import Localization, Localizations
 from .pose_convergence import THREADS

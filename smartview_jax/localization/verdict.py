@@ -1,6 +1,6 @@
 """Judge whether an object is where a pose says: accepted, rejected or open, with the numbers.
 
-The test has five parts, each with a threshold that is a constant below and a number in `Verdict`:
+The test has six parts, each with a threshold that is a constant below and a number in `Verdict`:
 
 - the explained share: of the visible edge length, the part that has an edge point within
   `EXPLAINED_DISTANCE`, of the edge's orientation; in all views together and in each;
@@ -9,6 +9,8 @@ The test has five parts, each with a threshold that is a constant below and a nu
   explained by what else is there, among all that were looked at (an a-contrario test: Desolneux,
   Moisan and Morel, "Meaningful alignments", 2000);
 - residuals: how far whole edges are from the model, beyond their covariance;
+- ends: where much of the edges is missing, whether they end as edges do that something hides, or as
+  at the corner of another solid (`edge_ends`);
 - contrast: the gradient along the explained edges, over that of the picture's edges;
 - rivals: the log-likelihood, with how exactly the edges fit, over that of the best other pose or
   model at the same place that is not the same by symmetry.
@@ -173,7 +175,7 @@ def judge(
     doubts = []
     if share < _accepted_share(evidence, is_certain):
         more = f", and fit to {rms:.2f} px" if share >= ACCEPTED_SHARE else ""
-        more = ", and end as another object's" if evidence.log_ends < MIN_LOG_ENDS else more
+        more = ", and end as at another's corner" if evidence.log_ends < MIN_LOG_ENDS else more
         doubts.append(f"only {share:.0%} of its visible edges are in the pictures{more}")
     if evidence.edges < ACCEPTED_EDGES or evidence.log_likelihood < ACCEPTED_LOG_LIKELIHOOD:
         doubts.append(f"{evidence.edges} edges of {evidence.visible_px:.0f} px are few")

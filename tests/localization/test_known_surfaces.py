@@ -123,7 +123,7 @@ def test_known_triangles_hide_as_an_object_does():
 def test_what_an_accepted_object_hides_is_not_held_against_another(monkeypatch):
     """The one at the back is judged first, because it is larger, and again with what hides it."""
     monkeypatch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-    monkeypatch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
+    monkeypatch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
     at_back = not_behind(drawn(BACK, VIEWS, POSE, shift=0.8), VIEWS, FRONT, front_pose())
     in_front = drawn(FRONT, VIEWS, front_pose(), hidden=(4, 5, 6))
     poses = np.linalg.inv(VIEWS.camera_from_world)

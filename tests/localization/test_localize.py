@@ -40,7 +40,7 @@ def few_samples():
     """Enough for wireframes among drawn edges; chance costs most of the time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
+        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
         yield
 
 
@@ -137,10 +137,10 @@ def test_a_pose_that_is_drawn_to_the_found_one_is_no_rival(pictures, monkeypatch
     def left_as_they_are(wireframe, views, lookup, poses):
         return poses, lengths_of_poses(wireframe, views, lookup, poses)
 
-    monkeypatch.setattr("smartview_jax.localization.judging.poses_on_edges", left_as_they_are)
+    monkeypatch.setattr("smartview_jax.localization.candidates.poses_on_edges", left_as_they_are)
     # All rivals decide, and 1 mm is another pose: what differs is 4 px.
     monkeypatch.setattr("smartview_jax.localization.judging.MIN_MARGIN", 1e3)
-    monkeypatch.setattr("smartview_jax.localization.judging.SAME_POSE", 0.01)
+    monkeypatch.setattr("smartview_jax.localization.candidates.SAME_POSE", 0.01)
     near = POSE @ host_exponentials(np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     turned = POSE @ MODEL.symmetry.object_from_object[1]
     found = find(pictures, PLAIN, [Hypothesis(0, p, 0.0, 0.0) for p in (POSE, near, turned)])
@@ -177,7 +177,7 @@ def test_the_corner_of_another_block_is_not_accepted():
     assert 0.5 < one.verdict.evidence.explained < 0.82
     assert one.verdict.evidence.log_ends < MIN_LOG_ENDS
     assert one.verdict.decision == "open"
-    assert "end as another object's" in one.message
+    assert "end as at another's corner" in one.message
 
 
 def test_of_two_models_the_right_one_is_accepted(pictures):

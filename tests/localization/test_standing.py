@@ -29,7 +29,7 @@ SOLIDS = (
 def found():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.judging.FIT_SAMPLES", 256)
+        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
         pictures = evidence(drawn(MODEL, seen_views(MIDDLE), POSE, 0.1))
         poses = poses_towards(MIDDLE, TWO_DIRECTIONS)
         yield localize(
