@@ -200,7 +200,7 @@ class Calibration(eqx.Module):
     @property
     def uncorrected(self) -> "Calibration":
         """The calibration without robot error, for programs that use the transforms only."""
-        return dataclasses.replace(self, robot_error=None)
+        return self if self.robot_error is None else dataclasses.replace(self, robot_error=None)
 
     def camera_from_world(self, base_from_tool: CommandLike, *, corrected: bool = True) -> SE3:
         """Return the extrinsics at the given robot poses, `(*views)`, by the chain of Eq. 10.

@@ -43,7 +43,6 @@ from .schur import BlockArrow as BlockArrow
 from .schur import Elimination as Elimination
 from .schur import SchurCholesky as SchurCholesky
 from .schur import eliminate as eliminate
-from .sharding import pad_with_last as pad_with_last
 from .sharding import solve_on as solve_on
 from .solver import MAXIMUM_STEPS as MAXIMUM_STEPS
 from .solver import Solution as Solution

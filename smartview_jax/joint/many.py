@@ -1,10 +1,12 @@
 """Fit many data sets of the same shape at once: simulations, bootstraps, a fleet of robots.
 
 The fits run one after the other in one compiled loop, which on a CPU is several times faster than
-`vmap` over small matrices, and in parallel on as many devices as there are.
+`vmap` over small matrices, and in parallel on as many devices as there are. The program takes some
+at a time, while the host puts the next ones together, so that it serves any number of fits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
 
 import equinox as eqx
@@ -16,6 +18,7 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int
 
+from ..array_namespace import AnyArray, to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled_optimised
@@ -34,7 +37,6 @@ from ..engine import (
     eliminate,
     is_converged,
     minimise,
-    pad_with_last,
     unprojectable_views_message,
     updated_sigma,
     variance_factor,
@@ -42,6 +44,7 @@ from ..engine import (
     with_lens,
     with_pixel_sigma,
 )
+from ..padding import repeat_last
 from ..robot_errors import FieldChoice, checked_field_choice
 
 PerFitInputs = tuple[Calibration, Observations, Any]
@@ -52,6 +55,9 @@ SIGMA_ITERATIONS = 6
 
 The last ones change it very little; the number is fixed so that one compiled loop serves all fits.
 """
+
+FITS_AT_A_TIME = 128
+"""The largest number of fits, on each device, for which the compiled program has room."""
 
 FITS_AXIS = "fits"
 """The name of the mesh axis along which fits are distributed over devices."""
@@ -142,18 +148,27 @@ def fit_many(
             except ValueError as error:
                 raise ValueError(f"data[{k}]: {error}") from error
     built = built_by_views[usable[0]]
-    inputs = [
-        (initial, one.observations, built_by_views[views].problem.per_view_free)
-        for initial, one, views in zip(starts, data, usable, strict=True)
-    ]
-    problems = eqx.tree_at(_per_fit_inputs, built.problem, _stack_pytrees(inputs))
     mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
     sigma_iterations = SIGMA_ITERATIONS if built.depends_on_sigma and not built.sigma_known else 0
-    solved = _solve_all(problems, built.sigma_known, sigma_iterations, mesh)
-    *results, unprojectable = jax.tree.map(lambda x: x[: len(data)], solved)
+
+    def inputs(k: int) -> PerFitInputs:
+        return starts[k], data[k].observations, built_by_views[usable[k]].problem.per_view_free
+
+    *results, unprojectable = _in_turns(
+        inputs,
+        len(data),
+        _room(len(data), 1 if mesh is None else mesh.size),
+        lambda stacked, count: _solve_all(
+            eqx.tree_at(_per_fit_inputs, built.problem, stacked),
+            count,
+            built.sigma_known,
+            sigma_iterations,
+            mesh,
+        ),
+    )
     for k, view in np.argwhere(unprojectable):
         raise ValueError(f"data[{k}]: {unprojectable_views_message([data[k].view_ids[view]])}")
-    calibrations, corrections, covariance, cost, steps, converged = results
+    calibrations, corrections, covariance, cost, steps, converged = jax.tree.map(to_device, results)
     return ManyFits(
         calibrations, corrections, covariance, cost, steps, converged, built.shared_names
     )
@@ -185,16 +200,53 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
             raise ValueError(f"start[{k}]: its lens, picture size or mount is not start[0]'s")
 
 
-def _stack_pytrees(pytrees: Sequence[Any]) -> Any:
-    """Return pytrees of equal structure as one, arrays stacked along a new first axis."""
-    return jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *pytrees)
+def _room(count: int, devices: int) -> int:
+    """Return for how many fits a program has room: numbers of them share programs."""
+    on_each = -(-count // devices)
+    return devices * min(1 << (on_each - 1).bit_length(), FITS_AT_A_TIME)
+
+
+def _in_turns(
+    inputs: Callable[[int], Any], count: int, room: int, solve: Callable[[Any, np.ndarray], Any]
+) -> Any:
+    """Return what a program makes of many inputs, some at a time.
+
+    Args:
+        inputs: those of one fit, by its index.
+        count: number of fits.
+        room: number of fits for which the program has room.
+        solve: the program, from stacked inputs and the number of those that count.
+
+    Returns:
+        Stacked results of all fits, of NumPy.
+    """
+
+    def stacked(first: int) -> tuple[Any, np.ndarray]:
+        some = [inputs(k) for k in range(first, min(first + room, count))]
+        whole = jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *some)
+        return repeat_last(whole, room), np.array(len(some))
+
+    results = []
+    # The host puts the next ones together while the device works.
+    with ThreadPoolExecutor(1) as beside:
+        waiting = beside.submit(stacked, 0)
+        for first in range(room, count + room, room):
+            arguments = waiting.result()
+            if first < count:
+                waiting = beside.submit(stacked, first)
+            results.append(jax.tree.map(np.asarray, solve(*arguments)))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *results)
 
 
 @compiled_optimised
 def _solve_all(
-    problems: JointProblem, sigma_known: bool, sigma_iterations: int, mesh: Mesh | None
+    problems: JointProblem,
+    count: Int[AnyArray, ""],
+    sigma_known: bool,
+    sigma_iterations: int,
+    mesh: Mesh | None,
 ) -> tuple:
-    """Return every fit's answer, with the fits distributed over the devices of a mesh."""
+    """Return the answers of the first fits, so many of them, distributed over a mesh's devices."""
     inputs = _per_fit_inputs(problems)
 
     def solve_inputs(fit_inputs: PerFitInputs) -> tuple:
@@ -203,18 +255,37 @@ def _solve_all(
         )
 
     if mesh is None:
-        # One after the other on each device: `vmap` over small matrices was several times slower.
-        return jax.lax.map(solve_inputs, inputs)
-    # Copies of the last fit make the fits divide evenly over the devices.
-    padding = -len(inputs[1].visible) % mesh.size
+        return _one_after_the_other(solve_inputs, inputs, count)
+
+    def solve_on_device(some: PerFitInputs) -> tuple:
+        room = len(some[1].visible)
+        own = jnp.clip(count - room * jax.lax.axis_index(FITS_AXIS), 0, room)
+        return _one_after_the_other(solve_inputs, some, own)
+
     solve_sharded = jax.shard_map(
-        lambda some: jax.lax.map(solve_inputs, some),
+        solve_on_device,
         mesh=mesh,
         in_specs=P(FITS_AXIS),
         out_specs=P(FITS_AXIS),
         check_vma=False,
     )
-    return solve_sharded(pad_with_last(inputs, padding))
+    return solve_sharded(inputs)
+
+
+def _one_after_the_other(
+    solve: Callable[[PerFitInputs], tuple], inputs: PerFitInputs, count: Int[AnyArray, ""]
+) -> tuple:
+    """Return the answers of the first fits, so many of them; the others are zero."""
+
+    # `vmap` over small matrices was several times slower, and `lax.map` would solve all.
+    def with_answer(k: Int[Array, ""], answers: tuple) -> tuple:
+        answer = solve(jax.tree.map(lambda x: x[k], inputs))
+        return jax.tree.map(lambda all_, own: all_.at[k].set(own), answers, answer)
+
+    one = jax.eval_shape(solve, jax.tree.map(lambda x: x[0], inputs))
+    room = len(inputs[1].visible)
+    zeros = jax.tree.map(lambda x: jnp.zeros((room, *x.shape), x.dtype), one)
+    return jax.lax.fori_loop(0, count, with_answer, zeros)
 
 
 def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) -> tuple:

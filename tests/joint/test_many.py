@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from programs import programs_built
 from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint, fit_many
@@ -85,6 +86,19 @@ def test_what_the_data_do_not_tell_has_no_finite_variance(scenes):
     found = fit_many([scenes[0], still], paper_calibration())
     assert np.isfinite(found.covariance[0]).all()
     assert np.isinf(found.covariance[1]).all()
+
+
+def test_one_program_takes_any_number_in_turns(scenes, monkeypatch):
+    monkeypatch.setattr("smartview_jax.joint.many.FITS_AT_A_TIME", 2)
+    start = nudged(paper_calibration())
+    with programs_built() as built:
+        three = fit_many(scenes, start)
+        count = len(built)
+        five = fit_many([*scenes, *scenes[:2]], start)
+        assert len(built) == count
+    np.testing.assert_array_equal(five.cost, np.asarray(three.cost)[[0, 1, 2, 0, 1]])
+    alone = fit_joint(scenes[2], start, noise="trusted")
+    assert float(three.cost[2]) == pytest.approx(alone.solution.costs[-1], rel=1e-10)
 
 
 def test_what_is_not_alike_is_named(scenes):
