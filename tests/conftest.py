@@ -76,13 +76,13 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: places.get(item.path.name, len(places)))
 
 
-MAX_MEMORY_MAPS = 20_000
-"""Number of this process's memory maps at which its programs are let go; Linux allows 65530."""
+MAX_MEMORY_MAPS = 3_000
+"""Number of this process's memory maps at which its programs are let go: some 0.5 MB for each."""
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _programs_are_let_go():
-    """Programs are shared by files until they are too many: thousands exhaust the memory maps."""
+    """Programs are shared by files until they are too many: 20,000 maps hold 7 GB."""
     yield
     if _memory_map_count() > MAX_MEMORY_MAPS:
         jax.clear_caches()
