@@ -30,8 +30,8 @@ MAX_BYTES = 1_000_000_000
 JAX can limit the size by itself, but only where the package filelock is installed.
 """
 
-_SUFFIXES = ("-cache", "-program", "-trace")
-"""The ends of the names of files that JAX and `program_store` write."""
+CACHE_SUFFIX, PROGRAM_SUFFIX, TRACE_SUFFIX = "-cache", "-program", "-trace"
+"""The ends of the names of files: of JAX's cache, and of the two kinds of `program_store`."""
 
 _JAX_MIN_COMPILE_TIME = 1.0
 """JAX's own default of the shortest compile time of a program that is kept, s."""
@@ -91,7 +91,8 @@ def _is_writable(folder: str) -> bool:
 def _remove_least_recently_used(folder: Path, max_bytes: int) -> None:
     """Remove the programs that were last read longest ago, until the rest is small enough."""
     sizes_by_time: list[tuple[float, int, Path]] = []
-    for path in (p for p in folder.iterdir() if p.name.endswith(_SUFFIXES)):
+    suffixes = (CACHE_SUFFIX, PROGRAM_SUFFIX, TRACE_SUFFIX)
+    for path in (p for p in folder.iterdir() if p.name.endswith(suffixes)):
         # Another process may be removing the same files.
         with suppress(OSError):
             status = path.stat()

@@ -37,7 +37,12 @@ def padded_counts(views: int, points: int = 1) -> tuple[int, int]:
 
 def _next_power_of_two(count: int) -> int:
     """Return the smallest power of two that is not below a count, nor below the smallest count."""
-    return max(1 << (count - 1).bit_length(), MIN_PADDED_COUNT)
+    return max(power_of_two_from(count), MIN_PADDED_COUNT)
+
+
+def power_of_two_from(count: int) -> int:
+    """Return the smallest power of two that is no smaller than a positive number."""
+    return 1 << (count - 1).bit_length()
 
 
 def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:

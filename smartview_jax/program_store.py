@@ -29,6 +29,7 @@ import jax
 import numpy as np
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
+from .compilation_cache import PROGRAM_SUFFIX, TRACE_SUFFIX
 from .files import write_atomically
 from .program_identity import (
     compiler,
@@ -38,9 +39,6 @@ from .program_identity import (
     sources,
     unpickled,
 )
-
-TRACE_SUFFIX, PROGRAM_SUFFIX = "-trace", "-program"
-"""The ends of the names of this store's files; those of JAX's cache end in "-cache"."""
 
 READ_EVENT = "/smartview_jax/program_read"
 """The event, with its duration, that `jax.monitoring` reports for a program that was read."""

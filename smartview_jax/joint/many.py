@@ -44,7 +44,7 @@ from ..engine import (
     with_lens,
     with_pixel_sigma,
 )
-from ..padding import repeat_last
+from ..padding import power_of_two_from, repeat_last
 from ..robot_errors import FieldChoice, checked_field_choice
 
 PerFitInputs = tuple[Calibration, Observations, Any]
@@ -202,8 +202,8 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
 
 def _room(count: int, devices: int) -> int:
     """Return for how many fits a program has room: numbers of them share programs."""
-    on_each = -(-count // devices)
-    return devices * min(1 << (on_each - 1).bit_length(), FITS_AT_A_TIME)
+    on_each = power_of_two_from(-(-count // devices))
+    return devices * min(on_each, FITS_AT_A_TIME)
 
 
 def _in_turns(

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..array_namespace import to_device
 from ..features import EdgePoints
-from ..padding import repeat_last
+from ..padding import power_of_two_from, repeat_last
 
 MIN_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
@@ -82,7 +82,7 @@ class EdgeLookup(eqx.Module):
 
 def padded_view_count(count: int) -> int:
     """Return the number of views that programs are compiled for: a power of two from two."""
-    return max(2, 1 << (count - 1).bit_length())
+    return max(2, power_of_two_from(count))
 
 
 def padded_poses(poses: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "padded 4 4"]:

@@ -12,7 +12,7 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..geometry import check_rigid, host_matrices, host_transforms
-from ..padding import repeat_last
+from ..padding import power_of_two_from, repeat_last
 from ..robots import Command, CommandLike
 
 PADDED_VIEWS = 4
@@ -85,7 +85,7 @@ def padded_count(count: int) -> int:
     """Return the number of features that a program is compiled for."""
     if count > MAX_PADDED_FEATURES:
         return count
-    return max(PADDED_FEATURES, 1 << (count - 1).bit_length() if count else 0)
+    return max(PADDED_FEATURES, power_of_two_from(count) if count else 0)
 
 
 def padded_to(array: np.ndarray, shape: tuple[int, ...], value: float | bool = 0) -> np.ndarray:
