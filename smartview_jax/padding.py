@@ -53,17 +53,18 @@ def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:
         count: number of entries wanted; arrays with as many are returned as they are.
         axis: axis of the entries.
     """
+    return jax.tree.map(lambda x: _repeat_last(x, count, axis), arrays)
 
-    def pad(x: Any) -> Any:
-        missing = count - x.shape[axis]
-        if missing <= 0 or x.shape[axis] == 0:
-            return x
-        whole = np.asarray(x)
-        last = np.take(whole, [-1], axis=axis)
-        padded = np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
-        return to_device(padded) if isinstance(x, jax.Array) else padded
 
-    return jax.tree.map(pad, arrays)
+def _repeat_last(array: Any, count: int, axis: int) -> Any:
+    """Append copies of the last entry to one array."""
+    missing = count - array.shape[axis]
+    if missing <= 0 or array.shape[axis] == 0:
+        return array
+    whole = np.asarray(array)
+    last = np.take(whole, [-1], axis=axis)
+    padded = np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
+    return to_device(padded) if isinstance(array, jax.Array) else padded
 
 
 def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
@@ -84,11 +85,11 @@ def without_padding(arrays: _Tree, *counts: int) -> _Tree:
         arrays: pytree of arrays.
         counts: number of entries along the first axis, and so on.
     """
-    leading = tuple(slice(count) for count in counts)
+    return jax.tree.map(lambda x: _first_entries(x, counts), arrays)
 
-    def cut(x: Any) -> Any:
-        if all(size <= count for size, count in zip(x.shape, counts, strict=False)):
-            return x
-        return to_device(np.asarray(x)[leading])
 
-    return jax.tree.map(cut, arrays)
+def _first_entries(array: Any, counts: tuple[int, ...]) -> Any:
+    """Return the first entries of one array."""
+    if all(size <= count for size, count in zip(array.shape, counts, strict=False)):
+        return array
+    return to_device(np.asarray(array)[tuple(slice(count) for count in counts)])
