@@ -3,7 +3,9 @@
 `A X = X B` is solved over all pairs of views: the rotation of X by Park and Martin's method, then
 its translation by least squares. The closure error is what remains, as a median over the pairs, so
 that a few bad views do not dominate. A length scale between robot and camera is estimated as well
-where the motion determines it. Everything runs once, in NumPy.
+where the motion determines it. Everything is NumPy, over a batch of data sets at once where several
+explanations of the same views are compared: one by one, their many small operations cost as much
+as a fit.
 """
 
 from typing import NamedTuple
@@ -14,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from ..geometry import host_nearest_rotation
 
-Poses = Float[np.ndarray, "views 4 4"]
+Poses = Float[np.ndarray, "*batch views 4 4"]
 """Homogeneous matrices, one per view, m."""
 
 MAX_VIEWS = 40
@@ -58,72 +60,81 @@ class RelativeMotions(NamedTuple):
             hand-eye rotation is not determined.
     """
 
-    rotation_minus_identity: Float[np.ndarray, "pairs 3 3"]
-    robot_translation: Float[np.ndarray, "pairs 3"]
-    camera_translation: Float[np.ndarray, "pairs 3"]
-    rotation_error: Float[np.ndarray, "pairs"]
-    target_distance: float
-    second_axis_ratio: float
+    rotation_minus_identity: Float[np.ndarray, "*batch pairs 3 3"]
+    robot_translation: Float[np.ndarray, "*batch pairs 3"]
+    camera_translation: Float[np.ndarray, "*batch pairs 3"]
+    rotation_error: Float[np.ndarray, "*batch pairs"]
+    target_distance: Float[np.ndarray, "*batch"]
+    second_axis_ratio: Float[np.ndarray, "*batch"]
 
 
 def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> RelativeMotions:
     """Compute the motions of robot and camera between all pairs of three or more views."""
-    indices = np.unique(np.linspace(0, len(camera_from_world) - 1, MAX_VIEWS).astype(int))
-    M, C = mount_from_holder[indices], camera_from_world[indices]
+    indices = np.unique(np.linspace(0, camera_from_world.shape[-3] - 1, MAX_VIEWS).astype(int))
+    M, C = mount_from_holder[..., indices, :, :], camera_from_world[..., indices, :, :]
     i, j = np.triu_indices(len(indices), 1)
-    A, B = C[j] @ np.linalg.inv(C[i]), M[j] @ np.linalg.inv(M[i])
-    a, b = (Rotation.from_matrix(motions[:, :3, :3]).as_rotvec() for motions in (A, B))
+    A, B = (poses[..., j, :, :] @ np.linalg.inv(poses)[..., i, :, :] for poses in (C, M))
+    a, b = _rotation_vectors(A), _rotation_vectors(B)
     # R_A R = R R_B: R takes the rotation vectors b to a (orthogonal Procrustes).
-    R = host_nearest_rotation(a.T @ b)
+    R = host_nearest_rotation(a.swapaxes(-1, -2) @ b)
     # Repeated without outlying pairs: one wrong view spoils all pairs that contain it.
     for _ in range(TRIMMING_ITERATIONS):
-        used = _inlier_pairs(np.linalg.norm(a - b @ R.T, axis=1))
-        R = host_nearest_rotation(a[used].T @ b[used])
+        used = _inlier_pairs(np.linalg.norm(a - b @ R.swapaxes(-1, -2), axis=-1))
+        R = host_nearest_rotation((used[..., None] * a).swapaxes(-1, -2) @ b)
     # The residual as the angle of a rotation, not as a difference of rotation vectors: for motions
     # near 180 degrees the axis may have either sign.
-    expected = R @ B[:, :3, :3] @ R.T
-    cosine = 0.5 * (np.einsum("pab,pab->p", A[:, :3, :3], expected) - 1.0)
+    R = R[..., None, :, :]
+    expected = R @ B[..., :3, :3] @ R.swapaxes(-1, -2)
+    cosine = 0.5 * (np.einsum("...pab,...pab->...p", A[..., :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    target_distance = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
     # The smaller ratio: where the robot turns about one axis only, all rotation of the camera about
     # a second one is noise, and a single bad view has much of it.
-    second_axis_ratio = min(_second_axis_ratio(a), _second_axis_ratio(b))
+    singular_values = np.linalg.svd(np.stack([a, b]), compute_uv=False)
+    ratios = singular_values[..., 1] / np.maximum(singular_values[..., 0], 1e-12)
     return RelativeMotions(
-        A[:, :3, :3] - np.eye(3),
-        B[:, :3, 3] @ R.T,
-        A[:, :3, 3],
+        A[..., :3, :3] - np.eye(3),
+        B[..., :3, 3] @ R[..., 0, :, :].swapaxes(-1, -2),
+        A[..., :3, 3],
         angle,
-        target_distance,
-        second_axis_ratio,
+        np.median(np.linalg.norm(C[..., :3, 3], axis=-1), axis=-1),
+        np.min(ratios, axis=0),
     )
 
 
-def _second_axis_ratio(rotation_vectors: Float[np.ndarray, "pairs 3"]) -> float:
-    """Return the ratio of rotation about a second axis to that about the first."""
-    first, second, _ = np.linalg.svd(rotation_vectors, compute_uv=False)
-    return float(second / max(first, 1e-12))
+def _rotation_vectors(
+    motions: Float[np.ndarray, "*batch pairs 4 4"],
+) -> Float[np.ndarray, "*batch pairs 3"]:
+    """Return the rotation vectors of motions, rad."""
+    rotations = Rotation.from_matrix(motions[..., :3, :3].reshape(-1, 3, 3))
+    return rotations.as_rotvec().reshape(*motions.shape[:-2], 3)
 
 
 def closure_error(motions: RelativeMotions, scale: float = 1.0) -> ClosureError:
     """Return the closure error with the robot's positions multiplied by a scale."""
+    return ClosureError(*closure_errors(motions, scale).tolist())
+
+
+def closure_errors(
+    motions: RelativeMotions, scales: float | Float[np.ndarray, "..."] = 1.0
+) -> Float[np.ndarray, "... 3"]:
+    """Return the numbers of `ClosureError` for every element of a batch.
+
+    Args:
+        motions: of one data set or of a batch.
+        scales: factors of the robot's positions, which broadcast with the batch.
+    """
     # (R_A - I) t = scale R t_B - t_A, the translations of A X = X B, solved for t over all pairs.
-    right_hand_side = scale * motions.robot_translation - motions.camera_translation
-    residual = np.linalg.norm(
-        motions.rotation_minus_identity
-        @ _solve_translation(motions.rotation_minus_identity, right_hand_side)
-        - right_hand_side,
-        axis=1,
+    right_hand_side = (
+        np.asarray(scales)[..., None, None] * motions.robot_translation - motions.camera_translation
     )
+    matrix, used = motions.rotation_minus_identity, np.ones(right_hand_side.shape[:-1])
+    residual = _translation_residual(matrix, right_hand_side, used)
     for _ in range(TRIMMING_ITERATIONS):
-        used = _inlier_pairs(residual)
-        residual = np.linalg.norm(
-            motions.rotation_minus_identity
-            @ _solve_translation(motions.rotation_minus_identity[used], right_hand_side[used])
-            - right_hand_side,
-            axis=1,
-        )
-    rotation, translation = float(np.median(motions.rotation_error)), float(np.median(residual))
-    return ClosureError(rotation, translation, rotation + translation / motions.target_distance)
+        residual = _translation_residual(matrix, right_hand_side, _inlier_pairs(residual))
+    translation = np.median(residual, axis=-1)
+    rotation = np.broadcast_to(np.median(motions.rotation_error, axis=-1), translation.shape)
+    score = rotation + translation / motions.target_distance
+    return np.stack([rotation, translation, score], axis=-1)
 
 
 def length_ratio(motions: RelativeMotions) -> float:
@@ -157,11 +168,27 @@ def length_ratio(motions: RelativeMotions) -> float:
     )
 
 
-def _inlier_pairs(residual: np.ndarray) -> np.ndarray:
+def _inlier_pairs(residual: Float[np.ndarray, "*batch pairs"]) -> np.ndarray:
     """Return which pairs have a residual within three times the median."""
-    return residual <= 3.0 * np.median(residual) + 1e-12
+    return residual <= 3.0 * np.median(residual, axis=-1, keepdims=True) + 1e-12
 
 
-def _solve_translation(matrix: np.ndarray, right_hand_side: np.ndarray) -> np.ndarray:
-    """Compute the translation of the hand-eye transform by least squares, m."""
-    return np.linalg.lstsq(matrix.reshape(-1, 3), right_hand_side.reshape(-1), rcond=1e-6)[0]
+def _translation_residual(
+    matrix: Float[np.ndarray, "... pairs 3 3"],
+    right_hand_side: Float[np.ndarray, "... pairs 3"],
+    used: np.ndarray,
+) -> Float[np.ndarray, "... pairs"]:
+    """Return the residual of every pair, m, with the translation that fits the used ones best.
+
+    Args:
+        matrix, right_hand_side: the equations `matrix t = right_hand_side`.
+        used: 1 for a pair that counts, else 0, `(... pairs)`.
+    """
+    *batch, pairs = used.shape
+    # A row of zeros changes neither the solution nor the singular values.
+    rows = (used[..., None, None] * matrix).reshape(*batch, 3 * pairs, 3)
+    values = right_hand_side.reshape(*batch, 3 * pairs, 1)
+    translation = np.linalg.pinv(rows, rcond=1e-6) @ values
+    return np.linalg.norm(
+        (matrix @ translation[..., None, :, :])[..., 0] - right_hand_side, axis=-1
+    )

@@ -25,6 +25,7 @@ from .closure import (
     Poses,
     RelativeMotions,
     closure_error,
+    closure_errors,
     length_ratio,
     relative_motions,
 )
@@ -142,7 +143,7 @@ def _relative_motions(
 ) -> RelativeMotions:
     """Compute the motions of the used views for the stated mount."""
     mount_from_holder = np.linalg.inv(robot) if in_hand else robot
-    return relative_motions(mount_from_holder[used], camera[used])
+    return relative_motions(mount_from_holder[..., used, :, :], camera[..., used, :, :])
 
 
 _LENGTH_UNIT_MISTAKES = {
@@ -159,22 +160,30 @@ def _ranked_hypotheses(
     robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, motions: RelativeMotions
 ) -> tuple[ConventionHypothesis, ...]:
     """Return every mistake, alone and with another unit of length, by ascending closure error."""
+    units, scales = tuple(_LENGTH_UNIT_MISTAKES.values()), np.array(list(_LENGTH_UNIT_MISTAKES))
     hypotheses = [
-        ConventionHypothesis("length", words, closure_error(motions, scale))
-        for scale, words in _LENGTH_UNIT_MISTAKES.items()
+        ConventionHypothesis("length", words, ClosureError(*error))
+        for words, error in zip(units, closure_errors(motions, scales).tolist(), strict=True)
     ]
-    for mistake in mistakes(in_hand, len(robot)):
-        corrected = _relative_motions(*mistake.undo(robot, camera), used, in_hand)
-        single = ConventionHypothesis(mistake.name, mistake.description, closure_error(corrected))
-        hypotheses.append(single)
-        # The rotations are the same in any unit of length.
-        if not single.closure_error.rotation < ANGLE_TOLERANCE:
-            continue
-        for scale, words in _LENGTH_UNIT_MISTAKES.items():
-            combined = closure_error(corrected, scale)
+    possible = tuple(mistakes(in_hand, len(robot)))
+    robots, cameras = zip(*(mistake.undo(robot, camera) for mistake in possible), strict=True)
+    corrected = _relative_motions(np.stack(robots), np.stack(cameras), used, in_hand)
+    errors = closure_errors(corrected)
+    # The rotations are the same in any unit of length.
+    rotated_alike = errors[:, 0] < ANGLE_TOLERANCE
+    in_other_units = iter(
+        closure_errors(
+            RelativeMotions(*(values[rotated_alike, None] for values in corrected)), scales
+        ).tolist()
+    )
+    for mistake, error, alike in zip(possible, errors.tolist(), rotated_alike, strict=True):
+        alone = ClosureError(*error)
+        hypotheses.append(ConventionHypothesis(mistake.name, mistake.description, alone))
+        for words, numbers in zip(units, next(in_other_units), strict=True) if alike else ():
+            combined = ClosureError(*numbers)
             # Two mistakes at once are considered only if they leave less than a tenth of the
             # closure error of the first alone.
-            if combined.score < 0.1 * single.closure_error.score:
+            if combined.score < 0.1 * alone.score:
                 hypotheses.append(
                     ConventionHypothesis(
                         mistake.name, f"{mistake.description}, and {words}", combined

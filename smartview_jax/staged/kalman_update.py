@@ -102,27 +102,31 @@ def absorb_measurements(
         gate: a measurement is rejected whose squared innovation, relative to its covariance, is
             larger, once its view is determined; infinite for no gate.
     """
+    points, views = used.shape
+    measurements = measurements.reshape(points * views, *measurements.shape[2:])
+    # Those that are used come first, in their order.
+    order = jnp.argsort(~used.ravel(), stable=True)
 
-    def absorb_point(carry: tuple, point: tuple) -> tuple[tuple, None]:
-        """Update the state with the measurements of one point in all views."""
+    def absorb(number: Array, carry: tuple) -> tuple:
+        """Update the camera and the pose of one view, unless the measurement is gated out."""
         camera, poses, counts = carry
-        camera, (poses, counts) = jax.lax.scan(absorb, camera, (poses, counts, *point))
-        return (camera, poses, counts), None
-
-    def absorb(camera: Array, measured: tuple) -> tuple[Array, tuple[Array, Array]]:
-        """Update the camera and the pose of one view, unless masked or outside the gate."""
-        pose, count, rows, used = measured
-        new_camera, new_pose, squared_innovation, variance = _update(camera, pose, rows)
+        measured = order[number]
+        view = measured % views
+        pose, count = poses[view], counts[view]
+        new_camera, new_pose, squared_innovation, variance = _update(
+            camera, pose, measurements[measured]
+        )
         determined = (variance < _DETERMINED_VARIANCE) & (count >= _DETERMINED_POINTS)
-        accepted = used & ((squared_innovation <= gate) | ~determined)
-        return jnp.where(accepted, new_camera, camera), (
-            jnp.where(accepted, new_pose, pose),
-            jnp.where(accepted, count + 1.0, count),
+        accepted = (squared_innovation <= gate) | ~determined
+        return (
+            jnp.where(accepted, new_camera, camera),
+            poses.at[view].set(jnp.where(accepted, new_pose, pose)),
+            counts.at[view].set(jnp.where(accepted, count + 1.0, count)),
         )
 
     # Floating point, because a `where` of another type would be promoted in the loop.
-    counts = jnp.zeros(len(state.poses))
-    (camera, poses, _), _ = jax.lax.scan(absorb_point, (*state, counts), (measurements, used))
+    counts = jnp.zeros(views)
+    camera, poses, _ = jax.lax.fori_loop(0, jnp.sum(used), absorb, (*state, counts))
     return FilterState(camera, poses)
 
 
@@ -163,15 +167,16 @@ def _subtract_explained(
 ) -> tuple[Array, Array, Array, Array]:
     """Return B without what a measurement explains, `H B + R`, its covariance, and W."""
     size = len(B)
-    product = H @ B + R
-    S = product[:, :size] @ H.T + noise
+    # Products of so small matrices are sums here: XLA fuses these, and calls a routine for `@`.
+    product = jnp.sum(H[:, :, None] * B[None], axis=1) + R
+    S = jnp.sum(product[:, None, :size] * H[None], axis=-1) + noise
     # The Cholesky factor of 2 x 2 is written out: LAPACK is not worth its call here.
     L00 = jnp.sqrt(S[0, 0])
     L10 = S[1, 0] / L00
     L11 = jnp.sqrt(S[1, 1] - L10**2)
     first = product[0] / L00
     W = jnp.stack([first, (product[1] - L10 * first) / L11])
-    return B - W[:, :size].T @ W, product, S, W
+    return B - W[0, :size, None] * W[0][None] - W[1, :size, None] * W[1][None], product, S, W
 
 
 def whole_mean_and_variances(state: FilterState) -> tuple[np.ndarray, np.ndarray]:
