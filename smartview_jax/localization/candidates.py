@@ -124,32 +124,27 @@ class Scene:
             free[explained_edge_points(lines, view, points)] = False
         self.lookup = self._lookup()
 
-    def evidence(
+    def lines(
         self,
         pose: Float[np.ndarray, "4 4"],
         wireframe: Wireframe,
-        chance: float,
         views: SeenViews | None = None,
-        absorbed: float = 0.0,
-    ) -> Evidence:
-        """Return what the free edge points say of a pose, in views that may be corrected."""
-        views, strengths = self.views if views is None else views, self._strengths
-        return evidence_of(pose, wireframe, views, self.lookup, strengths, chance, absorbed)
+    ) -> EdgeLines:
+        """Return the free edge points along the edges at a pose, in views that may be corrected."""
+        views = self.views if views is None else views
+        return measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
 
-    def with_ends(
-        self,
-        evidence: Evidence,
-        pose: Float[np.ndarray, "4 4"],
-        wireframe: Wireframe,
-        views: SeenViews,
-    ) -> Evidence:
+    def evidence(self, lines: EdgeLines, chance: float, absorbed: float = 0.0) -> Evidence:
+        """Return what `lines` say of their pose."""
+        return evidence_of(lines, self._strengths, chance, absorbed)
+
+    def with_ends(self, evidence: Evidence, lines: EdgeLines, wireframe: Wireframe) -> Evidence:
         """Return evidence of a pose with that of how its edges end, where much of them is missing.
 
         What another object explains is not found, but its outline may well be before an edge.
         """
         if evidence.explained >= ACCEPTED_SHARE:
             return evidence
-        lines = measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
         return evidence._replace(log_ends=log_likelihood_of_ends(lines, wireframe, self._points))
 
     def measured(

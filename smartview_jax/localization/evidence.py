@@ -6,12 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..modeling import SeenViews
 from .chance import log_chance_of_exact_edges, log_odds_of
-from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
-from .edge_lookup import EdgeLookup
-from .refinement import measured_lines
-from .wireframe import Wireframe
+from .edge_lines import EdgeLines
 
 PARTLY_HIDDEN_SHARES = (0.1, 0.92)
 """Explained shares of an edge, lower and upper, between which the edge counts as partly hidden."""
@@ -65,10 +61,7 @@ class Evidence(NamedTuple):
 
 
 def evidence_of(
-    pose: Float[np.ndarray, "4 4"],
-    wireframe: Wireframe,
-    views: SeenViews,
-    lookup: EdgeLookup,
+    lines: EdgeLines,
     strengths: Sequence[Float[np.ndarray, "_"]],
     chance: float,
     absorbed: float = 0.0,
@@ -76,16 +69,12 @@ def evidence_of(
     """Return what the pictures say for and against a pose.
 
     Args:
-        pose: world_from_object.
-        wireframe: of the model.
-        views: camera and poses.
-        lookup: edge points of the views.
+        lines: edges measured at the pose, within `EXPLAINED_DISTANCE`.
         strengths: gradients of all edge points of each view, grey levels per px.
         chance: share of visible length that clutter explains.
         absorbed: how many numbers of the edges were explained by errors of the calibration, with
             which the views are corrected.
     """
-    lines = measured_lines(wireframe, views, lookup, pose, EXPLAINED_DISTANCE)
     visible, explained = lines.visible_px.sum(axis=1), lines.explained_px.sum(axis=1)
     in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
     # The two numbers are distances at the mean and at the spread: their squares add up.

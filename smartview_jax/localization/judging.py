@@ -146,7 +146,7 @@ class _Judging:
     def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
         """Return whether a pose is rejected, given what other places explain."""
         wireframe = self._prepared[candidate.model].coarse
-        evidence = self.scene.evidence(candidate.pose, wireframe, chance.mean)
+        evidence = self.scene.evidence(self.scene.lines(candidate.pose, wireframe), chance.mean)
         return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
 
     def localization(self, best: Candidate, others: Sequence[Candidate]) -> Localization | None:
@@ -160,7 +160,8 @@ class _Judging:
         except ValueError:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
-        evidence = scene.evidence(pose, one.fine, chance.mean)
+        lines = scene.lines(pose, one.fine)
+        evidence = scene.evidence(lines, chance.mean)
         rivals = self._rivals(best, pose, others, chance)
         rivals = self._distinct(best, pose, evidence, chance, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
@@ -169,11 +170,11 @@ class _Judging:
             other = self._prepared[rivals[0].model].model.name
             name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
         # Rivals are not corrected, and are compared with what is not corrected either.
-        views = scene.views
         if len(refined.calibration_error):
             views = corrected_views(scene.views, self._uncertainty, refined.calibration_error)
-            evidence = scene.evidence(pose, one.fine, chance.mean, views, refined.absorbed)
-        evidence = scene.with_ends(evidence, pose, one.fine, views)
+            lines = scene.lines(pose, one.fine, views)
+            evidence = scene.evidence(lines, chance.mean, refined.absorbed)
+        evidence = scene.with_ends(evidence, lines, one.fine)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         return Localization(one.model, best.model, refined, verdict, tuple(rivals))
@@ -209,7 +210,8 @@ class _Judging:
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
         """Return a pose as a rival, measured with all samples."""
-        found = self.scene.evidence(pose, self._prepared[model].fine, chance.mean)
+        lines = self.scene.lines(pose, self._prepared[model].fine)
+        found = self.scene.evidence(lines, chance.mean)
         return Rival(model, pose, found.log_likelihood, found.log_exactness)
 
     def _distinct(

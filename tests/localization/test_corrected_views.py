@@ -14,6 +14,7 @@ from smartview_jax.localization.corrected_views import corrected_views
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 from smartview_jax.localization.evidence import evidence_of
 from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations, solve_pose
+from smartview_jax.localization.refinement import measured_lines
 from smartview_jax.modeling import CalibrationUncertainty
 
 NOISE = Noise(0.1, 3e-4, float(np.deg2rad(0.05)))
@@ -63,10 +64,11 @@ def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
         found = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
         corrected = corrected_views(views, uncertainty, found.calibration_error)
         strengths = [one.strengths for one in pictures]
-        before, after = (
-            evidence_of(found.world_from_object, wireframe, own, lookup, strengths, 0.2)
+        lines = [
+            measured_lines(wireframe, own, lookup, found.world_from_object, EXPLAINED_DISTANCE)
             for own in (views, corrected)
-        )
+        ]
+        before, after = (evidence_of(one, strengths, 0.2) for one in lines)
         assert before.edge_rms < EXPLAINED_DISTANCE
         assert after.explained >= before.explained
         assert 0.0 < found.absorbed < 12.0
