@@ -14,6 +14,9 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..array_namespace import as_float_array
+from ..compilation import compiled
+
 FIVE_VIEWPOINT_STEP = float(np.deg2rad(9.5))
 """Angle between neighbours of the paper's five viewpoints from the object, rad (Section 5)."""
 
@@ -46,12 +49,21 @@ def look_at(
     Returns:
         Transforms with the broadcast shape of all four arguments.
     """
+    return _look_at(*(as_float_array(x) for x in (point, direction, distance, roll)))
+
+
+@compiled
+def _look_at(
+    point: Float[Array, "*#views 3"],
+    direction: Float[Array, "*#views 3"],
+    distances: Float[Array, "*#views"],
+    rolls: Float[Array, "*#views"],
+) -> SE3:
+    """Compute `look_at` as one program; operation by operation it would be some thirty."""
     # With d the unit direction and S (`smallest_rotation`) the smallest rotation to d from the
     # nearer of +z and -z:
     #   camera_from_world = (R, t),   R = Rz(-roll) R0 S^-1,   t = (0, 0, distance) - R point,
     # where R0 (`zero_roll_rotation`) is the identity for +z and half a rotation about x for -z.
-    point, direction = jnp.asarray(point, dtype=float), jnp.asarray(direction, dtype=float)
-    distances, rolls = jnp.asarray(distance, dtype=float), jnp.asarray(roll, dtype=float)
     views = jnp.broadcast_shapes(
         point.shape[:-1], direction.shape[:-1], distances.shape, rolls.shape
     )
