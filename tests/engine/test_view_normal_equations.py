@@ -54,7 +54,7 @@ def dense_and_structured(problem, size=1e-3):
     def residuals(z):
         return ravel_pytree(problem.residuals(unravel(z)))[0]
 
-    r, J = residuals(z), jax.jacfwd(residuals)(z)
+    r, J = jax.jit(lambda z: (residuals(z), jax.jacfwd(residuals)(z)))(z)
     held = ~ravel_pytree(problem.per_view_free)[0]
     dense = np.array(J.T @ J)
     at = len(problem.free) + np.flatnonzero(np.asarray(held))
@@ -150,9 +150,9 @@ def test_lost_points_cost_what_they_should(scene):
 
 def test_chunks_change_nothing(scene, monkeypatch):
     problem = build_problem(scene.data, nudged(scene.calibration)).problem
-    whole = problem.normal_equations(problem.zero_step())
+    whole = eqx.filter_jit(lambda p: p.normal_equations(p.zero_step()))(problem)
     monkeypatch.setattr(view_normal_equations, "MAX_CHUNK_POINTS", 5)
-    parts = problem.normal_equations(problem.zero_step())
+    parts = eqx.filter_jit(lambda p: p.normal_equations(p.zero_step()))(problem)
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         size = float(jnp.abs(one).max(initial=0.0))
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-9 * size)
