@@ -83,8 +83,8 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
         R = host_nearest_rotation((used[..., None] * a).swapaxes(-1, -2) @ b)
     # The residual as the angle of a rotation, not as a difference of rotation vectors: for motions
     # near 180 degrees the axis may have either sign.
-    R = R[..., None, :, :]
-    expected = R @ B[..., :3, :3] @ R.swapaxes(-1, -2)
+    of_pairs = R[..., None, :, :]
+    expected = of_pairs @ B[..., :3, :3] @ of_pairs.swapaxes(-1, -2)
     cosine = 0.5 * (np.einsum("...pab,...pab->...p", A[..., :3, :3], expected) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     # The smaller ratio: where the robot turns about one axis only, all rotation of the camera about
@@ -93,7 +93,7 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
     ratios = singular_values[..., 1] / np.maximum(singular_values[..., 0], 1e-12)
     return RelativeMotions(
         A[..., :3, :3] - np.eye(3),
-        B[..., :3, 3] @ R[..., 0, :, :].swapaxes(-1, -2),
+        B[..., :3, 3] @ R.swapaxes(-1, -2),
         A[..., :3, 3],
         angle,
         np.median(np.linalg.norm(C[..., :3, 3], axis=-1), axis=-1),

@@ -169,17 +169,15 @@ def _ranked_hypotheses(
     robots, cameras = zip(*(mistake.undo(robot, camera) for mistake in possible), strict=True)
     corrected = _relative_motions(np.stack(robots), np.stack(cameras), used, in_hand)
     errors = closure_errors(corrected)
-    # The rotations are the same in any unit of length.
-    rotated_alike = errors[:, 0] < ANGLE_TOLERANCE
-    in_other_units = iter(
-        closure_errors(
-            RelativeMotions(*(values[rotated_alike, None] for values in corrected)), scales
-        ).tolist()
-    )
-    for mistake, error, alike in zip(possible, errors.tolist(), rotated_alike, strict=True):
+    # The rotations are the same in any unit of length: where they differ, none can close.
+    in_units = np.full((len(possible), len(units), len(ClosureError._fields)), np.inf)
+    alike = errors[:, 0] < ANGLE_TOLERANCE
+    moving_alike = RelativeMotions(*(values[alike, None] for values in corrected))
+    in_units[alike] = closure_errors(moving_alike, scales)
+    for mistake, error, own in zip(possible, errors.tolist(), in_units.tolist(), strict=True):
         alone = ClosureError(*error)
         hypotheses.append(ConventionHypothesis(mistake.name, mistake.description, alone))
-        for words, numbers in zip(units, next(in_other_units), strict=True) if alike else ():
+        for words, numbers in zip(units, own, strict=True):
             combined = ClosureError(*numbers)
             # Two mistakes at once are considered only if they leave less than a tenth of the
             # closure error of the first alone.
