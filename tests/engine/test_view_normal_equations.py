@@ -45,6 +45,11 @@ def scene():
     return eqx.tree_at(lambda s: (s.data.visible, s.data.pixels), scene, (visible, pixels))
 
 
+def normal_equations(problem, z):
+    """By a program of its own for each call."""
+    return eqx.filter_jit(lambda problem, z: problem.normal_equations(z))(problem, z)
+
+
 def dense_and_structured(problem, size=1e-3):
     """Cost, gradient and Gauss-Newton matrix by `jacfwd`, then ours, at a random step."""
     _, unravel = ravel_pytree(problem.zero_step())
@@ -59,7 +64,7 @@ def dense_and_structured(problem, size=1e-3):
     dense = np.array(J.T @ J)
     at = len(problem.free) + np.flatnonzero(np.asarray(held))
     dense[at, at] = 1.0
-    found = eqx.filter_jit(lambda p, z: p.normal_equations(z))(problem, unravel(z))
+    found = normal_equations(problem, unravel(z))
     structured = found.cost, ravel_pytree(found.gradient)[0], found.matrix.as_matrix()
     return (0.5 * r @ r, J.T @ r, dense), structured
 
@@ -150,9 +155,9 @@ def test_lost_points_cost_what_they_should(scene):
 
 def test_chunks_change_nothing(scene, monkeypatch):
     problem = build_problem(scene.data, nudged(scene.calibration)).problem
-    whole = eqx.filter_jit(lambda p: p.normal_equations(p.zero_step()))(problem)
+    whole = normal_equations(problem, problem.zero_step())
     monkeypatch.setattr(view_normal_equations, "MAX_CHUNK_POINTS", 5)
-    parts = eqx.filter_jit(lambda p: p.normal_equations(p.zero_step()))(problem)
+    parts = normal_equations(problem, problem.zero_step())
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         size = float(jnp.abs(one).max(initial=0.0))
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-9 * size)

@@ -89,8 +89,7 @@ def test_the_distance_is_that_to_a_pose_predicted_without_the_report(scene, fit)
     alone = fit_joint(scene.data, nudged(scene.calibration), noise=NOISE, priors=wide)
     correction = np.asarray(alone.pose_corrections)[3]
     # Its covariance by brute force, on the dense normal equations.
-    equations = eqx.filter_jit(lambda p, z: p.normal_equations(z))(alone.problem, alone.solution.z)
-    dense = np.asarray(equations.matrix.as_matrix())
+    dense = np.asarray(normal_matrix(alone.problem, alone.solution.z).as_matrix())
     scale = 1.0 / np.sqrt(np.diag(dense))
     inverse = np.linalg.inv(dense * scale[:, None] * scale) * scale[:, None] * scale
     first = len(alone.parameter_names) + 6 * 3
