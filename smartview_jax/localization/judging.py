@@ -90,7 +90,7 @@ class _Judging:
             is_known = any(one.model_index == best.model for one in found)
             if is_known and self.is_rejected_unrefined(best):
                 continue
-            one = self.localization(best, waiting)
+            one = self.best_explanation(best, waiting)
             if one is None:
                 continue
             found.append(one)
@@ -148,6 +148,24 @@ class _Judging:
         wireframe = self._prepared[candidate.model].coarse
         evidence = self.scene.evidence(self.scene.lines(candidate.pose, wireframe), chance.mean)
         return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
+
+    def best_explanation(
+        self, first: Candidate, others: Sequence[Candidate]
+    ) -> Localization | None:
+        """Return the verdict on a candidate, or on its best rival where that is clearly better.
+
+        Candidates are ordered by how much they explain, with few samples and before they are
+        fitted, so that a model a little too large may come before the true one.
+        None if too few edges determine the candidate's pose.
+        """
+        one = self.localization(first, others)
+        if one is None or one.verdict.margin > -MIN_MARGIN:
+            return one
+        rival = one.rivals[0]
+        fitted = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
+        better = self.localization(*self.scene.measured(self._prepared, [fitted]), [first, *others])
+        is_better = better is not None and better.verdict.margin > one.verdict.margin
+        return better if is_better else one
 
     def localization(self, best: Candidate, others: Sequence[Candidate]) -> Localization | None:
         """Return the verdict on a candidate; None if too few edges determine its pose."""

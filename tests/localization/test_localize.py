@@ -189,9 +189,13 @@ def test_of_two_models_the_right_one_is_accepted(pictures):
     assert "lower: not found" in found.messages[0]
 
 
-def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictures):
-    """A box that is 0.7 % larger has an edge point near each of its own, but not on it."""
-    larger = box(1.007 * 0.06, 1.007 * 0.04, 1.007 * 0.03)
+@pytest.mark.parametrize("scale", [1.003, 1.007])
+def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictures, scale):
+    """A larger box has an edge point near each of its own, but not on it.
+
+    The nearer their sizes are, the more it explains, so that it is judged first.
+    """
+    larger = box(scale * 0.06, scale * 0.04, scale * 0.03)
     larger = dataclasses.replace(larger, name="larger", symmetry=find_symmetry(larger))
     found = find(pictures, [MODEL, larger], starts() + starts(model=1))
     (one,) = found.accepted
@@ -199,6 +203,7 @@ def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictu
     found_of_it, (rival, *_) = one.verdict.evidence, one.rivals
     assert found_of_it.log_likelihood < rival.log_likelihood + 6.0
     assert one.verdict.margin > 6.0
+    assert rival.model == 1
 
 
 def test_clutter_alone_is_nothing():
