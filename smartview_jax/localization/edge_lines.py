@@ -45,7 +45,7 @@ CLEARANCE = 5.0
 MIN_POINT_SIGMA = 0.03
 """Smallest standard deviation of an edge point that is believed, px: pixels have an extent."""
 
-MODEL_SIGMA = 0.01
+MODEL_SIGMA = 0.003
 """Standard deviation of a whole line's position however many points it has, px."""
 
 MIN_EDGE_PX = 8.0

@@ -162,8 +162,9 @@ class _Judging:
         if one is None or one.verdict.margin > -MIN_MARGIN:
             return one
         rival = one.rivals[0]
-        fitted = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
-        better = self.localization(*self.scene.measured(self._prepared, [fitted]), [first, *others])
+        pose = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
+        (second,) = self.scene.measured(self._prepared, [pose])
+        better = self.localization(second, [first, *others])
         is_better = better is not None and better.verdict.margin > one.verdict.margin
         return better if is_better else one
 

@@ -22,7 +22,8 @@ class EdgeMatch(NamedTuple):
         distance: of the edge points from the predicted edge, at their mean, px.
         visible_px: visible length of the edge, px.
         found_px: length with edge points, px.
-        used: whether the pose was estimated from it; others contradict the pose.
+        consistent: whether it is where its noise lets it be; others contradict the pose, and
+            hardly count.
     """
 
     view: int
@@ -30,7 +31,7 @@ class EdgeMatch(NamedTuple):
     distance: float
     visible_px: float
     found_px: float
-    used: bool
+    consistent: bool
 
 
 class Rival(NamedTuple):
@@ -97,7 +98,7 @@ class Localization(NamedTuple):
     @property
     def matches(self) -> tuple[EdgeMatch, ...]:
         """The edges of the model that were measured, view by view."""
-        lines, used = self.refined.lines, self.refined.used
+        lines, consistent = self.refined.lines, self.refined.consistent
         return tuple(
             EdgeMatch(
                 int(view),
@@ -105,7 +106,7 @@ class Localization(NamedTuple):
                 float(lines.offsets[view, edge, 0]),
                 float(lines.visible_px[view, edge]),
                 float(lines.found_px[view, edge]),
-                bool(used[view, edge]),
+                bool(consistent[view, edge]),
             )
             for view, edge in zip(*np.nonzero(lines.measured), strict=True)
         )

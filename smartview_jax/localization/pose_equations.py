@@ -10,18 +10,13 @@ covariances are part of that of the equations, so that an error of the robot's p
 edges of a view counts once, and not for every edge again.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag, cho_factor, cho_solve
-from scipy.stats import chi2
 
 from ..modeling import CalibrationUncertainty, ObjectModel
-
-GATE_PROBABILITY = 0.999
-"""Probability with which a block of equations without gross error passes the gate."""
 
 
 class PoseEquations(NamedTuple):
@@ -101,8 +96,6 @@ class PoseStep(NamedTuple):
         calibration_error: likeliest errors of these numbers, given their covariance.
         absorbed: how many numbers of the equations these errors explain, between none and all that
             are uncertain.
-        chi_square: squared residuals after the step, whitened.
-        degrees_of_freedom: number of equations minus six.
     """
 
     tangent: Float[np.ndarray, "6"]
@@ -112,29 +105,11 @@ class PoseStep(NamedTuple):
     calibration_jacobian: Float[np.ndarray, "6 numbers"]
     calibration_error: Float[np.ndarray, "numbers"]
     absorbed: float
-    chi_square: float
-    degrees_of_freedom: int
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 6"]:
         """The covariance of the tangent."""
         return self.pictures + self.calibration + self.model
-
-
-def joined(parts: Sequence[PoseEquations]) -> PoseEquations:
-    """Return the equations of several kinds of features together; blocks are numbered anew."""
-    starts = np.cumsum([0, *(1 + max(part.block, default=-1) for part in parts[:-1])])
-    residuals, by_pose, _, by_calibration, by_vertices, _ = (
-        [part[k] for part in parts] for k in range(6)
-    )
-    return PoseEquations(
-        np.concatenate(residuals),
-        np.concatenate(by_pose),
-        np.asarray(block_diag(*(part.noise for part in parts))),
-        np.concatenate(by_calibration),
-        np.concatenate(by_vertices),
-        np.concatenate([part.block + start for part, start in zip(parts, starts, strict=True)]),
-    )
 
 
 def solve_pose(
@@ -183,8 +158,6 @@ def solve_pose(
         -G @ B,
         SBT @ weighted_rest,
         float(np.einsum("ij,ji->", SBT, free)),
-        float(rest @ weighted_rest),
-        len(rest) - 6,
     )
 
 
@@ -202,24 +175,6 @@ def scaled_inverse(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "
     if np.linalg.eigvalsh(scaled)[0] < 1e-12:
         raise ValueError("the pose is undetermined: too few features, or all on one line")
     return np.linalg.inv(scaled) / np.outer(scale, scale)
-
-
-def consistent_blocks(
-    equations: PoseEquations,
-    errors: CommonErrors,
-    step: PoseStep,
-    gate: float = GATE_PROBABILITY,
-) -> Bool[np.ndarray, "n"]:
-    """Return which equations belong to blocks whose residuals after a step pass a chi-square gate.
-
-    Each block is judged by its own covariance, the common errors included.
-    """
-    by_calibration, by_model = errors.covariances(equations)
-    total = equations.noise + by_calibration + by_model
-    rest = equations.residuals - equations.by_pose @ step.tangent
-    squared, sizes = squared_blocks(rest, total, equations.block)
-    limits = chi2.ppf(gate, np.arange(1, sizes.max(initial=0) + 1))
-    return squared <= limits[sizes - 1]
 
 
 def squared_blocks(

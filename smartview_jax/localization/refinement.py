@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
+from scipy.stats import chi2
 
 from ..array_namespace import to_device
 from ..features import EdgePoints
@@ -18,16 +19,9 @@ from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews, pixel_jacobians
 from .edge_lines import MIN_ALIGNMENT, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
+from .heavy_tails import solve_heavy_tailed
 from .match_equations import Matches, match_equations
-from .pose_equations import (
-    CommonErrors,
-    PoseEquations,
-    PoseStep,
-    consistent_blocks,
-    joined,
-    solve_pose,
-    squared_blocks,
-)
+from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, squared_blocks
 from .wireframe import Wireframe
 
 MAX_STEPS = 20
@@ -39,11 +33,8 @@ CONVERGED = 0.02
 FINAL_RADIUS = 4.0
 """Search radius of edge points in the final fit, px: calibration errors move edges by some px."""
 
-MAX_EDGE_SIGMA = 1.5
-"""Largest standard deviation by which edges of pictures may differ from those of the model, px."""
-
-EDGE_SIGMAS = (0.0, *np.geomspace(0.01, MAX_EDGE_SIGMA, 16))
-"""Standard deviations of whole edges that are compared, px."""
+CONSISTENT_SQUARE = float(chi2.ppf(0.999, 2))
+"""Largest square of an edge's two errors, over their scale, of an edge that is consistent."""
 
 EXPLAINED_REACH = 3.0
 """Distance from measured edge points within which others are of the same edge, px."""
@@ -64,10 +55,9 @@ class RefinedPose(NamedTuple):
         calibration_error: likeliest errors of these numbers, as the object's edges show them.
         absorbed: how many of the edges' numbers these errors explain.
         edge_sigma: standard deviation, estimated, by which whole edges of the pictures differ from
-            those of the model, px.
-        chi_square, degrees_of_freedom: of the residuals, whitened.
+            those of the model, beyond the noise of their points, px.
         lines: edges as they were measured at the pose, in all views.
-        used: which of them the pose was estimated from.
+        consistent: which of them are where their noise lets them be; others hardly count.
     """
 
     world_from_object: Float[np.ndarray, "4 4"]
@@ -78,10 +68,8 @@ class RefinedPose(NamedTuple):
     calibration_error: Float[np.ndarray, "numbers"]
     absorbed: float
     edge_sigma: float
-    chi_square: float
-    degrees_of_freedom: int
     lines: EdgeLines
-    used: Bool[np.ndarray, "views E"]
+    consistent: Bool[np.ndarray, "views E"]
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 6"]:
@@ -147,14 +135,12 @@ def refine_pose(
     views: SeenViews,
     lookup: EdgeLookup,
     uncertainty: CalibrationUncertainty | None = None,
-    matches: Matches | None = None,
     radius: float = FINAL_RADIUS,
 ) -> RefinedPose:
     """Return the pose that fits the edge points of all views best.
 
-    Edges that a gate rejects, each by its own covariance, are left out. That whole edges differ
-    from the model, by a rounded corner, a shadow or another lens, is one standard deviation, which
-    is estimated together with the pose (restricted maximum likelihood).
+    The errors of edges have heavy tails (`heavy_tails`): a shadow or a rounded corner puts some of
+    them off as a whole, and these count the less, the farther they are off.
 
     Args:
         start: pose within some pixels of the answer, as `converged_poses` returns.
@@ -163,8 +149,6 @@ def refine_pose(
         views: camera and poses.
         lookup: edge points of the views.
         uncertainty: of the calibration in these views; None for an exact one.
-        matches: corners and segments that are used too; they must not be of the same edge points,
-            which would count twice.
         radius: largest distance of an edge point from its predicted edge, px.
 
     Raises:
@@ -176,22 +160,14 @@ def refine_pose(
     for remaining in range(MAX_STEPS)[::-1]:
         lines = measured_lines(wireframe, views, lookup, pose, radius)
         equations = line_equations(lines, model, wireframe, views, pose, uncertainty)
-        edge_rows = len(equations.residuals)
-        # The rows of edges come first: only these have a standard deviation that is estimated.
-        if matches is not None:
-            given = match_equations(matches, model, views, pose, uncertainty)
-            equations = joined([equations, given])
-        keep, edge_sigmas = _gated(equations, errors, edge_rows)
-        step = solve_pose(_with_edge_sigmas(equations, edge_sigmas, edge_rows).of(keep), errors)
+        step, squared, edge_sigma = solve_heavy_tailed(equations, errors)
         pose = pose @ host_exponentials(step.tangent)
         if _has_converged(step) or not remaining:
-            used = np.zeros(lines.measured.shape, dtype=bool)
-            # Two equations of an edge are kept or left out together, so that one of them tells.
-            used[lines.measured] = keep[:edge_rows:2]
+            consistent = np.zeros(lines.measured.shape, dtype=bool)
+            consistent[lines.measured] = squared <= CONSISTENT_SQUARE
             parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
             parts = *parts, step.calibration_error, step.absorbed
-            fit = step.chi_square, step.degrees_of_freedom
-            return RefinedPose(pose, *parts, edge_sigmas[0], *fit, lines, used)
+            return RefinedPose(pose, *parts, edge_sigma, lines, consistent)
     raise AssertionError("the last step returns")
 
 
@@ -283,83 +259,6 @@ def _places_on_edges(
     starts, ends = (model.vertices[model.edges[owners, k]] for k in (0, 1))
     along = ends - starts
     return ((samples - starts) * along).sum(axis=1) / (along**2).sum(axis=1)
-
-
-def _with_edge_sigmas(
-    equations: PoseEquations, sigmas: tuple[float, float], edge_rows: int
-) -> PoseEquations:
-    """Return equations whose first rows, those of edges, have additional independent errors.
-
-    The two standard deviations, px, are those of an edge's distance and of its tilt.
-    """
-    extra = np.zeros(len(equations.residuals))
-    extra[0:edge_rows:2], extra[1:edge_rows:2] = sigmas[0] ** 2, sigmas[1] ** 2
-    return equations._replace(noise=equations.noise + np.diag(extra))
-
-
-def _gated(
-    equations: PoseEquations, errors: CommonErrors, edge_rows: int
-) -> tuple[Bool[np.ndarray, "n"], tuple[float, float]]:
-    """Return which equations are consistent with one pose, and the edges' own sigmas, px.
-
-    Raises:
-        ValueError: the equations leave the pose undetermined.
-    """
-    # A robust start: the median of the edges' numbers is not moved by a few wrong ones.
-    sigmas = (0.0, 0.0)
-    if edge_rows:
-        distance, tilt = np.median(np.abs(equations.residuals[:edge_rows].reshape(-1, 2)), axis=0)
-        sigmas = (min(1.48 * distance, MAX_EDGE_SIGMA), min(1.48 * tilt, MAX_EDGE_SIGMA))
-    weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
-    step = solve_pose(_weighted(weighted, errors, 2.0), errors)
-    keep = consistent_blocks(weighted, errors, step)
-    # The standard deviations depend on which edges are kept, and the other way round.
-    for _ in range(2):
-        sigmas = _likeliest_edge_sigmas(equations, errors, edge_rows, keep, sigmas)
-        weighted = _with_edge_sigmas(equations, sigmas, edge_rows)
-        step = solve_pose(weighted.of(keep), errors)
-        keep = consistent_blocks(weighted, errors, step)
-    return keep, sigmas
-
-
-def _likeliest_edge_sigmas(
-    equations: PoseEquations,
-    errors: CommonErrors,
-    edge_rows: int,
-    keep: Bool[np.ndarray, "n"],
-    start: tuple[float, float],
-) -> tuple[float, float]:
-    """Return the standard deviations of whole edges of the largest restricted likelihood, px."""
-    sigmas = list(start)
-    own = equations.of(keep)
-    rows = int(keep[:edge_rows].sum())
-    common = sum(errors.covariances(own))
-    # One after the other on a grid, and the first once more: they hardly depend on each other.
-    for which in (0, 1, 0):
-        choices = np.tile(sigmas, (len(EDGE_SIGMAS), 1))
-        choices[:, which] = EDGE_SIGMAS
-        noises = [_with_edge_sigmas(own, (a, b), rows).noise for a, b in choices]
-        deviances = _restricted_deviances(own, np.stack(noises) + common)
-        sigmas[which] = float(EDGE_SIGMAS[int(np.argmin(deviances))])
-    return sigmas[0], sigmas[1]
-
-
-def _restricted_deviances(
-    equations: PoseEquations, totals: Float[np.ndarray, "choices n n"]
-) -> Float[np.ndarray, "choices"]:
-    """Return minus twice the restricted log-likelihoods of covariances, up to a constant."""
-    # l = log|C| + log|J^T W J| + r^T W r - (r^T W J) (J^T W J)^-1 (J^T W r),  W = C^-1
-    J, r = equations.by_pose, equations.residuals
-    both = np.linalg.solve(totals, np.column_stack([J, r])[None])
-    WJ, Wr = both[..., :-1], both[..., -1]
-    information, gradient = J.T @ WJ, Wr @ J
-    signs, determinants = np.linalg.slogdet(information)
-    fine = signs > 0.0
-    values = np.full(len(totals), np.inf)
-    explained = np.linalg.solve(information[fine], gradient[fine][..., None])[..., 0]
-    values[fine] = np.linalg.slogdet(totals[fine])[1] + determinants[fine] + Wr[fine] @ r
-    values[fine] -= (gradient[fine] * explained).sum(axis=1)
-    return values
 
 
 def explained_edge_points(

@@ -242,7 +242,7 @@ def _predicted(
     candidates = views.camera_from_world
     wireframe, parts = Wireframe.of(model), []
     sigma = max(float(one.refined.edge_sigma), MIN_POINT_SIGMA)
-    scatter = one.refined.lines.scatter[one.refined.used]
+    scatter = one.refined.lines.scatter[one.refined.consistent]
     point_sigma = max(float(np.median(scatter)) if len(scatter) else 0.0, MIN_POINT_SIGMA)
     in_world = np.asarray(wireframe.samples) @ pose[:3, :3].T + pose[:3, 3]
     for start in range(0, len(candidates), POSES_PER_BATCH):

@@ -1,0 +1,202 @@
+"""Estimate a pose from edges whose errors have heavy tails, by expectation-maximisation.
+
+Most edges of a picture are where their points say, to a hundredth of a pixel; a few are off by many
+times that, because of a shadow, a rounded corner or the print beside them. One Gaussian for all of
+them believes the exact edges too little and the others too much. Here the errors of an edge have a
+bivariate Student's t distribution: a Gaussian whose variance is that of the edge's points times an
+unknown factor of its own (Lange, Little and Taylor, "Robust statistical modeling using the t
+distribution", 1989). At the true poses of 2,457 edges in rendered scenes the likeliest such
+distribution has 2.0 degrees of freedom and exactly the points' own variance as its scale.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from .pose_equations import CommonErrors, PoseEquations, PoseStep, scaled_inverse, solve_pose
+
+DEGREES_OF_FREEDOM = 3.0
+"""Degrees of freedom of Student's t.
+
+One more than is likeliest: the errors of one object's edges are not quite independent, and with
+three the squared errors of poses over their covariance (NEES) are 6.0 on average, as they should.
+"""
+
+NUMBERS = 2
+"""Numbers of an edge: its distance from the prediction and its tilt."""
+
+INFLATION = (DEGREES_OF_FREEDOM + NUMBERS + 2.0) / (DEGREES_OF_FREEDOM + NUMBERS)
+"""Variance of a Gaussian that tells as much (Fisher's information) as Student's t of scale one."""
+
+EDGE_SIGMAS = (0.0, *np.geomspace(0.01, 1.5, 16))
+"""Scales of errors that all edges have, px, of which the likeliest is taken.
+
+One for the distances and one for the tilts: a rounded corner displaces an edge without a tilt.
+"""
+
+LEAST_GAIN = 1.0
+"""Gain in log-likelihood from which each is believed: Akaike's, of one more number."""
+
+MAX_ITERATIONS = 100
+"""Largest number of iterations for one scale."""
+
+CONVERGED = 0.01
+"""Length of a step, in standard deviations, below which the iteration has ended."""
+
+
+class HeavyTailedStep(NamedTuple):
+    """The solution of the equations of edges with heavy-tailed errors.
+
+    Attributes:
+        step: the solution, its covariance and its parts.
+        squared: expected square of each edge's two errors, over their scale; two on average for
+            errors that are Gaussian of this scale.
+        edge_sigma: standard deviation, estimated, by which edges are displaced beyond the noise of
+            their points, px.
+    """
+
+    step: PoseStep
+    squared: Float[np.ndarray, "edges"]
+    edge_sigma: float
+
+
+def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyTailedStep:
+    """Return the likeliest pose if the errors of whole edges have Student's t distribution.
+
+    Its scale is the noise of the edge's points and, where that is likelier, of errors that all
+    edges have: those of a rounded object, or of one whose model is not exact.
+
+    Args:
+        equations: two of each edge, one after the other, with independent noise.
+        errors: what is common to them.
+
+    Raises:
+        ValueError: the equations leave the pose undetermined.
+    """
+    unknowns = _Unknowns.of(equations, errors)
+    points = np.diagonal(equations.noise).reshape(-1, NUMBERS)
+    sigmas, weights = (0.0,) * NUMBERS, np.ones(len(points))
+    # One after the other, and the first once more: they hardly depend on each other.
+    for which in (0, 1, 0):
+        fits = []
+        for sigma in EDGE_SIGMAS:
+            tried = *sigmas[:which], sigma, *sigmas[which + 1 :]
+            fits.append((_fit(unknowns, points + np.square(tried), weights), tried))
+            # The weights of one scale are near those of the next.
+            weights = fits[-1][0].weights
+        fit, sigmas = max(fits, key=_gain)
+        weights = fit.weights
+    noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
+    step = solve_pose(equations._replace(noise=np.diag(noise.ravel())), errors)
+    return HeavyTailedStep(step, fit.squared, float(np.sqrt(INFLATION) * sigmas[0]))
+
+
+class _Unknowns(NamedTuple):
+    """Equations for the pose and for the errors that all edges share, as independent numbers.
+
+    Attributes:
+        residuals: measured minus predicted, px.
+        derivatives: by the tangent of the pose, and by the common errors in standard deviations.
+        prior: information on them beforehand: none on the pose.
+    """
+
+    residuals: Float[np.ndarray, "n"]
+    derivatives: Float[np.ndarray, "n unknowns"]
+    prior: Float[np.ndarray, "unknowns unknowns"]
+
+    @classmethod
+    def of(cls, equations: PoseEquations, errors: CommonErrors) -> "_Unknowns":
+        """Return the equations with the common errors as unknowns.
+
+        Raises:
+            ValueError: they leave the pose undetermined.
+        """
+        J = equations.by_pose
+        scaled_inverse(J.T @ J)
+        common = [
+            equations.by_calibration @ _factor(errors.calibration),
+            equations.by_vertices @ _factor(errors.vertices),
+        ]
+        derivatives = np.concatenate([J, *common], axis=1)
+        prior = np.diag(np.repeat([0.0, 1.0], [6, derivatives.shape[1] - 6]))
+        return cls(equations.residuals, derivatives, prior)
+
+
+class _Fit(NamedTuple):
+    """A pose for given scales of the edges' errors, and what it makes of these errors.
+
+    Attributes:
+        solution: the unknowns.
+        information: on them, the inverse of their covariance.
+        squared: as in `HeavyTailedStep`.
+        weights: of the edges after it; one for an edge that is off by as much as its scale.
+        log_likelihood: of the scales, the unknowns being integrated out (Laplace).
+    """
+
+    solution: Float[np.ndarray, "unknowns"]
+    information: Float[np.ndarray, "unknowns unknowns"]
+    squared: Float[np.ndarray, "edges"]
+    weights: Float[np.ndarray, "edges"]
+    log_likelihood: float
+
+
+def _gain(tried: tuple[_Fit, tuple[float, ...]]) -> float:
+    """Return the log-likelihood of a fit, less what its scales have to gain to be believed."""
+    fit, sigmas = tried
+    return fit.log_likelihood - LEAST_GAIN * np.count_nonzero(sigmas)
+
+
+def _fit(
+    unknowns: _Unknowns,
+    variances: Float[np.ndarray, "edges 2"],
+    weights: Float[np.ndarray, "edges"],
+) -> _Fit:
+    """Return the likeliest pose for given scales, from first weights of the edges."""
+    fit = _reweighted(unknowns, variances, weights)
+    for _ in range(MAX_ITERATIONS):
+        before, fit = fit, _reweighted(unknowns, variances, fit.weights)
+        change = fit.solution - before.solution
+        if change @ fit.information @ change < CONVERGED**2:
+            break
+    return fit
+
+
+def _reweighted(
+    unknowns: _Unknowns,
+    variances: Float[np.ndarray, "edges 2"],
+    weights: Float[np.ndarray, "edges"],
+) -> _Fit:
+    """Return the pose that fits best with given weights of the edges, and the weights after it.
+
+    Given its weight w an edge is Gaussian with the variance v / w, and given the pose the expected
+    weight is (nu + 2) / (nu + s), with s the expected square of its errors over v.
+    """
+    r, G, prior = unknowns
+    nu = DEGREES_OF_FREEDOM
+    # Least squares A x = G^T W r, A = G^T W G + prior; what is not known of x adds to the expected
+    # squares of the errors: e^2 + diag(G A^-1 G^T).
+    rows = (weights[:, None] / (INFLATION * variances)).reshape(-1, 1) * G
+    information = G.T @ rows + prior
+    # Metres, radians and standard deviations keep their precision.
+    scale = np.sqrt(np.diagonal(information))
+    covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    solution = covariance @ (rows.T @ r)
+    square = (r - G @ solution).reshape(-1, NUMBERS) ** 2
+    spread = ((G @ covariance) * G).sum(axis=1).reshape(-1, NUMBERS)
+    squared = ((square + spread) / variances).sum(axis=1)
+    # -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) is that of Student's t, and what
+    # is common has its prior; to integrate the unknowns out adds log|A| / 2.
+    tails = (nu + NUMBERS) * np.log1p((square / variances).sum(axis=1) / nu).sum()
+    common, determinant = solution @ prior @ solution, np.linalg.slogdet(information)[1]
+    likelihood = -0.5 * float(np.log(variances).sum() + tails + common + determinant)
+    return _Fit(solution, information, squared, (nu + NUMBERS) / (nu + squared), likelihood)
+
+
+def _factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return a matrix whose product with its transpose is a covariance that may be singular."""
+    # Correlations, because metres, radians and pixels are not of one size.
+    scale = np.sqrt(np.diagonal(covariance))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
