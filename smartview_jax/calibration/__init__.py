@@ -1,7 +1,7 @@
 """Provide calibrations: camera, hand-eye and world transforms, which predict and command."""
 
-from .calibration import FORMAT_VERSION as FORMAT_VERSION
 from .calibration import Calibration as Calibration
+from .file_content import FORMAT_VERSION as FORMAT_VERSION
 from .mount import host_mount_from_holder as host_mount_from_holder
 from .mount import mount_frames as mount_frames
 from .mount import mount_from_holder as mount_from_holder

@@ -21,7 +21,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
 from ..array_namespace import AnyArray, as_float_array
-from ..cameras import AbstractLens, Camera, camera_from_dict, camera_to_dict
+from ..cameras import AbstractLens, Camera
 from ..compilation import compiled, is_traced
 from ..deprecation import DeprecatedAttribute
 from ..files import dump_json, dump_yaml, read_yaml, write_atomically
@@ -30,26 +30,15 @@ from ..geometry import (
     ViewedRegion,
     as_se3,
     host_matrices,
-    region_from_dict,
-    region_to_dict,
-    transform_from_dict,
     transform_points,
     transform_text,
-    transform_to_dict,
 )
 from ..padding import over_padded_views
-from ..robot_errors import AbstractField, RobotError, robot_error_from_dict, robot_error_to_dict
+from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
+from .file_content import content_of, parts_of
 from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
-
-FORMAT_VERSION = 2
-"""Version of the file format.
-
-Files of version 1 have no end mark; `schemas.calibration` says which of them load."""
-
-_END_MARK = "smartview_calibration"
-"""Value of the last entry of a file, by which a truncated file is recognised."""
 
 
 class Calibration(eqx.Module):
@@ -337,28 +326,7 @@ class Calibration(eqx.Module):
         uncertainty: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
         """Return a dictionary of plain numbers with names and units, as written by `save`."""
-        content: dict[str, Any] = {
-            "smartview_calibration": FORMAT_VERSION,
-            **({} if run is None else {"run": run}),
-            **({} if source is None else {"source": source}),
-            **({"warnings": list(warnings)} if warnings else {}),
-            "units": {"length": "m", "angle": "rad", "image": "px"},
-            "mount": self.mount,
-            "camera": camera_to_dict(self.camera),
-        }
-        transforms = (self.camera_from_mount, self.holder_from_world)
-        for name, transform in zip(self.transform_names, transforms, strict=True):
-            content[name] = transform_to_dict(transform)
-        content["target_scale"] = float(self.target_scale)
-        error = self.robot_error
-        content["robot_error"] = None if error is None else robot_error_to_dict(error)
-        if self.region is not None:
-            content["region"] = region_to_dict(self.region)
-        if uncertainty is not None:
-            content["uncertainty"] = dict(uncertainty)
-        # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.
-        content["end"] = _END_MARK
-        return content
+        return content_of(self, run, warnings, source=source, uncertainty=uncertainty)
 
     @classmethod
     def from_dict(
@@ -377,27 +345,7 @@ class Calibration(eqx.Module):
         Raises:
             ValueError: naming the entry that is missing or wrong.
         """
-        # The validation library is imported only where files are read; fits do not need it.
-        from ..schemas.calibration import CALIBRATION_SCHEMA
-        from ..schemas.validation import validate_content
-
-        validate_content(content, CALIBRATION_SCHEMA)
-        mount = content["mount"]
-        # The file uses the public names, which depend on the mount.
-        names = tuple(name.format(*mount_frames(mount)) for name in _TRANSFORM_PATTERNS)
-        camera_from_mount, holder_from_world = (
-            transform_from_dict(name, content[name]) for name in names
-        )
-        error, region = content.get("robot_error"), content.get("region")
-        return cls(
-            camera_from_dict(content["camera"], lens),
-            camera_from_mount,
-            holder_from_world,
-            mount,
-            float(content["target_scale"]),
-            None if error is None else robot_error_from_dict(error, field),
-            None if region is None else region_from_dict(region),
-        )
+        return cls(**parts_of(content, lens, field))
 
     def save(
         self,
@@ -443,10 +391,6 @@ class Calibration(eqx.Module):
             return cls.from_dict(read_yaml(path), lens, field)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
-
-
-_TRANSFORM_PATTERNS = ("camera_from_{0}", "{1}_from_world")
-"""The names of the two transforms in a file, to be formatted with mount and holder frame."""
 
 
 @compiled
