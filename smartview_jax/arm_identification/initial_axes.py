@@ -8,13 +8,16 @@ with `F_k` a frame on joint axis k, `r_k` the gear ratio, and `z` the unit twist
 about, or a translation along, the z axis.
 """
 
+import functools
+import operator
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from ..geometry import host_nearest_rotation
+from ..geometry import host_exponentials, host_nearest_rotation
 from ..robots import SerialArm
 
 MAX_REST_MOTION = 2e-3
@@ -45,19 +48,15 @@ class ProductOfExponentials(eqx.Module):
     home: SE3
 
     def camera_from_target(
-        self, joints: Float[Array, "views joints"], prismatic: tuple[bool, ...]
+        self, joints: Float[Array, "views joints"], is_prismatic: Bool[Array, "joints"]
     ) -> SE3:
         """Return the target's pose in the camera's frame at the given joint readings."""
-        pose = SE3.identity((len(joints),))
-        for k, is_prismatic in enumerate(prismatic):
-            frame = SE3(jnp.broadcast_to(self.frames.wxyz_xyz[k], (len(joints), 7)))
-            pose = (
-                pose
-                @ frame
-                @ _motion(self.ratios[k] * joints[:, k], is_prismatic)
-                @ frame.inverse()
-            )
-        return pose @ SE3(jnp.broadcast_to(self.home.wxyz_xyz, (len(joints), 7)))
+        views, count = joints.shape
+        frames = SE3(jnp.broadcast_to(self.frames.wxyz_xyz[:, None], (count, views, 7)))
+        displacements = self.ratios[:, None] * joints.T
+        motions = frames @ _motion(displacements, is_prismatic[:, None]) @ frames.inverse()
+        home = SE3(jnp.broadcast_to(self.home.wxyz_xyz, (views, 7)))
+        return functools.reduce(operator.matmul, [*map(SE3, motions.wxyz_xyz), home])
 
     def displaced(self, step: Float[Array, "parameters"]) -> "ProductOfExponentials":
         """Return the axes after a parameter step.
@@ -103,7 +102,7 @@ def axes_from_motions(
         frames_found.append(frame)
         # Remove this joint's motion: remaining <- F_k exp(-q_k z) F_k^-1 remaining. What remains is
         # the motion of the later joints and the constant pose `home`.
-        motion = np.asarray(_motion(jnp.asarray(-joints[:, k]), is_prismatic).as_matrix())
+        motion = host_exponentials(-joints[:, k, None] * _AXIS_TWISTS[int(is_prismatic)])
         remaining = frame @ motion @ np.linalg.inv(frame) @ remaining
     # With all joints removed every view gives an estimate of `home`; one is enough to start.
     home = SE3.from_matrix(jnp.asarray(remaining[len(remaining) // 2])).normalize()
@@ -168,12 +167,18 @@ def nominal_axis_frames(arm: SerialArm) -> Float[np.ndarray, "joints 4 4"]:
     return np.stack(frames)
 
 
-def _motion(displacement: Float[Array, "views"], is_prismatic: bool) -> SE3:
+_AXIS_TWISTS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
+"""The unit twist of a rotation about the z axis (row 0), and of a translation along it (row 1)."""
+
+
+def _motion(
+    displacement: Float[Array, "joints views"], is_prismatic: Bool[Array, "joints 1"]
+) -> SE3:
     """Return exp(displacement * z): a rotation about the z axis, or a translation along it."""
     zeros = jnp.zeros_like(displacement)
-    if is_prismatic:
-        return SE3.from_translation(jnp.stack([zeros, zeros, displacement], axis=-1))
-    return SE3.from_rotation(SO3.from_z_radians(displacement))
+    translation = jnp.stack([zeros, zeros, jnp.where(is_prismatic, displacement, 0.0)], axis=-1)
+    rotation = SO3.from_z_radians(jnp.where(is_prismatic, 0.0, displacement))
+    return SE3.from_rotation_and_translation(rotation, translation)
 
 
 def _joint_axis_frame(

@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxlie import SE3
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
+from ..array_namespace import to_device
 from ..compilation import compiled
 from ..geometry import PoseLike, as_se3
 from ..robots import JointsLike, SerialArm, arm_from_axes
@@ -128,11 +129,18 @@ def fit_kinematics(
         raise ValueError(
             f"{len(joints)} poses give {6 * len(joints)} numbers; {len(free)} parameters are free"
         )
+    is_free = np.zeros(5 * joints.shape[1] + 6, dtype=bool)
+    is_free[free] = True
     fitted_axes, residuals, jacobian, result = _solve(
-        axes, jnp.asarray(joints), poses, jnp.asarray(free), prismatic_flags, metres_per_radian
+        axes,
+        to_device(joints),
+        poses,
+        to_device(is_free),
+        to_device(np.array(prismatic_flags)),
+        to_device(float(metres_per_radian)),
     )
     std, unobservable = _uncertainty(
-        np.asarray(residuals), np.asarray(jacobian), names, metres_per_radian
+        np.asarray(residuals), np.asarray(jacobian)[..., free], names, metres_per_radian
     )
     return _as_fit(fitted_axes, prismatic_flags, residuals, std, unobservable, result)
 
@@ -165,24 +173,26 @@ def _solve(
     axes: ProductOfExponentials,
     joints: Float[Array, "views joints"],
     poses: SE3,
-    free: Int[Array, "n"],
-    prismatic: tuple[bool, ...],
-    metres_per_radian: float,
+    is_free: Bool[Array, "n"],
+    is_prismatic: Bool[Array, "joints"],
+    metres_per_radian: Float[Array, ""],
 ) -> tuple[ProductOfExponentials, Float[Array, "views 6"], Float[Array, "views 6 n"], optx.RESULTS]:
     """Minimise the weighted pose residuals by Levenberg-Marquardt.
+
+    Parameters that are not free have zero derivatives, and the damping leaves them where they are:
+    one program serves whatever is free, and any kind of joints.
 
     Returns:
         Fitted axes, unweighted residuals (m, rad), Jacobian of the weighted residuals, and the
         solver's exit status.
     """
-    parameter_count = 5 * len(prismatic) + 6
 
     def displaced_axes(step: Float[Array, "n"]) -> ProductOfExponentials:
-        return axes.displaced(jnp.zeros(parameter_count).at[free].set(step))
+        return axes.displaced(jnp.where(is_free, step, 0.0))
 
     def residuals(step: Float[Array, "n"], _: None = None) -> Float[Array, "views 6"]:
         # r = (t_measured - t_predicted, w log(R_predicted^-1 R_measured)), w = metres_per_radian.
-        predicted = displaced_axes(step).camera_from_target(joints, prismatic)
+        predicted = displaced_axes(step).camera_from_target(joints, is_prismatic)
         translation = poses.translation() - predicted.translation()
         rotation = (predicted.rotation().inverse() @ poses.rotation()).log()
         return jnp.concatenate([translation, metres_per_radian * rotation], axis=-1)
@@ -190,10 +200,11 @@ def _solve(
     # Each step solves (J^T J + lambda I) step = -J^T r; the damping lambda falls where the cost
     # does. The system is dense, since an arm has only some forty parameters.
     solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-12)
-    initial_step = jnp.zeros(len(free))
+    initial_step = jnp.zeros(len(is_free))
     solution = optx.least_squares(residuals, solver, initial_step, max_steps=MAX_STEPS, throw=False)
-    unweighted_residuals = residuals(solution.value) / jnp.array(
-        [[1.0] * 3 + [metres_per_radian] * 3]
+    weighted_residuals = residuals(solution.value)
+    unweighted_residuals = jnp.concatenate(
+        [weighted_residuals[:, :3], weighted_residuals[:, 3:] / metres_per_radian], axis=-1
     )
     return (
         displaced_axes(solution.value),
