@@ -11,7 +11,7 @@ from starts import nudged
 
 from smartview_jax import Calibration, Noise, Prior
 from smartview_jax.cameras import AbstractPerspectiveLens
-from smartview_jax.engine import view_normal_equations
+from smartview_jax.engine import BlockArrow, view_normal_equations
 from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.robot_errors import DHErrors, LinearInPose
 from smartview_jax.robots import six_axes
@@ -54,18 +54,18 @@ def dense_and_structured(problem, size=1e-3):
     """Cost, gradient and Gauss-Newton matrix by `jacfwd`, then ours, at a random step."""
     _, unravel = ravel_pytree(problem.zero_step())
     count = len(problem.free) + problem.per_view_free.size
-    z = jnp.asarray(size * np.random.default_rng(1).normal(size=count))
+    z = size * np.random.default_rng(1).normal(size=count)
 
     def residuals(z):
         return ravel_pytree(problem.residuals(unravel(z)))[0]
 
-    r, J = jax.jit(lambda z: (residuals(z), jax.jacfwd(residuals)(z)))(z)
-    held = ~ravel_pytree(problem.per_view_free)[0]
-    dense = np.array(J.T @ J)
-    at = len(problem.free) + np.flatnonzero(np.asarray(held))
+    r, J = map(np.asarray, jax.jit(lambda z: (residuals(z), jax.jacfwd(residuals)(z)))(z))
+    dense = J.T @ J
+    at = len(problem.free) + np.flatnonzero(~np.asarray(problem.per_view_free))
     dense[at, at] = 1.0
-    found = normal_equations(problem, unravel(z))
-    structured = found.cost, ravel_pytree(found.gradient)[0], found.matrix.as_matrix()
+    found = normal_equations(problem, unravel(jnp.asarray(z)))
+    gradient = np.concatenate([np.ravel(part) for part in found.gradient])
+    structured = found.cost, gradient, np.asarray(jax.jit(BlockArrow.as_matrix)(found.matrix))
     return (0.5 * r @ r, J.T @ r, dense), structured
 
 

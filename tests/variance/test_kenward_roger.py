@@ -89,7 +89,7 @@ def test_derivatives_are_those_of_automatic_differentiation(world):
         marginal = marginalise(views, StandardDeviations.from_vector(jnp.exp(logarithms)))
         return marginal.step.shared, marginal.shared_covariance
 
-    by_step, by_covariance = jax.jacfwd(by_log_sigma)(jnp.log(found.sigmas.vector))
+    by_step, by_covariance = jax.jit(jax.jacfwd(by_log_sigma))(np.log(found.sigmas.vector))
     doubted = small_sample_correction(views, found)
     # Lower bounds are negligible here: the logarithm of the excess is that of the deviation.
     expected = jnp.moveaxis(by_covariance, -1, 0)
