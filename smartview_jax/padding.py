@@ -23,6 +23,9 @@ padding to show.
 MIN_PADDED_COUNT = 8
 """Smallest number of views, and of points, after padding."""
 
+MIN_PADDED_VIEWS = 64
+"""Smallest number of views, after padding, of programs that compute little for each view."""
+
 _Tree = TypeVar("_Tree")
 
 
@@ -71,11 +74,12 @@ def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
     """Return what a program makes of arrays by views, run with the padded number of views.
 
     Args:
-        program: from arrays whose first axis is the views to such arrays.
+        program: from arrays whose first axis is the views to such arrays; of little work for each.
         by_view: pytree of its arguments, one array at least.
     """
     views = len(jax.tree.leaves(by_view)[0])
-    return without_padding(program(repeat_last(by_view, padded_counts(views)[0])), views)
+    padded = repeat_last(by_view, padded_counts(max(views, MIN_PADDED_VIEWS))[0])
+    return without_padding(program(padded), views)
 
 
 def without_padding(arrays: _Tree, *counts: int) -> _Tree:

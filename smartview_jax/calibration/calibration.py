@@ -280,11 +280,13 @@ class Calibration(eqx.Module):
         """
         # The inverse of Eq. 19: tool_from_base = tool_from_camera @ camera_from_world
         # @ world_from_base; with mount and holder it holds for both mounts.
-        robot = (
-            self.camera_from_mount.inverse()
-            @ as_se3(camera_from_world)
-            @ self.holder_from_world.inverse()
-        )
+        wanted, ends = as_se3(camera_from_world), (self.camera_from_mount, self.holder_from_world)
+        if not is_traced(wanted, ends):
+            # A product of matrices: nothing to compile for every number of views.
+            mount_from_camera, world_from_holder = map(np.linalg.inv, map(host_matrices, ends))
+            robot = mount_from_camera @ host_matrices(wanted) @ world_from_holder
+            return as_se3(np.linalg.inv(robot) if self.mount == "eye_in_hand" else robot)
+        robot = ends[0].inverse() @ wanted @ ends[1].inverse()
         return mount_from_holder(self.mount, robot)
 
     def points_in_camera(

@@ -9,13 +9,15 @@ the usual views. Definitions by an upright direction are singular where the came
 down.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from ..array_namespace import as_float_array
-from ..compilation import compiled
+from ..array_namespace import as_float_array, to_device
+from ..compilation import compiled, is_traced
+from ..padding import over_padded_views
 
 FIVE_VIEWPOINT_STEP = float(np.deg2rad(9.5))
 """Angle between neighbours of the paper's five viewpoints from the object, rad (Section 5)."""
@@ -49,7 +51,18 @@ def look_at(
     Returns:
         Transforms with the broadcast shape of all four arguments.
     """
-    return _look_at(*(as_float_array(x) for x in (point, direction, distance, roll)))
+    arguments = tuple(as_float_array(x) for x in (point, direction, distance, roll))
+    if is_traced(arguments):
+        return _look_at(*arguments)
+    # On the host one program serves all numbers of views.
+    vectors, numbers = jax.tree.map(np.asarray, (arguments[:2], arguments[2:]))
+    views = np.broadcast_shapes(*(x.shape[:-1] for x in vectors), *(x.shape for x in numbers))
+    by_view = (
+        *(to_device(np.broadcast_to(x, (*views, 3)).reshape(-1, 3)) for x in vectors),
+        *(to_device(np.broadcast_to(x, views).ravel()) for x in numbers),
+    )
+    poses = over_padded_views(lambda padded: _look_at(*padded), by_view)
+    return SE3(to_device(np.reshape(poses.wxyz_xyz, (*views, 7))))
 
 
 @compiled
@@ -100,14 +113,16 @@ def viewing_direction(
         above: whether the camera is on the +z side; False for a board with z into it, as in
             OpenCV, where the tilt is measured from -z.
     """
-    tilts, azimuths = jnp.broadcast_arrays(jnp.asarray(tilt, float), jnp.asarray(azimuth, float))
-    horizontal, height = jnp.sin(tilts), jnp.cos(tilts)
+    # On the host NumPy needs no compilation.
+    xp = jnp if is_traced(tilt, azimuth) else np
+    tilts, azimuths = xp.broadcast_arrays(xp.asarray(tilt, float), xp.asarray(azimuth, float))
+    horizontal, height = xp.sin(tilts), xp.cos(tilts)
     to_camera = [
-        horizontal * jnp.cos(azimuths),
-        horizontal * jnp.sin(azimuths),
+        horizontal * xp.cos(azimuths),
+        horizontal * xp.sin(azimuths),
         height if above else -height,
     ]
-    return -jnp.stack(to_camera, axis=-1)
+    return as_float_array(-xp.stack(to_camera, axis=-1))
 
 
 def five_viewpoints(

@@ -11,7 +11,13 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
-from ..geometry import PoseLike, as_se3, host_matrices, viewing_direction
+from ..geometry import (
+    PoseLike,
+    as_se3,
+    host_exponentials,
+    host_matrices,
+    viewing_direction,
+)
 from ..geometry import look_at as look_along
 from ..targets import AbstractTarget
 
@@ -94,7 +100,7 @@ def reported_poses(
     # reported = true exp(correction).
     sigmas = np.repeat([translation_noise, rotation_noise], 3)
     twists = sigmas * rng.standard_normal((len(base_from_tool.wxyz_xyz), 6))
-    return base_from_tool @ SE3.exp(jnp.asarray(twists))
+    return as_se3(host_matrices(base_from_tool) @ host_exponentials(twists))
 
 
 def look_at_from_above(
