@@ -19,7 +19,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..compilation import compiled_optimised
+from ..compilation import compiled, compiled_optimised
 from ..dataset import Observations
 from ..padding import without_padding
 from .weng_alternation import ViewFit, fit_view
@@ -144,7 +144,7 @@ def estimate_view_poses(
     """
     view_count, point_count = observations.visible.shape
     points, pixels, visible = _host_observations(observations.padded())
-    rays, valid = map(np.asarray, camera.unproject(jax.device_put(pixels)))
+    rays, valid = map(np.asarray, _unproject(camera, jax.device_put(pixels)))
     visible = visible & valid & (rays[..., 2] > 1e-3)
     rays = np.where(visible[..., None], rays, 1.0)
     # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
@@ -223,6 +223,14 @@ def _hold_intrinsics(
     poses = np.array(start.poses.wxyz_xyz)
     poses[..., 6] *= np.where(chosen, ratio, 1.0)[:, None]
     return Start(intrinsics, SE3(poses))  # pyright: ignore[reportArgumentType]
+
+
+@compiled
+def _unproject(
+    camera: Camera, pixels: Float[Array, "views points 2"]
+) -> tuple[Float[Array, "views points 3"], Bool[Array, "views points"]]:
+    """Return the rays of pixels as one program; operation by operation it would be some forty."""
+    return camera.unproject(pixels)
 
 
 @compiled_optimised
