@@ -12,6 +12,7 @@ alpha_v and v0.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -89,14 +90,7 @@ def linearise_views(
         """Linearise one group of chunks."""
         rotation, translation, points, pixels, visible = group_arrays
         # p = scale R X + t, with X the point on the target and p the point in the camera frame.
-        # One product per chunk: batched products of small matrices are several times slower.
-        in_camera = jnp.concatenate(
-            [
-                (target_scale * rotation[k]) @ points[k].T + translation[k][:, None]
-                for k in range(group)
-            ],
-            axis=1,
-        )
+        in_camera = _camera_points(target_scale * rotation, translation, points)
         columns_u, columns_v, cost = _jacobian_columns(
             camera, in_camera, pixels.reshape(-1, 2).T, visible.ravel(), pixel_sigma, loss
         )
@@ -123,12 +117,33 @@ def linearise_views(
     return _assemble(gram_u, gram_v, cost)
 
 
+def _camera_points(
+    rotation: Float[Array, "group 3 3"],
+    translation: Float[Array, "group 3"],
+    points: Float[Array, "group points 3"],
+) -> tuple[Array, Array, Array]:
+    """Return the coordinates of all points in the camera frame, chunk after chunk."""
+    x, y, z = (points[..., k] for k in range(3))
+
+    # Products of single numbers, which XLA fuses: a product of matrices so thin takes longer.
+    def coordinate(k: int) -> Float[Array, "all"]:
+        """Return one coordinate of all points."""
+        to_axis = [rotation[:, k, i, None] for i in range(3)]
+        moved = to_axis[0] * x + to_axis[1] * y + to_axis[2] * z + translation[:, k, None]
+        return moved.ravel()
+
+    return coordinate(0), coordinate(1), coordinate(2)
+
+
 def _gram_matrices(
     columns: Float[Array, "rows points"], group: int
 ) -> Float[Array, "group rows rows"]:
     """Compute `columns @ columns.T` separately for each chunk of points."""
-    chunks = jnp.split(columns, group, axis=1)
-    return jnp.stack([chunk @ chunk.T for chunk in chunks])
+    if group == 1:
+        return (columns @ columns.T)[None]
+    # One batched product: the call of a small one takes longer than the product itself.
+    chunks = columns.reshape(len(columns), group, -1)
+    return jnp.einsum("rcn,scn->crs", chunks, chunks)
 
 
 def _split_into_chunks(observations: Observations) -> tuple[Array, Array, Array]:
@@ -153,7 +168,7 @@ def _split_into_chunks(observations: Observations) -> tuple[Array, Array, Array]
 
 def _jacobian_columns(
     camera: Camera,
-    in_camera: Float[Array, "3 points"],
+    in_camera: tuple[Array, Array, Array],
     pixels: Float[Array, "2 points"],
     visible: Bool[Array, "points"],
     pixel_sigma: Float[Array, ""],
@@ -168,11 +183,10 @@ def _jacobian_columns(
     """
     # u = alpha_u x + u0 and v = alpha_v y + v0, with (x, y) the distorted point on the unit plane;
     # r = (measured - predicted) / sigma.
-    (x, y), valid, lens_jacobian, point_jacobian = _project_with_jacobians(
-        camera.lens, in_camera, visible
-    )
+    projected = _project_with_jacobians(camera.lens, in_camera, visible)
+    (x, y), valid = projected.distorted, projected.valid
     predicted = (camera.alpha_u * x + camera.u0, camera.alpha_v * y + camera.v0)
-    residual = [jnp.where(valid, (pixels[k] - predicted[k]) / pixel_sigma, 0.0) for k in range(2)]
+    residual = [jnp.where(valid, pixels[k] - predicted[k], 0.0) / pixel_sigma for k in range(2)]
     unprojectable = visible & ~valid
     square = residual[0] ** 2 + residual[1] ** 2
     if loss is None:
@@ -184,45 +198,69 @@ def _jacobian_columns(
         invalid_loss = loss.rho(jnp.asarray(2.0 * INVALID_PROJECTION_RESIDUAL**2))
         cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(unprojectable, invalid_loss, 0.0))
     # Columns and residual are multiplied by sqrt(weight), so that their products are weighted once.
-    # With the square root XLA evaluates the expensive expression once, not again for every column.
-    scaled_sqrt_weight = jnp.sqrt(jnp.where(valid, weight, 0.0)) / pixel_sigma
-    px, py, pz = in_camera
+    # XLA computes what several columns are made of again for each of them, unless it takes it to be
+    # expensive, as it does square roots and divisions. Hence the divisions by sigma: derivatives
+    # are whitened before columns are made of them.
+    sqrt_weight = jnp.sqrt(jnp.where(valid, weight, 0.0))
+    whitening = sqrt_weight / pixel_sigma
+    px, py, pz = projected.ray
     columns = []
     for k, (normalised, alpha) in enumerate(((x, camera.alpha_u), (y, camera.alpha_v))):
+        derivatives = [alpha * sqrt_weight * d[k] / pixel_sigma for d in projected.by_ray]
+        if len(derivatives) == 2:
+            # Only the direction of the ray matters: the derivative along it is zero, and pz is 1.
+            derivatives.append(-(px * derivatives[0] + py * derivatives[1]))
+        hx, hy, hz = derivatives
         # Pose Jacobian: the twist (v, w) moves a point by dp = v + w x p. With g = du/dp the chain
         # rule gives du = g . v + g . (w x p) = g . v + (p x g) . w, so the six columns are
-        # (g, p x g).
-        gx, gy, gz = (alpha * scaled_sqrt_weight * g[k] for g in point_jacobian)
+        # (g, p x g). With the ray q = p / d, whose derivative is h = du/dq, g = h / d and
+        # p x g = q x h.
         columns.append(
             jnp.stack(
                 [
-                    scaled_sqrt_weight * normalised,
-                    scaled_sqrt_weight,
-                    *(alpha * scaled_sqrt_weight * column[k] for column in lens_jacobian),
-                    gx,
-                    gy,
-                    gz,
-                    py * gz - pz * gy,
-                    pz * gx - px * gz,
-                    px * gy - py * gx,
-                    scaled_sqrt_weight * pixel_sigma * residual[k],
+                    whitening * normalised,
+                    whitening,
+                    *(alpha * whitening * d[k] for d in projected.by_lens),
+                    projected.inverse_depth * hx,
+                    projected.inverse_depth * hy,
+                    projected.inverse_depth * hz,
+                    py * hz - pz * hy,
+                    pz * hx - px * hz,
+                    px * hy - py * hx,
+                    sqrt_weight * residual[k],
                 ]
             )
         )
     return columns[0], columns[1], cost
 
 
+class _Projection(NamedTuple):
+    """Points projected onto the unit plane, with derivatives, which are pairs of components.
+
+    Attributes:
+        distorted: the distorted point (x, y).
+        valid: whether the point is visible and can be projected.
+        by_lens: derivatives by each lens parameter.
+        ray: the point `p` in the camera frame as `inverse_depth * p`.
+        inverse_depth: one over the depth of the point, or one where rays are the points themselves.
+        by_ray: derivatives by the coordinates of the ray; of a ray `(x, y, 1)` by the first two.
+    """
+
+    distorted: tuple[Array, Array]
+    valid: Bool[Array, "points"]
+    by_lens: list
+    ray: tuple[Array | float, ...]
+    inverse_depth: Array | float
+    by_ray: list
+
+
 def _project_with_jacobians(
-    lens: AbstractLens, in_camera: Float[Array, "3 points"], visible: Bool[Array, "points"]
-) -> tuple[tuple[Array, Array], Bool[Array, "points"], list, list]:
+    lens: AbstractLens, in_camera: tuple[Array, Array, Array], visible: Bool[Array, "points"]
+) -> _Projection:
     """Project points onto the unit plane, with derivatives by the lens and by the point.
 
     Points that are invisible or cannot be projected are replaced by a point on the optical axis,
     where every lens is smooth.
-
-    Returns:
-        The distorted point (x, y), where it is valid, its derivatives by each lens parameter, and
-        its derivatives by the three coordinates of the point; derivatives are pairs of components.
     """
     lens_parameters, tree = jax.tree.flatten(lens)
     px, py, pz = in_camera
@@ -233,10 +271,12 @@ def _project_with_jacobians(
 
     if isinstance(lens, AbstractPerspectiveLens):
         in_front = pz > 0.0
-        inverse_depth = 1.0 / jnp.where(in_front, pz, 1.0)
-        coordinates = (px * inverse_depth, py * inverse_depth)
-        valid = visible & in_front & lens.distort_normalised(jnp.stack(coordinates, axis=-1))[1]
-        coordinates = tuple(jnp.where(valid, p, 0.0) for p in coordinates)
+        unmasked = 1.0 / jnp.where(in_front, pz, 1.0)
+        on_plane = jnp.stack([px * unmasked, py * unmasked], axis=-1)
+        valid = visible & in_front & lens.distort_normalised(on_plane)[1]
+        # Divided again, so that XLA keeps the masked points (see `_jacobian_columns`).
+        inverse_depth = 1.0 / jnp.where(valid, pz, 1.0)
+        ray = tuple(jnp.where(valid, p, 0.0) / jnp.where(valid, pz, 1.0) for p in (px, py))
 
         def distort_plane_point(lens_parameters: list, x: Array, y: Array) -> tuple[Array, Array]:
             """Distort points on the unit plane."""
@@ -245,27 +285,17 @@ def _project_with_jacobians(
             distorted = lens.distort_normalised(jnp.stack([x, y], axis=-1))[0]
             return distorted[..., 0], distorted[..., 1]
 
-        # Only the direction of a point matters: the lens maps (a, b) with a = px / pz and
-        # b = py / pz to the distorted point. By the chain rule d/dpx = (d/da) / pz,
-        # d/dpy = (d/db) / pz and d/dpz = -(a d/da + b d/db) / pz: two derivatives of the lens
-        # instead of three.
-        value, lens_jacobian, (by_x, by_y) = _value_and_derivatives(
-            distort_plane_point, lens_parameters, coordinates
+        # Only the direction of a point matters: the lens maps (px / pz, py / pz) to the distorted
+        # point, and has two derivatives instead of three.
+        distorted, by_lens, by_ray = _value_and_derivatives(
+            distort_plane_point, lens_parameters, ray
         )
-        point_jacobian = [
-            tuple(inverse_depth * d for d in by_x),
-            tuple(inverse_depth * d for d in by_y),
-            tuple(
-                -inverse_depth * (coordinates[0] * a + coordinates[1] * b)
-                for a, b in zip(by_x, by_y, strict=True)
-            ),
-        ]
-        return value, valid, lens_jacobian, point_jacobian
+        return _Projection(distorted, valid, by_lens, (*ray, 1.0), inverse_depth, by_ray)
 
-    # Other lenses (fisheye) may see points beside or behind the camera, which (a, b) cannot
-    # describe; they are differentiated by all three coordinates.
-    valid = visible & lens.distort(in_camera.T)[1]
-    coordinates = tuple(
+    # Other lenses (fisheye) may see points beside or behind the camera, which points on a plane
+    # cannot describe; they are differentiated by all three coordinates.
+    valid = visible & lens.distort(jnp.stack(in_camera, axis=-1))[1]
+    ray = tuple(
         jnp.where(valid, p, axis) for p, axis in zip(in_camera, (0.0, 0.0, 1.0), strict=True)
     )
 
@@ -276,10 +306,8 @@ def _project_with_jacobians(
         distorted = lens_with(lens_parameters).distort(jnp.stack([x, y, z], axis=-1))[0]
         return distorted[..., 0], distorted[..., 1]
 
-    value, lens_jacobian, point_jacobian = _value_and_derivatives(
-        distort_camera_point, lens_parameters, coordinates
-    )
-    return value, valid, lens_jacobian, point_jacobian
+    distorted, by_lens, by_ray = _value_and_derivatives(distort_camera_point, lens_parameters, ray)
+    return _Projection(distorted, valid, by_lens, ray, 1.0, by_ray)
 
 
 def _value_and_derivatives(
