@@ -92,13 +92,9 @@ def linearise_views(
         # p = scale R X + t, with X the point on the target and p the point in the camera frame.
         in_camera = _camera_points(target_scale * rotation, translation, points)
         columns_u, columns_v, cost = _jacobian_columns(
-            camera, in_camera, pixels.reshape(-1, 2).T, visible.ravel(), pixel_sigma, loss
+            camera, in_camera, jnp.moveaxis(pixels, -1, 0), visible, pixel_sigma, loss
         )
-        return (
-            _gram_matrices(columns_u, group),
-            _gram_matrices(columns_v, group),
-            cost.reshape(group, -1).sum(axis=1),
-        )
+        return _gram_matrices(columns_u), _gram_matrices(columns_v), cost.sum(axis=1)
 
     def group_chunks(x: Array) -> Array:
         """Arrange an array of chunks in groups, padded with zeros (invisible points) at the end."""
@@ -122,28 +118,22 @@ def _camera_points(
     translation: Float[Array, "group 3"],
     points: Float[Array, "group points 3"],
 ) -> tuple[Array, Array, Array]:
-    """Return the coordinates of all points in the camera frame, chunk after chunk."""
+    """Return the coordinates of all points in the camera frame, each `(group, points)`."""
     x, y, z = (points[..., k] for k in range(3))
 
     # Products of single numbers, which XLA fuses: a product of matrices so thin takes longer.
-    def coordinate(k: int) -> Float[Array, "all"]:
+    def coordinate(k: int) -> Float[Array, "group points"]:
         """Return one coordinate of all points."""
-        to_axis = [rotation[:, k, i, None] for i in range(3)]
-        moved = to_axis[0] * x + to_axis[1] * y + to_axis[2] * z + translation[:, k, None]
-        return moved.ravel()
+        by_x, by_y, by_z = (rotation[:, k, i, None] for i in range(3))
+        return by_x * x + by_y * y + by_z * z + translation[:, k, None]
 
     return coordinate(0), coordinate(1), coordinate(2)
 
 
-def _gram_matrices(
-    columns: Float[Array, "rows points"], group: int
-) -> Float[Array, "group rows rows"]:
+def _gram_matrices(columns: Float[Array, "group rows points"]) -> Float[Array, "group rows rows"]:
     """Compute `columns @ columns.T` separately for each chunk of points."""
-    if group == 1:
-        return (columns @ columns.T)[None]
     # One batched product: the call of a small one takes longer than the product itself.
-    chunks = columns.reshape(len(columns), group, -1)
-    return jnp.einsum("rcn,scn->crs", chunks, chunks)
+    return jnp.einsum("crn,csn->crs", columns, columns)
 
 
 def _split_into_chunks(observations: Observations) -> tuple[Array, Array, Array]:
@@ -169,11 +159,15 @@ def _split_into_chunks(observations: Observations) -> tuple[Array, Array, Array]
 def _jacobian_columns(
     camera: Camera,
     in_camera: tuple[Array, Array, Array],
-    pixels: Float[Array, "2 points"],
-    visible: Bool[Array, "points"],
+    pixels: Float[Array, "2 group points"],
+    visible: Bool[Array, "group points"],
     pixel_sigma: Float[Array, ""],
     loss: AbstractLoss | None,
-) -> tuple[Float[Array, "rows points"], Float[Array, "rows points"], Float[Array, "points"]]:
+) -> tuple[
+    Float[Array, "group rows points"],
+    Float[Array, "group rows points"],
+    Float[Array, "group points"],
+]:
     """Compute the Jacobian columns of u and of v, and the cost of each point.
 
     The rows of both results are: alpha, centre, lens parameters, twist, residual.
@@ -228,7 +222,8 @@ def _jacobian_columns(
                     pz * hx - px * hz,
                     px * hy - py * hx,
                     sqrt_weight * residual[k],
-                ]
+                ],
+                axis=-2,
             )
         )
     return columns[0], columns[1], cost
@@ -247,7 +242,7 @@ class _Projection(NamedTuple):
     """
 
     distorted: tuple[Array, Array]
-    valid: Bool[Array, "points"]
+    valid: Bool[Array, "group points"]
     by_lens: list
     ray: tuple[Array | float, ...]
     inverse_depth: Array | float
@@ -255,7 +250,7 @@ class _Projection(NamedTuple):
 
 
 def _project_with_jacobians(
-    lens: AbstractLens, in_camera: tuple[Array, Array, Array], visible: Bool[Array, "points"]
+    lens: AbstractLens, in_camera: tuple[Array, Array, Array], visible: Bool[Array, "group points"]
 ) -> _Projection:
     """Project points onto the unit plane, with derivatives by the lens and by the point.
 
