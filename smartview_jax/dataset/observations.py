@@ -110,7 +110,13 @@ def _view_residuals(
     def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
         """Return the residuals of one view."""
         pose, view = pose_and_view
-        in_camera = (target_scale * view.points) @ pose[:3, :3].T + pose[:3, 3][None]
+        x, y, z = (view.points[..., k] for k in range(3))
+        scaled = target_scale * pose[:3, :3]
+        # Products of single numbers, which XLA fuses: a product of matrices so thin takes longer.
+        in_camera = jnp.stack(
+            [scaled[k, 0] * x + scaled[k, 1] * y + scaled[k, 2] * z + pose[k, 3] for k in range(3)],
+            axis=-1,
+        )
         predicted, valid = camera.project(in_camera)
         # Infinite, not zero: a calibration that cannot predict a seen point must not look good.
         unpredicted = (view.visible & ~valid)[..., None]

