@@ -8,6 +8,7 @@ from .covariance import per_view_std as per_view_std
 from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance
 from .covariance import variance_factor as variance_factor
+from .covariance import variance_of_sum as variance_of_sum
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure

@@ -96,14 +96,20 @@ def variance_factor(
             `JointProblem.squared_residuals` returns them.
     """
     xp = array_namespace(squared_residuals)
-    visible, weight = xp.asarray(problem.observations.visible), problem.prior_weight
     if problem.loss is not None:
-        return robust_variance(squared_residuals, visible)
+        return robust_variance(squared_residuals, xp.asarray(problem.observations.visible))
+    return variance_of_sum(problem, xp.sum(squared_residuals))
+
+
+def variance_of_sum(problem: JointProblem, sum_of_squares: AnyScalar) -> AnyScalar:
+    """Estimate the `variance_factor` of least squares from the sum of all squared residuals."""
     # sum |r|^2 / (2 n - p), with n visible points and p free parameters without a prior.
+    xp, weight = array_namespace(sum_of_squares), problem.prior_weight
+    visible = xp.asarray(problem.observations.visible)
     shared = xp.asarray(weight.shared)[xp.asarray(problem.free)] == 0.0
     per_view = xp.asarray(problem.per_view_free) & (xp.asarray(weight.per_view) == 0.0)
     free, seen = (xp.sum(shared) + xp.sum(per_view)).astype(float), xp.sum(visible).astype(float)
-    return xp.sum(squared_residuals) / xp.maximum(2.0 * seen - free, 1.0)
+    return sum_of_squares / xp.maximum(2.0 * seen - free, 1.0)
 
 
 def robust_variance(

@@ -374,6 +374,11 @@ class JointProblem(eqx.Module):
         shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
         return Step(shared, step.per_view - jnp.nan_to_num(self.prior_mean.per_view))
 
+    def prior_cost(self, z: Step) -> Float[Array, ""]:
+        """Return the priors' part of the cost at a scaled step."""
+        shared, per_view = self._prior_residuals(self.unscaled_step(z))
+        return 0.5 * (jnp.sum(shared**2) + jnp.sum(per_view**2))
+
     def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
         """Return the whitened residuals of the priors, shared and of the views' own parameters."""
         offset, weight = self.offset_from_prior(step), self.prior_weight

@@ -18,11 +18,11 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray, to_device
+from ..array_namespace import AnyArray, AnyScalar, to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled_optimised
-from ..dataset import Dataset, Observations, chain_residuals
+from ..dataset import Dataset, Observations
 from ..engine import (
     MAXIMUM_STEPS,
     RANK_TOLERANCE,
@@ -30,6 +30,7 @@ from ..engine import (
     BuiltProblem,
     JointProblem,
     Noise,
+    NormalEquations,
     Prior,
     Step,
     StructuredLM,
@@ -40,6 +41,7 @@ from ..engine import (
     unprojectable_views_message,
     updated_sigma,
     variance_factor,
+    variance_of_sum,
     with_field,
     with_lens,
     with_pixel_sigma,
@@ -130,7 +132,8 @@ def fit_many(
     starts = [with_field(with_lens(one, lens), field) for one in starts]
     # The free pose corrections depend only on which views are usable, so problems with the same
     # usable views are built once.
-    usable = [tuple(map(int, one.usable_views())) for one in data]
+    # Called as a function: Equinox copies a module for each call of one of its methods.
+    usable = [tuple(Dataset.usable_views(one).tolist()) for one in data]
     built_by_views: dict[tuple[int, ...], BuiltProblem] = {}
     for k, views in enumerate(usable):
         if views not in built_by_views:
@@ -298,17 +301,18 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
     # The prepared poses are those of the fit from which all problems were made.
     problem = problem.with_observations(problem.observations)
     visible = problem.observations.visible
-    # Residuals are infinite where a point that was seen cannot be projected.
-    residuals = chain_residuals(problem.parameters.start, problem.observations)
-    valid = jnp.all(jnp.isfinite(residuals), axis=-1)
+    # All views at once: a loop over them takes longer to run than a small fit's view.
+    start, observations = problem.parameters.start, problem.observations
+    _, valid = start.project(observations.command, observations.points)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible & valid)
     unprojectable = jnp.any(visible, axis=1) & ~jnp.any(visible & valid, axis=1)
 
     def refine_sigma(state: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
         reweighted = with_pixel_sigma(problem, state[0])
         # Each fit starts at the last one's solution.
-        z = minimise(reweighted, StructuredLM(), MAXIMUM_STEPS, state[1])[0]
-        factor = variance_factor(reweighted, reweighted.squared_residuals(z))
+        outputs = minimise(reweighted, StructuredLM(), MAXIMUM_STEPS, state[1])
+        z, equations = outputs[0], outputs[3]
+        factor = _variance_factor(reweighted, z, equations)
         return (jnp.asarray(updated_sigma(reweighted.pixel_sigma, factor)), z), None
 
     sigma, initial_step = problem.pixel_sigma, problem.zero_step()
@@ -324,7 +328,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
     calibration, corrections = problem.calibration(z)
     # Covariance f R^-1, with the reduced matrix R = A - sum_v B_v^T C_v^-1 B_v of the arrow-shaped
     # normal equations [[A, B^T], [B, C]]: pose corrections eliminated view by view.
-    factor = 1.0 if sigma_known else variance_factor(problem, problem.squared_residuals(z))
+    factor = 1.0 if sigma_known else _variance_factor(problem, z, equations)
     return (
         calibration,
         corrections,
@@ -334,6 +338,14 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
         is_converged(predicted_decrease, equations.cost),
         unprojectable,
     )
+
+
+def _variance_factor(problem: JointProblem, z: Step, equations: NormalEquations) -> AnyScalar:
+    """Return the `variance_factor` of a fit, whose normal equations are known."""
+    if problem.loss is not None:
+        return variance_factor(problem, problem.squared_residuals(z))
+    # Twice the cost is the sum of the squared residuals, of the observations and of the priors.
+    return variance_of_sum(problem, 2.0 * (equations.cost - problem.prior_cost(z)))
 
 
 def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
