@@ -58,6 +58,21 @@ def test_priors_and_losses_weigh_as_in_one_fit(scenes):
         )
 
 
+def test_what_priors_cost_is_no_scatter_of_pixels(scenes):
+    # Priors that contradict the pixels add to the cost; the pixels' variance is that of residuals.
+    start = nudged(paper_calibration())
+    camera = start.camera
+    told = {
+        "camera.alpha_u": Prior(std=0.5, mean=float(camera.alpha_u) + 20.0),
+        "camera.alpha_v": Prior(std=0.5, mean=float(camera.alpha_v) - 20.0),
+    }
+    together = fit_many(scenes[:1], start, priors=told)
+    alone = fit_joint(scenes[0], start, noise="trusted", priors=told)
+    np.testing.assert_allclose(
+        np.diag(together.covariance[0]), np.diag(alone.covariance), rtol=1e-3
+    )
+
+
 def test_one_start_serves_all_and_a_lens_may_be_asked_for(scenes):
     start = paper_calibration()
     pinhole = Camera(2133.0, 2133.0, 320.0, 240.0, Pinhole(), (640, 480))
