@@ -53,9 +53,9 @@ def squared_residuals(
         chain.camera_from_world,
         problem.observations,
     )
-    # Component by component: NumPy reduces an axis of two entries twenty times as slowly.
-    u, v = np.moveaxis(np.asarray(residuals), -1, 0)
-    squares = (u * u + v * v) / float(problem.pixel_sigma) ** 2
+    # NumPy's sum over an axis of two entries takes four times as long.
+    squares = np.einsum("vpk,vpk->vp", residuals, residuals)
+    squares = squares / float(problem.pixel_sigma) ** 2
     return np.where(np.isfinite(squares), squares, 2.0 * INVALID_PROJECTION_RESIDUAL**2)
 
 

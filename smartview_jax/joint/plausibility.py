@@ -61,9 +61,8 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
 def _residual_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the residuals: a chain that does not fit, or views that disagree."""
     inliers = np.asarray(fit.inliers)
-    # Component by component: NumPy reduces an axis of two entries twenty times as slowly.
-    u, v = np.moveaxis(np.asarray(fit.residuals), -1, 0)
-    squares = u * u + v * v
+    # NumPy's sum over an axis of two entries takes four times as long.
+    squares = np.einsum("vpk,vpk->vp", fit.residuals, fit.residuals)
     rms = float(np.sqrt(np.mean(squares[inliers]))) if inliers.any() else np.nan
     warnings = []
     # A negated comparison, so that NaN gives a warning too.
