@@ -11,6 +11,7 @@ from ..array_namespace import AnyArray
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled, is_traced
+from ..geometry import transformed_coordinates
 from ..padding import padded_counts, repeat_last, without_padding
 from ..robots import Command
 
@@ -110,14 +111,8 @@ def _view_residuals(
     def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
         """Return the residuals of one view."""
         pose, view = pose_and_view
-        x, y, z = (view.points[..., k] for k in range(3))
-        scaled = target_scale * pose[:3, :3]
-        # Products of single numbers, which XLA fuses: a product of matrices so thin takes longer.
-        in_camera = jnp.stack(
-            [scaled[k, 0] * x + scaled[k, 1] * y + scaled[k, 2] * z + pose[k, 3] for k in range(3)],
-            axis=-1,
-        )
-        predicted, valid = camera.project(in_camera)
+        in_camera = transformed_coordinates(target_scale * pose[:3, :3], pose[:3, 3], view.points)
+        predicted, valid = camera.project(jnp.stack(in_camera, axis=-1))
         # Infinite, not zero: a calibration that cannot predict a seen point must not look good.
         unpredicted = (view.visible & ~valid)[..., None]
         return jnp.where(unpredicted, jnp.inf, view.residuals(predicted, valid))

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
+from ..engine import covariance_factor
 from ..evaluation import CalibrationEstimate
 from ..modeling import (
     AbstractConstraint,
@@ -160,7 +161,7 @@ class ViewGeometry:
         # The program takes finite points only; what is predicted for the others is not read.
         jacobians = pixel_jacobians(self._seen, np.where(found.ok[:, None], found.points, 0.0))
         # With C = R R^T the calibration's part J C J^T is F F^T for F = J R.
-        root = _square_root(found.calibration_covariance)
+        root = covariance_factor(found.calibration_covariance)
         total, failures = found.covariance(), found.failures
         size = np.array(self._calibration.camera.image_size)
         results = []
@@ -221,13 +222,6 @@ class ViewGeometry:
         """Return where points in the world are seen in all views, and whether they are."""
         found = pixel_jacobians(self._seen, points)
         return found.pixels, found.valid
-
-
-def _square_root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return a matrix R with R R^T equal to a covariance, which may be singular."""
-    # Rounding may make the smallest eigenvalues of a singular matrix slightly negative.
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(values.clip(0.0))
 
 
 def _depth_range(

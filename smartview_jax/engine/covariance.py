@@ -173,3 +173,14 @@ def per_view_std(
     )
     gain = equations.gain
     return np.sqrt(conditional_variance + np.sum((gain @ shared_covariance) * gain, axis=2))
+
+
+def covariance_factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return a matrix R with R R^T equal to a covariance, which may be singular."""
+    # Not a Cholesky factor: averaged models can leave a covariance without full rank. Correlations
+    # instead of the covariance: metres, radians and pixels differ by many orders. Rounding may make
+    # the smallest eigenvalues slightly negative.
+    scale = np.sqrt(np.diagonal(covariance).clip(0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    return scale[:, None] * vectors * np.sqrt(eigenvalues.clip(0.0))

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import AbstractLens, AbstractPerspectiveLens, Camera
 from ..dataset import Observations
+from ..geometry import transformed_coordinates
 from .losses import AbstractLoss
 
 INVALID_PROJECTION_RESIDUAL = 1e3
@@ -90,7 +91,7 @@ def linearise_views(
         """Linearise one group of chunks."""
         rotation, translation, points, pixels, visible = group_arrays
         # p = scale R X + t, with X the point on the target and p the point in the camera frame.
-        in_camera = _camera_points(target_scale * rotation, translation, points)
+        in_camera = transformed_coordinates(target_scale * rotation, translation, points)
         columns_u, columns_v, cost = _jacobian_columns(
             camera, in_camera, jnp.moveaxis(pixels, -1, 0), visible, pixel_sigma, loss
         )
@@ -111,23 +112,6 @@ def linearise_views(
         for x in jax.lax.map(linearise_group, groups)
     )
     return _assemble(gram_u, gram_v, cost)
-
-
-def _camera_points(
-    rotation: Float[Array, "group 3 3"],
-    translation: Float[Array, "group 3"],
-    points: Float[Array, "group points 3"],
-) -> tuple[Array, Array, Array]:
-    """Return the coordinates of all points in the camera frame, each `(group, points)`."""
-    x, y, z = (points[..., k] for k in range(3))
-
-    # Products of single numbers, which XLA fuses: a product of matrices so thin takes longer.
-    def coordinate(k: int) -> Float[Array, "group points"]:
-        """Return one coordinate of all points."""
-        by_x, by_y, by_z = (rotation[:, k, i, None] for i in range(3))
-        return by_x * x + by_y * y + by_z * z + translation[:, k, None]
-
-    return coordinate(0), coordinate(1), coordinate(2)
 
 
 def _gram_matrices(columns: Float[Array, "group rows points"]) -> Float[Array, "group rows rows"]:

@@ -36,6 +36,7 @@ from .rigid_transforms import nearest_rotation as nearest_rotation
 from .rigid_transforms import rotation_angle as rotation_angle
 from .rigid_transforms import se3_left_jacobian as se3_left_jacobian
 from .rigid_transforms import transform_points as transform_points
+from .rigid_transforms import transformed_coordinates as transformed_coordinates
 from .serialization import transform_from_dict as transform_from_dict
 from .serialization import transform_to_dict as transform_to_dict
 from .transform_text import transform_text as transform_text

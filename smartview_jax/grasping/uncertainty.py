@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..engine import covariance_factor
 from ..geometry import host_adjoints, host_matrices
 from ..modeling import CalibrationUncertainty, SeenViews
 from ..robots import Command, Gripper
@@ -64,12 +65,12 @@ def gripper_errors(
     )
     # exp(twist) camera_from_world, with the twist moved to the gripper's side of the transform.
     to_gripper = host_adjoints(np.linalg.inv(camera_from_gripper))
-    root = _covariance_root(known.covariance[:shared, :shared])
+    root = covariance_factor(known.covariance[:shared, :shared])
     found = []
     for k in range(count):
         twist = to_gripper @ known.view_jacobian[k, -6:]
         own = slice(shared + 6 * k, shared + 6 * k + 6)
-        noise_root = _covariance_root(known.covariance[own, own])
+        noise_root = covariance_factor(known.covariance[own, own])
         found.append(
             GripperErrors((twist[:, :shared] * moves_tool) @ root, twist[:, own] @ noise_root, root)
         )
@@ -100,7 +101,7 @@ def error_covariance(
         # What is left of the object's covariance is not the calibration's; rounding may leave
         # slightly negative eigenvalues.
         covariance = covariance - shared @ shared.T
-    object_root = _covariance_root(covariance)
+    object_root = covariance_factor(covariance)
     blocks = [
         (to_gripper @ object_root, np.zeros_like(object_root)),
         (to_gripper @ shared + errors.shared, errors.shared),
@@ -108,14 +109,3 @@ def error_covariance(
     ]
     root = np.concatenate([np.concatenate(pair) for pair in blocks], axis=1)
     return root @ root.T
-
-
-def _covariance_root(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return a matrix R with R R^T the covariance, negative eigenvalues taken as zero."""
-    if not len(covariance):
-        return covariance
-    # Scaled to a unit diagonal first: metres, radians and pixels differ by many orders.
-    scale = np.sqrt(np.diagonal(covariance).clip(0.0))
-    safe = np.where(scale > 0.0, scale, 1.0)
-    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
-    return scale[:, None] * vectors * np.sqrt(eigenvalues.clip(0.0))

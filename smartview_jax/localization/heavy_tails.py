@@ -14,7 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .pose_equations import CommonErrors, PoseEquations, PoseStep, scaled_inverse, solve_pose
+from ..engine import covariance_factor
+from .pose_equations import (
+    CommonErrors,
+    PoseEquations,
+    PoseStep,
+    inverse_by_correlations,
+    scaled_inverse,
+    solve_pose,
+)
 
 DEGREES_OF_FREEDOM = 3.0
 """Degrees of freedom of Student's t.
@@ -113,10 +121,11 @@ class _Unknowns(NamedTuple):
             ValueError: they leave the pose undetermined.
         """
         J = equations.by_pose
+        # Raises where they do, whatever the weights.
         scaled_inverse(J.T @ J)
         common = [
-            equations.by_calibration @ _factor(errors.calibration),
-            equations.by_vertices @ _factor(errors.vertices),
+            equations.by_calibration @ covariance_factor(errors.calibration),
+            equations.by_vertices @ covariance_factor(errors.vertices),
         ]
         derivatives = np.concatenate([J, *common], axis=1)
         prior = np.diag(np.repeat([0.0, 1.0], [6, derivatives.shape[1] - 6]))
@@ -178,9 +187,7 @@ def _reweighted(
     # squares of the errors: e^2 + diag(G A^-1 G^T).
     rows = (weights[:, None] / (INFLATION * variances)).reshape(-1, 1) * G
     information = G.T @ rows + prior
-    # Metres, radians and standard deviations keep their precision.
-    scale = np.sqrt(np.diagonal(information))
-    covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    covariance = inverse_by_correlations(information)
     solution = covariance @ (rows.T @ r)
     square = (r - G @ solution).reshape(-1, NUMBERS) ** 2
     spread = ((G @ covariance) * G).sum(axis=1).reshape(-1, NUMBERS)
@@ -191,12 +198,3 @@ def _reweighted(
     common, determinant = solution @ prior @ solution, np.linalg.slogdet(information)[1]
     likelihood = -0.5 * float(np.log(variances).sum() + tails + common + determinant)
     return _Fit(solution, information, squared, (nu + NUMBERS) / (nu + squared), likelihood)
-
-
-def _factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return a matrix whose product with its transpose is a covariance that may be singular."""
-    # Correlations, because metres, radians and pixels are not of one size.
-    scale = np.sqrt(np.diagonal(covariance))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

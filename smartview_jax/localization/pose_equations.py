@@ -170,11 +170,16 @@ def scaled_inverse(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "
     scale = np.sqrt(np.diagonal(information))
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
         raise ValueError("the pose is undetermined: too few features")
-    # Correlations instead of covariances: metres and radians keep their precision.
-    scaled = information / np.outer(scale, scale)
-    if np.linalg.eigvalsh(scaled)[0] < 1e-12:
+    if np.linalg.eigvalsh(information / np.outer(scale, scale))[0] < 1e-12:
         raise ValueError("the pose is undetermined: too few features, or all on one line")
-    return np.linalg.inv(scaled) / np.outer(scale, scale)
+    return inverse_by_correlations(information)
+
+
+def inverse_by_correlations(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return the inverse of an information matrix that is known not to be singular."""
+    # Correlations instead of covariances: metres and radians keep their precision.
+    scale = np.sqrt(np.diagonal(information))
+    return np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
 def squared_blocks(

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..blas_threads import on_one_blas_thread
-from ..engine import AbstractLoss, Noise
+from ..engine import AbstractLoss, Noise, covariance_factor
 from ..evaluation import CalibrationEstimate
 from ..fit_result import FitResult
 from .calibration_uncertainty import CalibrationUncertainty
@@ -217,9 +217,7 @@ def _prior_roots(uncertainty: CalibrationUncertainty) -> Float[np.ndarray, "numb
     std = np.sqrt(np.diagonal(covariance))
     root = np.diag(std)
     part = np.ix_(range(shared), range(shared))
-    # Not a Cholesky factor: averaged models can leave the covariance without full rank.
-    values, vectors = np.linalg.eigh(covariance[part] / np.outer(std[:shared], std[:shared]))
-    root[part] = std[:shared, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root[part] = covariance_factor(covariance[part])
     return root
 
 

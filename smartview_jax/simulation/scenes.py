@@ -11,13 +11,7 @@ from jaxtyping import Array, Bool
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
-from ..geometry import (
-    PoseLike,
-    as_se3,
-    host_exponentials,
-    host_matrices,
-    viewing_direction,
-)
+from ..geometry import PoseLike, as_se3, host_exponentials, host_matrices, viewing_direction
 from ..geometry import look_at as look_along
 from ..targets import AbstractTarget
 

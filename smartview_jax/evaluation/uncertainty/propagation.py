@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ...calibration import Calibration
 from ...compilation import compiled
-from ...engine import Observability, Parameters, Step, parameter_names
+from ...engine import Observability, Parameters, Step, covariance_factor, parameter_names
 
 
 @runtime_checkable
@@ -75,12 +75,8 @@ def covariance_root(estimate: CalibrationEstimate) -> Float[Array, "directions p
         raise ValueError(f"the data leave something open, add views or a prior: {descriptions}")
     names = parameter_names(estimate.calibration)
     indices = np.array([names.index(name) for name in estimate.parameter_names], dtype=int)
-    stds = np.sqrt(np.diagonal(estimate.covariance))
-    # P = L C L with L the standard deviations, C = V diag(s) V^T the correlations, and P = sum_k
-    # d_k d_k^T with d_k = sqrt(s_k) L v_k. Correlations instead of the covariance: with pixels
-    # beside radians the eigenvectors would lose precision.
-    eigenvalues, eigenvectors = np.linalg.eigh(estimate.covariance / np.outer(stds, stds))
-    roots = (eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T * stds
+    # P = R R^T = sum_k d_k d_k^T, with d_k the columns of R.
+    roots = covariance_factor(np.asarray(estimate.covariance)).T
     # Held parameters have no uncertainty: their entries of every step stay zero.
     steps = np.zeros((len(roots), len(names)))
     steps[:, indices] = roots
