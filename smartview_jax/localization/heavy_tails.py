@@ -15,14 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..engine import covariance_factor
-from .pose_equations import (
-    CommonErrors,
-    PoseEquations,
-    PoseStep,
-    inverse_by_correlations,
-    scaled_inverse,
-    solve_pose,
-)
+from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, whitening
 
 DEGREES_OF_FREEDOM = 3.0
 """Degrees of freedom of Student's t.
@@ -122,7 +115,7 @@ class _Unknowns(NamedTuple):
         """
         J = equations.by_pose
         # Raises where they do, whatever the weights.
-        scaled_inverse(J.T @ J)
+        whitening(J.T @ J)
         common = [
             equations.by_calibration @ covariance_factor(errors.calibration),
             equations.by_vertices @ covariance_factor(errors.vertices),
@@ -184,17 +177,19 @@ def _reweighted(
     r, G, prior = unknowns
     nu = DEGREES_OF_FREEDOM
     # Least squares A x = G^T W r, A = G^T W G + prior; what is not known of x adds to the expected
-    # squares of the errors: e^2 + diag(G A^-1 G^T).
+    # squares of the errors: e^2 + diag(G A^-1 G^T). With W_A^T W_A = A^-1 it is the sum of squares
+    # in each column of W_A G^T, which rounding cannot make negative.
     rows = (weights[:, None] / (INFLATION * variances)).reshape(-1, 1) * G
     information = G.T @ rows + prior
-    covariance = inverse_by_correlations(information)
-    solution = covariance @ (rows.T @ r)
+    whitened = whitening(information)
+    solution = whitened.T @ (whitened @ (rows.T @ r))
     square = (r - G @ solution).reshape(-1, NUMBERS) ** 2
-    spread = ((G @ covariance) * G).sum(axis=1).reshape(-1, NUMBERS)
+    spread = np.square(G @ whitened.T).sum(axis=1).reshape(-1, NUMBERS)
     squared = ((square + spread) / variances).sum(axis=1)
     # -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) is that of Student's t, and what
     # is common has its prior; to integrate the unknowns out adds log|A| / 2.
     tails = (nu + NUMBERS) * np.log1p((square / variances).sum(axis=1) / nu).sum()
-    common, determinant = solution @ prior @ solution, np.linalg.slogdet(information)[1]
+    common = solution @ prior @ solution
+    determinant = -2.0 * np.log(np.diagonal(whitened)).sum()
     likelihood = -0.5 * float(np.log(variances).sum() + tails + common + determinant)
     return _Fit(solution, information, squared, (nu + NUMBERS) / (nu + squared), likelihood)

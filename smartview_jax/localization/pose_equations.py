@@ -17,6 +17,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ..modeling import CalibrationUncertainty, ObjectModel
+from ..variance.inverse_cholesky import inverse_cholesky_factor
+
+MIN_OWN_INFORMATION = 1e-14
+"""Smallest part of the information on a parameter that is left once those before it are unknown."""
 
 
 class PoseEquations(NamedTuple):
@@ -137,7 +141,8 @@ def solve_pose(
     if prior is not None:
         weight = np.linalg.inv(prior[1])
         information, right = information + weight, right + weight @ prior[0]
-    covariance = scaled_inverse(information)
+    whitened = whitening(information)
+    covariance = whitened.T @ whitened
     tangent = covariance @ right
     G = covariance @ WJ.T
     rest = equations.residuals - equations.by_pose @ tangent
@@ -161,25 +166,22 @@ def solve_pose(
     )
 
 
-def scaled_inverse(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the inverse of an information matrix of parameters of different units.
+def whitening(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return a matrix W with `W^T W` the inverse of an information matrix A, and `W A W^T = 1`.
 
     Raises:
-        ValueError: it is singular: something is undetermined.
+        ValueError: the information is singular: something is undetermined.
     """
-    scale = np.sqrt(np.diagonal(information))
-    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+    diagonal = np.diagonal(information)
+    if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
         raise ValueError("the pose is undetermined: too few features")
-    if np.linalg.eigvalsh(information / np.outer(scale, scale))[0] < 1e-12:
-        raise ValueError("the pose is undetermined: too few features, or all on one line")
-    return inverse_by_correlations(information)
-
-
-def inverse_by_correlations(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the inverse of an information matrix that is known not to be singular."""
     # Correlations instead of covariances: metres and radians keep their precision.
-    scale = np.sqrt(np.diagonal(information))
-    return np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    scale = np.sqrt(diagonal)
+    of_correlations = inverse_cholesky_factor(information / np.outer(scale, scale))
+    # NaN, where they are not positive definite, does not compare.
+    if not np.diagonal(of_correlations).max() ** -2 >= MIN_OWN_INFORMATION:
+        raise ValueError("the pose is undetermined: too few features, or all on one line")
+    return of_correlations / scale
 
 
 def squared_blocks(

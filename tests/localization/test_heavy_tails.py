@@ -109,3 +109,15 @@ def test_too_few_edges_are_an_error():
     same = equations._replace(by_pose=np.tile(equations.by_pose[:2], (EDGES, 1)))
     with pytest.raises(ValueError, match="undetermined"):
         solve_heavy_tailed(same, NO_ERRORS)
+
+
+def test_weights_that_leave_nothing_determined_say_so():
+    """All that tells two numbers of the pose apart is an edge that is far off, and loses weight."""
+    rng = np.random.default_rng(3)
+    equations = equations_of(rng, np.zeros((EDGES, 2)))
+    by_pose, off = equations.by_pose.copy(), equations.residuals.copy()
+    by_pose[2:, 5] = by_pose[2:, 4]
+    by_pose[:2, 5] = by_pose[:2, 4] * (1.0 + 1e-4)
+    off[:2] += 1e3
+    with pytest.raises(ValueError, match="undetermined"):
+        solve_heavy_tailed(equations._replace(by_pose=by_pose, residuals=off), NO_ERRORS)
