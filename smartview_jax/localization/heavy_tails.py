@@ -9,6 +9,7 @@ distribution", 1989). At the true poses of 2,457 edges in rendered scenes the li
 distribution has 2.0 degrees of freedom and exactly the points' own variance as its scale.
 """
 
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,9 @@ One for the distances and one for the tilts: a rounded corner displaces an edge 
 
 LEAST_GAIN = 1.0
 """Gain in log-likelihood from which each is believed: Akaike's, of one more number."""
+
+HOPELESS = 10.0
+"""Log-likelihood below that of the best scale from which larger ones are not tried."""
 
 MAX_ITERATIONS = 100
 """Largest number of iterations for one scale."""
@@ -77,20 +81,17 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
     """
     unknowns = _Unknowns.of(equations, errors)
     points = np.diagonal(equations.noise).reshape(-1, NUMBERS)
-    sigmas, weights = (0.0,) * NUMBERS, np.ones(len(points))
-    # One after the other, and the first once more: they hardly depend on each other.
-    for which in (0, 1, 0):
-        fits = []
-        for sigma in EDGE_SIGMAS:
-            tried = *sigmas[:which], sigma, *sigmas[which + 1 :]
-            fits.append((_fit(unknowns, points + np.square(tried), weights), tried))
-            # The weights of one scale are near those of the next.
-            weights = fits[-1][0].weights
-        fit, sigmas = max(fits, key=_gain)
-        weights = fit.weights
+    fit, of_distances = _likeliest(unknowns, points, 0, np.ones(len(points)))
+    found = points + np.square([of_distances, 0.0])
+    fit, of_tilts = _likeliest(unknowns, found, 1, fit.weights)
+    # They hardly depend on each other, so that the first once more will do.
+    if of_tilts:
+        found = points + np.square([0.0, of_tilts])
+        fit, of_distances = _likeliest(unknowns, found, 0, fit.weights)
+    sigmas = of_distances, of_tilts
     noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
     step = solve_pose(equations._replace(noise=np.diag(noise.ravel())), errors)
-    return HeavyTailedStep(step, fit.squared, float(np.sqrt(INFLATION) * sigmas[0]))
+    return HeavyTailedStep(step, fit.squared, float(np.sqrt(INFLATION) * of_distances))
 
 
 class _Unknowns(NamedTuple):
@@ -143,10 +144,34 @@ class _Fit(NamedTuple):
     log_likelihood: float
 
 
-def _gain(tried: tuple[_Fit, tuple[float, ...]]) -> float:
-    """Return the log-likelihood of a fit, less what its scales have to gain to be believed."""
-    fit, sigmas = tried
-    return fit.log_likelihood - LEAST_GAIN * np.count_nonzero(sigmas)
+def _likeliest(
+    unknowns: _Unknowns,
+    variances: Float[np.ndarray, "edges 2"],
+    number: int,
+    weights: Float[np.ndarray, "edges"],
+) -> tuple[_Fit, float]:
+    """Return the likeliest fit, and the scale of an error that one number of all edges has.
+
+    Args:
+        unknowns: the equations.
+        variances: of the edges' other errors.
+        number: the one in question, of an edge's `NUMBERS`.
+        weights: of the edges, to begin with.
+    """
+    tried: list[tuple[float, _Fit, float]] = []
+    for sigma in EDGE_SIGMAS:
+        own = np.zeros(NUMBERS)
+        own[number] = sigma**2
+        fit = _fit(unknowns, variances + own, weights)
+        # A scale has to gain something to be believed.
+        gain = fit.log_likelihood - (LEAST_GAIN if sigma else 0.0)
+        tried.append((gain, fit, sigma))
+        if gain < max(tried, key=itemgetter(0))[0] - HOPELESS:
+            break
+        # The weights of one scale are near those of the next.
+        weights = fit.weights
+    _, fit, sigma = max(tried, key=itemgetter(0))
+    return fit, sigma
 
 
 def _fit(

@@ -177,7 +177,7 @@ def whitening(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
         raise ValueError("the pose is undetermined: too few features")
     # Correlations instead of covariances: metres and radians keep their precision.
     scale = np.sqrt(diagonal)
-    of_correlations = inverse_cholesky_factor(information / np.outer(scale, scale))
+    of_correlations = np.asarray(inverse_cholesky_factor(information / np.outer(scale, scale)))
     # NaN, where they are not positive definite, does not compare.
     if not np.diagonal(of_correlations).max() ** -2 >= MIN_OWN_INFORMATION:
         raise ValueError("the pose is undetermined: too few features, or all on one line")
