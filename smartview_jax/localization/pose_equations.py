@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
+from ..engine import inverse_cholesky_factor
 from ..modeling import CalibrationUncertainty, ObjectModel
-from ..variance.inverse_cholesky import inverse_cholesky_factor
 
 MIN_OWN_INFORMATION = 1e-14
 """Smallest part of the information on a parameter that is left once those before it are unknown."""

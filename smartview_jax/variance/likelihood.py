@@ -25,8 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ..array_namespace import AnyArray, AnyScalar, array_namespace
-from ..engine import BlockArrow, Step
-from .inverse_cholesky import inverse_cholesky_factor
+from ..engine import BlockArrow, Step, inverse_cholesky_factor
 
 ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.
