@@ -128,7 +128,7 @@ class ViewGains:
         else:
             told = "the objects are certain already"
         after = 1e3 * self.std_after[best]
-        narrowed = f"position known to {after:.3g} mm, {1e3 * self.std_before:.3g} mm now"
+        narrowed = f"position known to {after:.3g} mm after it, {1e3 * self.std_before:.3g} mm now"
         if paper_gain is None:
             return (
                 f"{told}; {narrowed}; the view along the normal of the top surface is not reached"
