@@ -42,7 +42,8 @@ def test_clear_pose_is_accepted():
         ({"log_likelihood": 20.0}, "rejected", "too few"),
         ({"chance": Chance(0.9, 0.1), "edge_rms": 0.9}, "rejected", "clutter explains as much"),
         ({"explained": 0.75, "partly_hidden": 0.1}, "open", "only 75% of its visible edges"),
-        ({"edges": 6}, "open", "are few"),
+        ({"edges": 6, "log_likelihood": 140.0}, "open", "are few"),
+        ({"log_likelihood": 40.0}, "open", "are few"),
         ({"explained_in_view": (0.95, np.nan)}, "open", "only 1 of 2 views"),
         ({"explained_in_view": (0.95, 0.4)}, "open", "view 1: 40%"),
         ({"in_picture": 0.5}, "open", "only 50% of it are within a picture"),
@@ -57,6 +58,11 @@ def test_each_weakness_is_named(changes, decision, words):
     found = verdict(**changes)
     assert found.decision == decision
     assert any(words in reason for reason in found.reasons)
+
+
+def test_few_edges_are_enough_where_they_are_long_and_fit_exactly():
+    assert verdict(edges=5, log_likelihood=200.0).decision == "accepted"
+    assert verdict(edges=5, log_likelihood=200.0, edge_rms=0.55).decision == "open"
 
 
 def test_hidden_object_is_accepted_only_where_its_edges_are_cut_off_and_fit_exactly():
