@@ -40,7 +40,7 @@ One for the distances and one for the tilts: a rounded corner displaces an edge 
 LEAST_GAIN = 1.0
 """Gain in log-likelihood from which each is believed: Akaike's, of one more number."""
 
-HOPELESS = 10.0
+MAX_LOG_LIKELIHOOD_LOSS = 10.0
 """Log-likelihood below that of the best scale from which larger ones are not tried."""
 
 MAX_ITERATIONS = 100
@@ -166,7 +166,7 @@ def _likeliest(
         # A scale has to gain something to be believed.
         gain = fit.log_likelihood - (LEAST_GAIN if sigma else 0.0)
         tried.append((gain, fit, sigma))
-        if gain < max(tried, key=itemgetter(0))[0] - HOPELESS:
+        if gain < max(tried, key=itemgetter(0))[0] - MAX_LOG_LIKELIHOOD_LOSS:
             break
         # The weights of one scale are near those of the next.
         weights = fit.weights
