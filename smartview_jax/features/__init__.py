@@ -8,6 +8,7 @@ from .edge_points import EdgePoints as EdgePoints
 from .features import Features as Features
 from .features import find as find
 from .ideal_plane import IdealPlane as IdealPlane
+from .lone_edges import CLEARANCE as CLEARANCE
 from .picture_evidence import DISTANCE_STEP as DISTANCE_STEP
 from .picture_evidence import FAR as FAR
 from .picture_evidence import ORIENTATIONS as ORIENTATIONS

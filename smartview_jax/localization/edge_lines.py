@@ -5,6 +5,9 @@ the right orientation and of either polarity. The distances of these points from
 fitted by a line. Two numbers say all that an edge tells of the pose: the distance of that line at
 the mean of its points, and its slope times their spread. Their errors are independent, and the
 covariance of neighbouring edge points, which share a smoothed pixel, is that of the line.
+
+Points that another edge displaces are left out: near other edges of the model, and, where enough
+others are left, beside any other edge of the picture, such as the border of a shadow.
 """
 
 from collections.abc import Callable
@@ -17,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..array_namespace import AnyArray
 from ..cameras import Camera
 from ..compilation import compiled_optimised
+from ..features import CLEARANCE
 from .edge_lookup import KNOWN_CELL_PX, EdgeLookup
 from .prediction import predict_view, within_picture
 from .wireframe import Wireframe
@@ -38,9 +42,6 @@ MIN_ALIGNMENT = 0.9
 
 CORRELATED_LENGTH = 3.5
 """Length along an edge whose points count as one, px: see `CORRELATED_POINTS` of the segments."""
-
-CLEARANCE = 5.0
-"""Distance from other edges of the model, px, within which a blurred edge is biased by them."""
 
 MIN_POINT_SIGMA = 0.03
 """Smallest standard deviation of an edge point that is believed, px: pixels have an extent."""
@@ -147,6 +148,10 @@ def edge_lines(
     middle = over_edges(px[:, None] * p) / _positive(over_edges(px))[:, None]
     t = ((p - middle[edges]) * d).sum(axis=1)
     clear = found & _is_clear(wireframe, view.vertices, view.edge_px, p)
+    # In texture most points have another edge beside them, and have to do.
+    lone = clear & lookup.lone[point]
+    are_enough = over_edges(jnp.where(lone, px, 0.0)) >= MIN_SHARE * over_edges(px)
+    clear = jnp.where(are_enough[edges], lone, clear)
     weights = _robust_weights(over_edges, edges, t, r, clear.astype(r.dtype), radius)
     # a = sum w r / W,  b = sum w (t - t_mean) r / S,  S = sum w (t - t_mean)^2
     W = _positive(over_edges(weights))

@@ -33,6 +33,7 @@ class EdgeLookup(eqx.Module):
         pixels: sub-pixel positions, px.
         normals: unit directions of the gradient.
         strengths: magnitudes of the gradient, grey levels per px.
+        lone: whether no other edge of the picture is so near that it displaces the point.
         nearest: one over the depth of the nearest known surface in each part of a picture, 1/m;
             zero where none is known.
         valid: False for views that were added.
@@ -42,6 +43,7 @@ class EdgeLookup(eqx.Module):
     pixels: Float[Array, "views points 2"]
     normals: Float[Array, "views points 2"]
     strengths: Float[Array, "views points"]
+    lone: Bool[Array, "views points"]
     nearest: Float[Array, "views known_rows known_columns"]
     valid: Bool[Array, "views"]
 
@@ -67,17 +69,18 @@ class EdgeLookup(eqx.Module):
         cells = np.full((views, image_size[1], image_size[0]), count - 1, dtype=np.int32)
         pixels = np.full((views, count, 2), FAR_AWAY)
         normals, strengths = np.zeros((views, count, 2)), np.zeros((views, count))
+        lone = np.zeros((views, count), dtype=bool)
         for view, points in enumerate(pictures):
             own = np.arange(len(points.pixels), dtype=np.int32)
             chosen = own if usable is None else own[usable[view]]
             _write_cells(cells[view], points.cells[chosen], chosen)
             pixels[view, own], normals[view, own] = points.pixels, points.normals
-            strengths[view, own] = points.strengths
+            strengths[view, own], lone[view, own] = points.strengths, points.lone
         nearest = np.zeros((views, *(-(-size // KNOWN_CELL_PX) for size in image_size[::-1])))
         if inverse_depth is not None:
             nearest[: len(pictures)] = inverse_depth
         valid = np.arange(views) < len(pictures)
-        return cls(*map(to_device, (cells, pixels, normals, strengths, nearest, valid)))
+        return cls(*map(to_device, (cells, pixels, normals, strengths, lone, nearest, valid)))
 
 
 def padded_view_count(count: int) -> int:

@@ -78,7 +78,7 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
         width, rows = views.camera.image_size
         inside = (cells >= 0).all(axis=1) & (cells < [width, rows]).all(axis=1)
         strengths = np.full(int(inside.sum()), 20.0)
-        pictures.append(EdgePoints(pixels[inside], normals[inside], strengths, cells[inside]))
+        pictures.append(EdgePoints.of(pixels[inside], normals[inside], strengths, cells[inside]))
     return pictures
 
 

@@ -72,3 +72,34 @@ def test_gradients_are_finite(measured):
     gradient = jax.jit(jax.grad(lambda t: (measured(t).offsets ** 2).sum()))(tangents(1)[0])
     assert np.isfinite(gradient).all()
     assert np.abs(gradient).max() > 0.0
+
+
+def lines_of(pictures):
+    """The lines in the first view of edge points at the true pose."""
+    lookups = EdgeLookup.of(pictures, VIEWS.camera.image_size)
+    first = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[0]), lookups)
+    wireframe, true = Wireframe.of(MODEL, 256), jnp.asarray(VIEWS.camera_from_world[0] @ POSE)
+    return edge_lines(wireframe, VIEWS.camera, first, true, RADIUS)
+
+
+@pytest.mark.parametrize("displaced", [0.5, 1.0])
+def test_points_that_another_edge_displaces_count_where_others_are_too_few(displaced):
+    """In a part of each edge, or along the whole of it, another edge puts the points 0.3 px off."""
+    drawing = drawn(MODEL, VIEWS, POSE, 0.02)
+    is_displaced = [(one.cells.sum(axis=1) % 80) < 80 * displaced for one in drawing]
+    disturbed = [
+        one._replace(pixels=one.pixels + 0.3 * np.where(off, 1.0, 0.0)[:, None] * one.normals)
+        for one, off in zip(drawing, is_displaced, strict=True)
+    ]
+    told = [
+        one._replace(lone=one.lone & ~off) for one, off in zip(disturbed, is_displaced, strict=True)
+    ]
+    lines, unaware = lines_of(told), lines_of([one._replace(lone=one.lone | True) for one in told])
+    used = np.asarray(lines.measured)
+    np.testing.assert_array_equal(used, unaware.measured)
+    off, unaware_off = (np.abs(np.asarray(one.offsets)[used, 0]) for one in (lines, unaware))
+    assert np.median(unaware_off) > 0.05
+    if displaced < 1.0:
+        assert np.median(off) < 0.01
+    else:
+        np.testing.assert_array_equal(off, unaware_off)
