@@ -20,7 +20,7 @@ from .hypotheses import Hypothesis
 from .known_surfaces import KnownSurfaces
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES, explained_edge_points, measured_lines
-from .verdict import ACCEPTED_SHARE
+from .verdict import ends_are_asked
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -134,16 +134,18 @@ class Scene:
         views = self.views if views is None else views
         return measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
 
-    def evidence(self, lines: EdgeLines, chance: float, absorbed: float = 0.0) -> Evidence:
+    def evidence(
+        self, lines: EdgeLines, wireframe: Wireframe, chance: float, absorbed: float = 0.0
+    ) -> Evidence:
         """Return what `lines` say of their pose."""
-        return evidence_of(lines, self._strengths, chance, absorbed)
+        return evidence_of(lines, wireframe, self._strengths, chance, absorbed)
 
     def with_ends(self, evidence: Evidence, lines: EdgeLines, wireframe: Wireframe) -> Evidence:
-        """Return evidence of a pose with that of how its edges end, where much of them is missing.
+        """Return evidence of a pose with that of how its edges end, where the verdict asks for it.
 
         What another object explains is not found, but its outline may well be before an edge.
         """
-        if evidence.explained >= ACCEPTED_SHARE:
+        if not ends_are_asked(evidence):
             return evidence
         return evidence._replace(log_ends=log_likelihood_of_ends(lines, wireframe, self._points))
 

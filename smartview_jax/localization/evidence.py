@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from .chance import log_chance_of_exact_edges, log_odds_of
+from .confirmed_faces import largest_unconfirmed_face
 from .edge_lines import EdgeLines
+from .wireframe import Wireframe
 
 PARTLY_HIDDEN_SHARES = (0.1, 0.92)
 """Explained shares of an edge, lower and upper, between which the edge counts as partly hidden."""
@@ -31,6 +33,7 @@ class Evidence(NamedTuple):
         explained_in_view: likewise in each view; NaN where too little of the object is visible.
         visible_px: visible edge length of all views, px.
         edges: number of measured edges, each view for itself.
+        unconfirmed: size of the largest face that is not found: see `largest_unconfirmed_face`.
         partly_hidden: part of the missing length that is of edges of which a part is there.
         edge_rms: RMS distance of measured edges from the model, px.
         contrast: see `MIN_CONTRAST`.
@@ -45,6 +48,7 @@ class Evidence(NamedTuple):
     explained_in_view: tuple[float, ...]
     visible_px: float
     edges: int
+    unconfirmed: float
     partly_hidden: float
     edge_rms: float
     contrast: float
@@ -62,6 +66,7 @@ class Evidence(NamedTuple):
 
 def evidence_of(
     lines: EdgeLines,
+    wireframe: Wireframe,
     strengths: Sequence[Float[np.ndarray, "_"]],
     chance: float,
     absorbed: float = 0.0,
@@ -70,6 +75,7 @@ def evidence_of(
 
     Args:
         lines: edges measured at the pose, within `EXPLAINED_DISTANCE`.
+        wireframe: of the model.
         strengths: gradients of all edge points of each view, grey levels per px.
         chance: share of visible length that clutter explains.
         absorbed: how many numbers of the edges were explained by errors of the calibration, with
@@ -85,6 +91,7 @@ def evidence_of(
         tuple(in_view.tolist()),
         total,
         int(lines.measured.sum()),
+        largest_unconfirmed_face(lines, wireframe),
         _partly_hidden(lines),
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
         _contrast(lines, strengths),

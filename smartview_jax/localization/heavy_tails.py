@@ -55,6 +55,7 @@ class HeavyTailedStep(NamedTuple):
 
     Attributes:
         step: the solution, its covariance and its parts.
+        equations: that it solves, with the noise of Gaussian errors that tell as much.
         squared: expected square of each edge's two errors, over their scale; two on average for
             errors that are Gaussian of this scale.
         edge_sigma: standard deviation, estimated, by which edges are displaced beyond the noise of
@@ -62,6 +63,7 @@ class HeavyTailedStep(NamedTuple):
     """
 
     step: PoseStep
+    equations: PoseEquations
     squared: Float[np.ndarray, "edges"]
     edge_sigma: float
 
@@ -90,8 +92,9 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
         fit, of_distances = _likeliest(unknowns, found, 0, fit.weights)
     sigmas = of_distances, of_tilts
     noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
-    step = solve_pose(equations._replace(noise=np.diag(noise.ravel())), errors)
-    return HeavyTailedStep(step, fit.squared, float(np.sqrt(INFLATION) * of_distances))
+    gaussian = equations._replace(noise=np.diag(noise.ravel()))
+    edge_sigma = float(np.sqrt(INFLATION) * of_distances)
+    return HeavyTailedStep(solve_pose(gaussian, errors), gaussian, fit.squared, edge_sigma)
 
 
 class _Unknowns(NamedTuple):

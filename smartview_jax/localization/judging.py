@@ -146,7 +146,8 @@ class _Judging:
     def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
         """Return whether a pose is rejected, given what other places explain."""
         wireframe = self._prepared[candidate.model].coarse
-        evidence = self.scene.evidence(self.scene.lines(candidate.pose, wireframe), chance.mean)
+        lines = self.scene.lines(candidate.pose, wireframe)
+        evidence = self.scene.evidence(lines, wireframe, chance.mean)
         return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
 
     def best_explanation(
@@ -180,7 +181,7 @@ class _Judging:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
         lines = scene.lines(pose, one.fine)
-        evidence = scene.evidence(lines, chance.mean)
+        evidence = scene.evidence(lines, one.fine, chance.mean)
         rivals = self._rivals(best, pose, others, chance)
         rivals = self._distinct(best, pose, evidence, chance, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
@@ -192,7 +193,7 @@ class _Judging:
         if len(refined.calibration_error):
             views = corrected_views(scene.views, self._uncertainty, refined.calibration_error)
             lines = scene.lines(pose, one.fine, views)
-            evidence = scene.evidence(lines, chance.mean, refined.absorbed)
+            evidence = scene.evidence(lines, one.fine, chance.mean, refined.absorbed)
         evidence = scene.with_ends(evidence, lines, one.fine)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
@@ -229,8 +230,8 @@ class _Judging:
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
         """Return a pose as a rival, measured with all samples."""
-        lines = self.scene.lines(pose, self._prepared[model].fine)
-        found = self.scene.evidence(lines, chance.mean)
+        wireframe = self._prepared[model].fine
+        found = self.scene.evidence(self.scene.lines(pose, wireframe), wireframe, chance.mean)
         return Rival(model, pose, found.log_likelihood, found.log_exactness)
 
     def _distinct(

@@ -1,7 +1,8 @@
 """Find known objects in calibrated pictures, and say how certain each is.
 
 Hypotheses are drawn to the pictures' edges, ranked by the visible edge length that they explain,
-and judged one after the other: what an object explains is no evidence for the next.
+and judged one after the other: what an object explains is no evidence for the next. The poses of
+those that are accepted are refined together at the end.
 """
 
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from .judging import judged
 from .known_surfaces import checked_triangles
 from .localization import Localization, Localizations
 from .pose_convergence import THREADS
+from .refining_together import refined_together
 
 
 def localize(
@@ -92,6 +94,7 @@ def localize(
         inside = [bool(((low <= m) & (m <= high)).all()) for m in middles]
         candidates = [one for one, is_in in zip(candidates, inside, strict=True) if is_in]
     found = judged(scene, prepared, candidates, uncertainty, len(hypotheses))
+    found = refined_together(found, scene, prepared, uncertainty)
     return Localizations(
         _reported(found), _messages(prepared, found, hypotheses), pictures, _own_command(views)
     )

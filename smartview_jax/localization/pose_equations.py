@@ -24,11 +24,11 @@ MIN_OWN_INFORMATION = 1e-14
 
 
 class PoseEquations(NamedTuple):
-    """Linear equations about a pose, px, in blocks of one feature each.
+    """Linear equations about a pose, or about several ones, px, in blocks of one feature each.
 
     Attributes:
         residuals: measured minus predicted.
-        by_pose: derivatives of the predicted by the tangent of the pose.
+        by_pose: derivatives of the predicted by the tangent of the pose, six numbers for each.
         noise: covariance of the pictures' own noise, px^2.
         by_calibration: derivatives by the numbers of a `CalibrationUncertainty`.
         by_vertices: derivatives by the coordinates of the model's vertices, px/m.
@@ -36,7 +36,7 @@ class PoseEquations(NamedTuple):
     """
 
     residuals: Float[np.ndarray, "n"]
-    by_pose: Float[np.ndarray, "n 6"]
+    by_pose: Float[np.ndarray, "n tangents"]
     noise: Float[np.ndarray, "n n"]
     by_calibration: Float[np.ndarray, "n numbers"]
     by_vertices: Float[np.ndarray, "n coordinates"]
@@ -102,16 +102,16 @@ class PoseStep(NamedTuple):
             are uncertain.
     """
 
-    tangent: Float[np.ndarray, "6"]
-    pictures: Float[np.ndarray, "6 6"]
-    calibration: Float[np.ndarray, "6 6"]
-    model: Float[np.ndarray, "6 6"]
-    calibration_jacobian: Float[np.ndarray, "6 numbers"]
+    tangent: Float[np.ndarray, "tangents"]
+    pictures: Float[np.ndarray, "tangents tangents"]
+    calibration: Float[np.ndarray, "tangents tangents"]
+    model: Float[np.ndarray, "tangents tangents"]
+    calibration_jacobian: Float[np.ndarray, "tangents numbers"]
     calibration_error: Float[np.ndarray, "numbers"]
     absorbed: float
 
     @property
-    def covariance(self) -> Float[np.ndarray, "6 6"]:
+    def covariance(self) -> Float[np.ndarray, "tangents tangents"]:
         """The covariance of the tangent."""
         return self.pictures + self.calibration + self.model
 
@@ -119,7 +119,8 @@ class PoseStep(NamedTuple):
 def solve_pose(
     equations: PoseEquations,
     errors: CommonErrors,
-    prior: tuple[Float[np.ndarray, "6"], Float[np.ndarray, "6 6"]] | None = None,
+    prior: tuple[Float[np.ndarray, "tangents"], Float[np.ndarray, "tangents tangents"]]
+    | None = None,
 ) -> PoseStep:
     """Return the generalised least-squares solution of pose equations.
 

@@ -58,6 +58,7 @@ class RefinedPose(NamedTuple):
             those of the model, beyond the noise of their points, px.
         lines: edges as they were measured at the pose, in all views.
         consistent: which of them are where their noise lets them be; others hardly count.
+        equations: about the tangent at the pose, which they make zero.
     """
 
     world_from_object: Float[np.ndarray, "4 4"]
@@ -70,6 +71,7 @@ class RefinedPose(NamedTuple):
     edge_sigma: float
     lines: EdgeLines
     consistent: Bool[np.ndarray, "views E"]
+    equations: PoseEquations
 
     @property
     def covariance(self) -> Float[np.ndarray, "6 6"]:
@@ -160,14 +162,15 @@ def refine_pose(
     for remaining in range(MAX_STEPS)[::-1]:
         lines = measured_lines(wireframe, views, lookup, pose, radius)
         equations = line_equations(lines, model, wireframe, views, pose, uncertainty)
-        step, squared, edge_sigma = solve_heavy_tailed(equations, errors)
+        step, solved, squared, edge_sigma = solve_heavy_tailed(equations, errors)
         pose = pose @ host_exponentials(step.tangent)
         if _has_converged(step) or not remaining:
             consistent = np.zeros(lines.measured.shape, dtype=bool)
             consistent[lines.measured] = squared <= CONSISTENT_SQUARE
+            at_pose = solved._replace(residuals=solved.residuals - solved.by_pose @ step.tangent)
             parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
             parts = *parts, step.calibration_error, step.absorbed
-            return RefinedPose(pose, *parts, edge_sigma, lines, consistent)
+            return RefinedPose(pose, *parts, edge_sigma, lines, consistent, at_pose)
     raise AssertionError("the last step returns")
 
 

@@ -116,8 +116,9 @@ def evidence(pictures):
 
 
 def together(*pictures):
-    """The edge points of several drawings of the same views."""
-    return [
-        EdgePoints(*(np.concatenate(parts) for parts in zip(*one, strict=True)))
-        for one in zip(*pictures, strict=True)
-    ]
+    """The edge points of several drawings of the same views, beside each other."""
+    found = []
+    for one in zip(*pictures, strict=True):
+        *parts, _ = (np.concatenate(part) for part in zip(*one, strict=True))
+        found.append(EdgePoints.of(*parts))
+    return found

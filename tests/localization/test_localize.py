@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import pickle
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from drawn_edges import (
@@ -24,7 +25,7 @@ from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
 from smartview_jax.localization.pose_convergence import lengths_of_poses
-from smartview_jax.localization.verdict import MIN_LOG_ENDS
+from smartview_jax.localization.verdict import CONFIRMED_SIZE, MIN_LOG_ENDS
 from smartview_jax.modeling import ObjectModel, find_symmetry
 
 PLAIN = box()
@@ -175,9 +176,26 @@ def test_the_corner_of_another_block_is_not_accepted():
     """All that is seen of the box is exact, and the rest is missing, as if something hid it."""
     (one, *_) = find(drawn(box(0.06, 0.03, 0.03), views(), POSE, 0.03))
     assert 0.5 < one.verdict.evidence.explained < 0.82
+    assert one.verdict.evidence.unconfirmed > CONFIRMED_SIZE
     assert one.verdict.evidence.log_ends < MIN_LOG_ENDS
     assert one.verdict.decision == "open"
-    assert "end as at another's corner" in one.message
+    assert "too little of one of its faces" in one.message
+
+
+def test_a_hidden_object_whose_faces_are_all_confirmed_is_accepted():
+    """A round spot hides the middle of each view, and next to nothing of any face alone."""
+    pictures = []
+    for own, matrix in zip(
+        drawn(MODEL, views(), POSE, 0.03), views().camera_from_world, strict=True
+    ):
+        in_camera = matrix[:3, :3] @ MIDDLE + matrix[:3, 3]
+        middle = np.asarray(camera().project(jnp.asarray(in_camera))[0])
+        free = np.linalg.norm(own.pixels - middle, axis=1) > 110.0
+        pictures.append(EdgePoints(*(part[free] for part in own)))
+    (one, *_) = find(pictures)
+    assert 0.5 < one.verdict.evidence.explained < 0.82
+    assert one.verdict.evidence.unconfirmed == 0.0
+    assert one.verdict.decision == "accepted"
 
 
 def test_of_two_models_the_right_one_is_accepted(pictures):

@@ -12,6 +12,7 @@ CLEAR = Evidence(
     explained_in_view=(0.95, 0.95),
     visible_px=2000.0,
     edges=16,
+    unconfirmed=0.0,
     partly_hidden=0.5,
     edge_rms=0.1,
     contrast=1.5,
@@ -41,7 +42,7 @@ def test_clear_pose_is_accepted():
         ({"edges": 4}, "rejected", "too few"),
         ({"log_likelihood": 20.0}, "rejected", "too few"),
         ({"chance": Chance(0.9, 0.1), "edge_rms": 0.9}, "rejected", "clutter explains as much"),
-        ({"explained": 0.75, "partly_hidden": 0.1}, "open", "only 75% of its visible edges"),
+        ({"explained": 0.75, "unconfirmed": 0.2}, "open", "too little of one of its faces"),
         ({"edges": 6, "log_likelihood": 140.0}, "open", "are few"),
         ({"log_likelihood": 40.0}, "open", "are few"),
         ({"explained_in_view": (0.95, np.nan)}, "open", "only 1 of 2 views"),
@@ -65,15 +66,29 @@ def test_few_edges_are_enough_where_they_are_long_and_fit_exactly():
     assert verdict(edges=5, log_likelihood=200.0, edge_rms=0.55).decision == "open"
 
 
-def test_hidden_object_is_accepted_only_where_its_edges_are_cut_off_and_fit_exactly():
+HIDDEN = {"explained": 0.6, "explained_in_view": (0.6, 0.6)}
+
+
+def test_hidden_object_is_accepted_where_every_face_is_confirmed_and_its_edges_fit_exactly():
+    assert verdict(**HIDDEN).decision == "accepted"
+    assert verdict(**HIDDEN | {"edge_rms": 0.6}).decision == "open"
+    assert verdict(**HIDDEN | {"edges": 7, "edge_rms": 0.4}).decision == "open"
+    assert verdict(**HIDDEN | {"explained": 0.45}).decision == "open"
+
+
+@pytest.mark.parametrize("unconfirmed", [0.2, np.nan])
+def test_hidden_object_with_an_unconfirmed_face_is_accepted_only_where_something_hides_it(
+    unconfirmed,
+):
     """A model of another height has edges that are there and edges that are not."""
-    hidden = {"explained": 0.6, "explained_in_view": (0.6, 0.6), "partly_hidden": 0.7}
+    hidden = HIDDEN | {"unconfirmed": unconfirmed, "partly_hidden": 0.7, "log_ends": 3.0}
     assert verdict(**hidden).decision == "accepted"
     assert verdict(**hidden | {"partly_hidden": 0.2}).decision == "open"
-    assert verdict(**hidden | {"edge_rms": 0.6}).decision == "open"
-    assert verdict(**hidden | {"edges": 7, "edge_rms": 0.4}).decision == "open"
-    assert verdict(**hidden | {"explained": 0.45}).decision == "open"
-    assert verdict(**hidden | {"log_ends": -3.0}).decision == "open"
+    found = verdict(**hidden | {"log_ends": 0.0})
+    assert found.decision == "open"
+    assert found.reasons == (
+        "only 60% of its visible edges are in the pictures, and too little of one of its faces",
+    )
 
 
 def test_loosely_fitting_pose_needs_more_of_its_edges():
@@ -82,6 +97,15 @@ def test_loosely_fitting_pose_needs_more_of_its_edges():
     assert loose.decision == "open"
     assert "fit to 0.60 px" in loose.reasons[0]
     assert verdict(explained=0.9, edge_rms=0.6).decision == "accepted"
+
+
+def test_one_picture_alone_needs_more_of_the_edges_or_more_that_fit_exactly():
+    few = {"explained": 0.85, "edges": 8, "edge_rms": 0.3}
+    assert verdict(**few).decision == "accepted"
+    alone = few | {"explained_in_view": (0.85,)}
+    assert verdict(**alone).decision == "open"
+    assert verdict(**alone | {"explained": 0.9}).decision == "accepted"
+    assert verdict(**alone | {"edges": 14, "edge_rms": 0.03}).decision == "accepted"
 
 
 def test_exact_edges_count_against_chance():

@@ -1,0 +1,161 @@
+"""Objects refined together: neighbours that mislead, and errors of the calibration in common."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from drawn_edges import camera, drawn, evidence, seen_views, together
+from placed_box import MIDDLE, MODEL, POSE, placed
+from scipy.linalg import block_diag
+
+import smartview_jax as sv
+from smartview_jax.engine import Noise
+from smartview_jax.evaluation import mean_nees, nees
+from smartview_jax.geometry import host_exponentials, host_logarithms
+from smartview_jax.localization import Chance, Localization, judge, refine_pose
+from smartview_jax.localization.candidates import Prepared, Scene
+from smartview_jax.localization.refining_together import refined_together
+from smartview_jax.modeling import CalibrationUncertainty
+
+NOISE = Noise(0.1, 3e-4, float(np.deg2rad(0.05)))
+NO_TRIANGLES = np.zeros((0, 3, 3))
+PREPARED = [Prepared.of(MODEL)]
+BESIDE = POSE.copy()
+BESIDE[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
+
+
+@pytest.fixture(scope="module")
+def views():
+    return seen_views(MIDDLE)
+
+
+@pytest.fixture(scope="module")
+def uncertainty(views):
+    calibration = sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
+    return CalibrationUncertainty.of(views, calibration, None, NOISE)
+
+
+def scene_of(views, pictures):
+    return Scene(views, evidence(pictures), NO_TRIANGLES)
+
+
+def alone(scene, start, uncertainty, prepared=PREPARED[0]):
+    """An object that was accepted by itself."""
+    model = prepared.model
+    refined = refine_pose(start, model, prepared.fine, scene.views, scene.lookup, uncertainty)
+    lines = scene.lines(refined.world_from_object, prepared.fine)
+    found = scene.evidence(lines, prepared.fine, 0.1)
+    verdict = judge(found, Chance(0.1, 0.05), 1, np.inf)._replace(decision="accepted")
+    return Localization(model, 0, refined, verdict, ())
+
+
+def error_of(one, pose):
+    return host_logarithms(np.linalg.inv(one.world_from_object) @ pose)
+
+
+def test_what_a_neighbour_hides_and_explains_misleads_no_more(views):
+    """Of the second box some edges are hidden, and the first has edges 2 px beside them."""
+    rng, exact = np.random.default_rng(0), CalibrationUncertainty.none(views)
+    # The first box stands before the second one, as its right side is seen from the cameras.
+    close = POSE.copy()
+    close[:3, 3] += POSE[:3, :3] @ [0.0605, 0.0, 0.0]
+    shared = [k for k, edge in enumerate(MODEL.edges) if (MODEL.vertices[edge, 0] == 0.0).all()]
+    pictures = together(
+        drawn(MODEL, views, POSE, 0.05, rng), drawn(MODEL, views, close, 0.05, rng, hidden=shared)
+    )
+    scene = scene_of(views, pictures)
+    before = [alone(scene, pose, exact) for pose in (POSE, close)]
+    after = refined_together(before, scene, PREPARED, exact)
+    errors = [[error_of(one, p) for one, p in zip(x, (POSE, close), strict=True)]
+              for x in (before, after)]  # fmt: skip
+    size_before, size_after = (np.linalg.norm(x[1][:3]) for x in errors)
+    assert size_after < 2e-5
+    assert size_after < 0.5 * size_before
+
+
+def test_all_objects_tell_of_the_calibrations_error(views, uncertainty):
+    """Of one object little is seen, of the other everything: their poses are true, as stated."""
+    sizes = np.repeat([NOISE.translation, NOISE.rotation], 3)
+    rng, squares, gains = np.random.default_rng(1), [], []
+    few = [k for k, edge in enumerate(MODEL.edges) if MODEL.vertices[edge, 2].max() > 0.0][:6]
+    for _ in range(12):
+        twists = host_exponentials(sizes * rng.standard_normal((2, 6)))
+        true = views._replace(camera_from_world=twists @ views.camera_from_world)
+        pictures = together(
+            drawn(MODEL, true, POSE, 0.05, rng), drawn(MODEL, true, BESIDE, 0.3, rng, hidden=few)
+        )
+        scene = scene_of(views, pictures)
+        before = [alone(scene, pose, uncertainty) for pose in (POSE, BESIDE)]
+        after = refined_together(before, scene, PREPARED, uncertainty)
+        errors = np.array([error_of(one, p) for one, p in zip(after, (POSE, BESIDE), strict=True)])
+        squares += list(nees(errors, np.array([one.covariance for one in after])))
+        gains.append(
+            np.linalg.slogdet(after[1].covariance)[1] - np.linalg.slogdet(before[1].covariance)[1]
+        )
+        parts = after[1].refined
+        np.testing.assert_allclose(
+            parts.calibration_jacobian @ uncertainty.covariance @ parts.calibration_jacobian.T,
+            parts.calibration,
+            rtol=1e-6, atol=1e-12,
+        )  # fmt: skip
+    low, high = mean_nees(np.array(squares), 6).low, mean_nees(np.array(squares), 6).high
+    assert low - 1.0 < np.mean(squares) < high
+    assert max(gains) < -1.0
+
+
+def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty):
+    """Least squares with the calibration's errors as unknowns, beside both poses."""
+    rng = np.random.default_rng(2)
+    pictures = together(drawn(MODEL, views, POSE, 0.2, rng), drawn(MODEL, views, BESIDE, 0.2, rng))
+    scene = scene_of(views, pictures)
+    before = [alone(scene, pose, uncertainty) for pose in (POSE, BESIDE)]
+    after = refined_together(before, scene, PREPARED, uncertainty)
+    own = [one.refined.equations for one in after]
+    J = block_diag(*(one.by_pose for one in own))
+    # Equations are about the refined poses: there the best tangent of all unknowns is zero.
+    r = np.concatenate([one.residuals for one in own])
+    weights = 1.0 / np.sqrt(np.concatenate([np.diagonal(one.noise) for one in own]))
+    root = np.linalg.cholesky(uncertainty.covariance)
+    B = np.concatenate([one.by_calibration for one in own]) @ root
+    numbers = B.shape[1]
+    A = np.block(
+        [[weights[:, None] * J, weights[:, None] * B],
+         [np.zeros((numbers, J.shape[1])), np.eye(numbers)]]
+    )  # fmt: skip
+    best = np.linalg.lstsq(A, np.append(weights * r, np.zeros(numbers)), rcond=None)[0]
+    covariance = np.linalg.inv(A.T @ A)
+    for k, one in enumerate(after):
+        part = slice(6 * k, 6 * k + 6)
+        sigmas = np.sqrt(np.diagonal(one.covariance))
+        np.testing.assert_allclose(best[part] / sigmas, 0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            one.covariance / np.outer(sigmas, sigmas),
+            covariance[part, part] / np.outer(sigmas, sigmas),
+            atol=1e-6,
+        )
+
+
+def test_what_is_not_accepted_stays_as_it_is(views, uncertainty):
+    pictures = drawn(MODEL, views, POSE, 0.1)
+    scene = scene_of(views, pictures)
+    one = alone(scene, POSE, uncertainty)
+    left = one._replace(verdict=one.verdict._replace(decision="open"))
+    assert refined_together([one, left], scene, PREPARED, uncertainty) == [one, left]
+
+
+def test_errors_of_a_model_are_common_to_its_objects(views):
+    """Two boxes of one measured model: the error of its size is one for both."""
+    rng, exact = np.random.default_rng(3), CalibrationUncertainty.none(views)
+    uncertain = dataclasses.replace(
+        MODEL, covariance=np.tile(1e-4**2 * np.eye(3), (len(MODEL.vertices), 1, 1))
+    )
+    pictures = together(drawn(MODEL, views, POSE, 0.1, rng), drawn(MODEL, views, BESIDE, 0.1, rng))
+    scene = scene_of(views, pictures)
+    prepared = Prepared.of(uncertain)
+    before = [alone(scene, pose, exact, prepared) for pose in (POSE, BESIDE)]
+    after = refined_together(before, scene, [prepared], exact)
+    shift = after[1].world_from_object[:3, 3] - after[0].world_from_object[:3, 3]
+    expected = placed(np.zeros(3), BESIDE) - placed(np.zeros(3), POSE)
+    assert np.linalg.norm(shift - expected) < 4e-5
+    for one in after:
+        assert np.trace(one.refined.model[:3, :3]) > 4e-5**2
