@@ -174,7 +174,9 @@ def _beside(
     """Return the bound and OpenCV's answer for each right accepted pose."""
     bounds, peers = [], []
     views = SeenViews.of(calibration, poses)
-    lookup = EdgeLookup.of([one.edge_points for one in evidence], calibration.camera.image_size)
+    # The bound counts all points of an edge, also those that another edge displaces.
+    points = [one.edge_points._replace(lone=np.ones_like(one.edge_points.lone)) for one in evidence]
+    lookup = EdgeLookup.of(points, calibration.camera.image_size)
     for one in found.accepted:
         k, angle, shift = _nearest(scene, one)
         if k is None or not is_right(angle, shift):

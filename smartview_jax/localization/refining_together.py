@@ -130,8 +130,8 @@ def _solved_together(
     step = solve_pose(
         PoseEquations(
             np.concatenate([one.residuals for one in all_equations]),
-            block_diag(*(one.by_pose for one in all_equations)),
-            block_diag(*(one.noise for one in all_equations)),
+            np.asarray(block_diag(*(one.by_pose for one in all_equations))),
+            np.asarray(block_diag(*(one.noise for one in all_equations))),
             np.concatenate([one.by_calibration for one in all_equations]),
             np.concatenate(by_vertices),
             np.concatenate(
