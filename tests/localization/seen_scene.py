@@ -26,8 +26,9 @@ CALIBRATION = sv.Calibration.eye_in_hand(CAMERA, np.eye(4), np.eye(4))
 
 
 class SeenScene(NamedTuple):
-    """Evidence of two pictures, with the models and their true poses."""
+    """Two pictures, what is found in them, and the models with their true poses."""
 
+    pictures: list[np.ndarray]
     evidence: list[PictureEvidence]
     views: SeenViews
     models: list[ObjectModel]
@@ -57,14 +58,13 @@ def seen_scene():
     directions = np.array([[0.35, 0.45, -1.0], [-0.1, 0.45, -1.0]])
     cameras = look_at((0.0, 0.0, 0.015), directions, 0.36, np.array([0.2, -0.4]))
     base_from_tool = np.linalg.inv(host_matrices(cameras))
-    evidence = [
-        picture_evidence(
-            render_solids(CALIBRATION, pose, SolidScene(surfaces), exposure=1.2, samples=8), CAMERA
-        )
+    pictures = [
+        render_solids(CALIBRATION, pose, SolidScene(surfaces), exposure=1.2, samples=8)
         for pose in base_from_tool
     ]
+    evidence = [picture_evidence(one, CAMERA) for one in pictures]
     views = SeenViews.of(CALIBRATION, base_from_tool)
-    return SeenScene(evidence, views, [model_of(solid) for solid in solids], poses)
+    return SeenScene(pictures, evidence, views, [model_of(solid) for solid in solids], poses)
 
 
 def errors(model, poses, truth):

@@ -3,11 +3,9 @@
 import jax
 import numpy as np
 import pytest
-from drawn_edges import camera, drawn, seen_views
-from placed_box import MIDDLE, MODEL, POSE, placed, projected
+from drawn_edges import drawn, seen_views
+from placed_box import MIDDLE, MODEL, NOISE, POSE, placed, projected, robot_uncertainty
 
-import smartview_jax as sv
-from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import FIT_SAMPLES, EdgeLookup, Wireframe, refine_pose
 from smartview_jax.localization.corrected_views import corrected_views
@@ -17,8 +15,6 @@ from smartview_jax.localization.pose_equations import CommonErrors, PoseEquation
 from smartview_jax.localization.refinement import measured_lines
 from smartview_jax.modeling import CalibrationUncertainty
 
-NOISE = Noise(0.1, 3e-4, float(np.deg2rad(0.05)))
-
 
 @pytest.fixture(scope="module")
 def views():
@@ -27,8 +23,7 @@ def views():
 
 @pytest.fixture(scope="module")
 def uncertainty(views):
-    calibration = sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
-    return CalibrationUncertainty.of(views, calibration, None, NOISE)
+    return robot_uncertainty(views)
 
 
 def test_common_errors_are_those_of_a_least_squares_fit_that_has_them_as_unknowns():

@@ -4,12 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from drawn_edges import camera, drawn, evidence, seen_views, together
-from placed_box import MIDDLE, MODEL, POSE, placed
+from drawn_edges import drawn, evidence, seen_views, together
+from placed_box import MIDDLE, MODEL, NOISE, POSE, placed, robot_uncertainty
 from scipy.linalg import block_diag
 
-import smartview_jax as sv
-from smartview_jax.engine import Noise
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Chance, Localization, judge, refine_pose
@@ -17,7 +15,6 @@ from smartview_jax.localization.candidates import Prepared, Scene
 from smartview_jax.localization.refining_together import refined_together
 from smartview_jax.modeling import CalibrationUncertainty
 
-NOISE = Noise(0.1, 3e-4, float(np.deg2rad(0.05)))
 NO_TRIANGLES = np.zeros((0, 3, 3))
 PREPARED = [Prepared.of(MODEL)]
 BESIDE = POSE.copy()
@@ -31,8 +28,7 @@ def views():
 
 @pytest.fixture(scope="module")
 def uncertainty(views):
-    calibration = sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
-    return CalibrationUncertainty.of(views, calibration, None, NOISE)
+    return robot_uncertainty(views)
 
 
 def scene_of(views, pictures):
