@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
-from ..features import EdgePoints
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty
 from .candidates import Prepared, Scene
 from .distinct_poses import pose_distances
 from .edge_lookup import EdgeLookup
+from .heavy_tails import NUMBERS
 from .known_surfaces import KnownSurfaces
 from .localization import Localization
 from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose
@@ -54,27 +54,28 @@ def refined_together(
     accepted = [one for one in found if one.accepted]
     if len(accepted) < 2:
         return list(found)
-    points = [one.edge_points for one in scene.pictures]
-    claims = [_claim(one, prepared[one.model_index], scene, points) for one in accepted]
-    refined = []
-    for k, one in enumerate(accepted):
-        others = [other for j, other in enumerate(claims) if j != k]
-        refined.append(_measured_anew(one, others, scene, prepared, points, uncertainty))
+    claims = [_claim(one, prepared[one.model_index], scene) for one in accepted]
+    walls = KnownSurfaces(scene.views)
+    walls.add_triangles(scene.known)
+    everything = [np.ones(len(one.edge_points.pixels), dtype=bool) for one in scene.pictures]
+    known = _Claim(everything, walls.inverse_depth)
+    refined = [
+        _measured_anew(one, [known, *claims[:k], *claims[k + 1 :]], scene, prepared, uncertainty)
+        for k, one in enumerate(accepted)
+    ]
     poses = _solved_together(refined, accepted, uncertainty)
     anew = iter(one._replace(refined=pose) for one, pose in zip(accepted, poses, strict=True))
     return [next(anew) if one.accepted else one for one in found]
 
 
-def _claim(
-    one: Localization, prepared: Prepared, scene: Scene, points: Sequence[EdgePoints]
-) -> _Claim:
+def _claim(one: Localization, prepared: Prepared, scene: Scene) -> _Claim:
     """Return the parts of the pictures that an object takes from the others."""
     surface = KnownSurfaces(scene.views)
     surface.add(prepared.coarse, one.world_from_object)
     free = []
-    for view, own in enumerate(points):
-        is_free = np.ones(len(own.pixels), dtype=bool)
-        is_free[explained_edge_points(one.refined.lines, view, own)] = False
+    for view, picture in enumerate(scene.pictures):
+        is_free = np.ones(len(picture.edge_points.pixels), dtype=bool)
+        is_free[explained_edge_points(one.refined.lines, view, picture.edge_points)] = False
         free.append(is_free)
     return _Claim(free, surface.inverse_depth)
 
@@ -84,20 +85,21 @@ def _measured_anew(
     others: Sequence[_Claim],
     scene: Scene,
     prepared: Sequence[Prepared],
-    points: Sequence[EdgePoints],
     uncertainty: CalibrationUncertainty,
 ) -> RefinedPose:
     """Return the refined pose of an object among known others; as it was where that is lost."""
-    known = KnownSurfaces(scene.views)
-    known.add_triangles(scene.known)
-    depth = np.maximum.reduce([known.inverse_depth, *(other.inverse_depth for other in others)])
-    free = [np.logical_and.reduce(own) for own in zip(*(o.free for o in others), strict=True)]
-    lookup = EdgeLookup.of(points, scene.views.camera.image_size, free, depth)
+    lookup = EdgeLookup.of(
+        [picture.edge_points for picture in scene.pictures],
+        scene.views.camera.image_size,
+        [np.logical_and.reduce(own) for own in zip(*(o.free for o in others), strict=True)],
+        np.maximum.reduce([other.inverse_depth for other in others]),
+    )
     own = prepared[one.model_index]
     try:
         refined = refine_pose(
             one.world_from_object, own.model, own.fine, scene.views, lookup, uncertainty
         )
+    # What the others leave may be too little; the pose is as certain as it was.
     except ValueError:
         return one.refined
     moved = pose_distances(own.model, one.world_from_object, refined.world_from_object[None])[0]
@@ -111,37 +113,29 @@ def _solved_together(
 ) -> list[RefinedPose]:
     """Return poses with the errors in common that all objects tell of."""
     # Of a model there may be several objects, whose vertices err alike.
-    models = {one.model_index: one.model for one in objects}
-    errors = {k: CommonErrors.of(uncertainty, model) for k, model in models.items()}
-    vertices = [len(own.vertices) for own in errors.values()]
-    if not len(uncertainty.names) and not sum(vertices):
+    errors = {one.model_index: CommonErrors.of(uncertainty, one.model) for one in objects}
+    if not len(uncertainty.names) and all(one.model.is_exact for one in objects):
         # Nothing is common: each pose is what it is alone.
         return list(refined)
-    starts = dict(zip(models, np.cumsum([0, *vertices]), strict=False))
-    by_vertices = []
-    for pose, one in zip(refined, objects, strict=True):
-        own = pose.equations.by_vertices
-        placed = np.zeros((len(own), sum(vertices)))
-        start = starts[one.model_index]
-        placed[:, start : start + own.shape[1]] = own
-        by_vertices.append(placed)
-    all_equations = [pose.equations for pose in refined]
-    blocks = np.cumsum([0, *(one.block.max() + 1 for one in all_equations)])
-    step = solve_pose(
-        PoseEquations(
-            np.concatenate([one.residuals for one in all_equations]),
-            np.asarray(block_diag(*(one.by_pose for one in all_equations))),
-            np.asarray(block_diag(*(one.noise for one in all_equations))),
-            np.concatenate([one.by_calibration for one in all_equations]),
-            np.concatenate(by_vertices),
-            np.concatenate(
-                [one.block + k for one, k in zip(all_equations, blocks[:-1], strict=True)]
-            ),
-        ),
-        CommonErrors(
-            uncertainty.covariance, np.asarray(block_diag(*(e.vertices for e in errors.values())))
-        ),
+    equations = [pose.equations for pose in refined]
+    by_vertices = [
+        [
+            own.by_vertices if one.model_index == k else np.zeros((len(own.block), len(e.vertices)))
+            for k, e in errors.items()
+        ]
+        for own, one in zip(equations, objects, strict=True)
+    ]
+    all_equations = PoseEquations(
+        np.concatenate([own.residuals for own in equations]),
+        np.asarray(block_diag(*(own.by_pose for own in equations))),
+        np.asarray(block_diag(*(own.noise for own in equations))),
+        np.concatenate([own.by_calibration for own in equations]),
+        np.block(by_vertices),
+        # Two equations of each edge stay a block of their own.
+        np.repeat(np.arange(sum(len(own.block) for own in equations) // NUMBERS), NUMBERS),
     )
+    vertices = np.asarray(block_diag(*(own.vertices for own in errors.values())))
+    step = solve_pose(all_equations, CommonErrors(uncertainty.covariance, vertices))
     return [_part(step, k, pose) for k, pose in enumerate(refined)]
 
 

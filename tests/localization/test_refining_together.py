@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from drawn_edges import drawn, evidence, seen_views, together
-from placed_box import MIDDLE, MODEL, NOISE, POSE, placed, robot_uncertainty
+from placed_box import MIDDLE, MODEL, NOISE, POSE, robot_uncertainty
 from scipy.linalg import block_diag
 
 from smartview_jax.evaluation import mean_nees, nees
@@ -99,20 +99,26 @@ def test_all_objects_tell_of_the_calibrations_error(views, uncertainty):
     assert max(gains) < -1.0
 
 
-def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty):
-    """Least squares with the calibration's errors as unknowns, beside both poses."""
-    rng = np.random.default_rng(2)
+UNCERTAIN = dataclasses.replace(
+    MODEL, covariance=np.tile(1e-4**2 * np.eye(3), (len(MODEL.vertices), 1, 1))
+)
+
+
+@pytest.mark.parametrize("model", [MODEL, UNCERTAIN], ids=["exact model", "measured model"])
+def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model):
+    """Least squares with the errors of the calibration and the model's as unknowns, for both."""
+    rng, prepared = np.random.default_rng(2), Prepared.of(model)
     pictures = together(drawn(MODEL, views, POSE, 0.2, rng), drawn(MODEL, views, BESIDE, 0.2, rng))
     scene = scene_of(views, pictures)
-    before = [alone(scene, pose, uncertainty) for pose in (POSE, BESIDE)]
-    after = refined_together(before, scene, PREPARED, uncertainty)
+    before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, BESIDE)]
+    after = refined_together(before, scene, [prepared], uncertainty)
     own = [one.refined.equations for one in after]
     J = block_diag(*(one.by_pose for one in own))
     # Equations are about the refined poses: there the best tangent of all unknowns is zero.
     r = np.concatenate([one.residuals for one in own])
     weights = 1.0 / np.sqrt(np.concatenate([np.diagonal(one.noise) for one in own]))
     root = np.linalg.cholesky(uncertainty.covariance)
-    B = np.concatenate([one.by_calibration for one in own]) @ root
+    B = np.concatenate([np.hstack([e.by_calibration @ root, 1e-4 * e.by_vertices]) for e in own])
     numbers = B.shape[1]
     A = np.block(
         [[weights[:, None] * J, weights[:, None] * B],
@@ -137,21 +143,3 @@ def test_what_is_not_accepted_stays_as_it_is(views, uncertainty):
     one = alone(scene, POSE, uncertainty)
     left = one._replace(verdict=one.verdict._replace(decision="open"))
     assert refined_together([one, left], scene, PREPARED, uncertainty) == [one, left]
-
-
-def test_errors_of_a_model_are_common_to_its_objects(views):
-    """Two boxes of one measured model: the error of its size is one for both."""
-    rng, exact = np.random.default_rng(3), CalibrationUncertainty.none(views)
-    uncertain = dataclasses.replace(
-        MODEL, covariance=np.tile(1e-4**2 * np.eye(3), (len(MODEL.vertices), 1, 1))
-    )
-    pictures = together(drawn(MODEL, views, POSE, 0.1, rng), drawn(MODEL, views, BESIDE, 0.1, rng))
-    scene = scene_of(views, pictures)
-    prepared = Prepared.of(uncertain)
-    before = [alone(scene, pose, exact, prepared) for pose in (POSE, BESIDE)]
-    after = refined_together(before, scene, [prepared], exact)
-    shift = after[1].world_from_object[:3, 3] - after[0].world_from_object[:3, 3]
-    expected = placed(np.zeros(3), BESIDE) - placed(np.zeros(3), POSE)
-    assert np.linalg.norm(shift - expected) < 4e-5
-    for one in after:
-        assert np.trace(one.refined.model[:3, :3]) > 4e-5**2
