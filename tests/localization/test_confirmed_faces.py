@@ -9,7 +9,10 @@ from placed_box import MIDDLE, MODEL, POSE
 from solids import box
 
 from smartview_jax.localization import EdgeLookup, Wireframe
-from smartview_jax.localization.confirmed_faces import largest_unconfirmed_face
+from smartview_jax.localization.confirmed_faces import (
+    CONFIRMED_SHARE,
+    largest_unconfirmed_face,
+)
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 from smartview_jax.localization.refinement import measured_lines
 
@@ -54,7 +57,7 @@ def test_one_short_edge_that_is_there_by_chance_confirms_no_face(views):
     share = lines.visible_px[:, shortest].sum() / lines.visible_px[:, far].sum()
     assert len(lengths) == 4
     size, _ = asked(views, MODEL, hidden=[k for k in far if k != shortest])
-    assert (size > 0.1) == (share < 0.2)
+    assert (size > 0.1) == (share < CONFIRMED_SHARE)
     assert asked(views, MODEL, hidden=far)[0] > 0.1
     assert asked(views, MODEL, hidden=far[:1])[0] == 0.0
 
