@@ -18,8 +18,8 @@ EXACT_PX = 0.5
 CONFIRMED_SHARE = 0.15
 """Part of the visible edges of a face that has to be found.
 
-One short edge of a face may lie on an edge of something else, by chance, in all views. Between 0.10
-and 0.16 of it 229 scenes and 235 wrong poses at other solids were decided alike, but for three.
+One short edge of a face may lie on an edge of something else, by chance, in all views. All between
+0.10 and 0.16 decide 380 right poses and 235 wrong ones at other solids alike, but for two.
 """
 
 
