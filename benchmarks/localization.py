@@ -3,7 +3,8 @@
 Five polyhedra of 50 to 70 mm, two of them symmetric, before an arm whose joints, links, mount and
 lens err: alone, among clutter, with some 30 % of their edges hidden, one to eight in a bin, scenes
 of another object, and empty ones. In each, what is there is looked for together with a model of
-what is not. A pose is right within 3 degrees and 5 mm, up to symmetry.
+what is not. A pose is right within 3 degrees and 5 mm, up to symmetry. In further scenes there are
+but solids that are like the one that is looked for in all but one or two of their sizes.
 
 The scenes are run by several processes, each with cells of its own, and every record is a line of a
 JSON file, so that an interrupted run goes on where it was.
@@ -32,10 +33,12 @@ from .localization_trials import trial
 RESULTS = Path(__file__).parents[1] / "build" / "localization" / "records.jsonl"
 """Where the records are, unless stated."""
 
-SCENES = {"single": 80, "occluded": 60, "clutter": 40, "bin": 80, "wrong": 30, "empty": 20}
+SCENES = {
+    "single": 80, "occluded": 60, "clutter": 40, "bin": 80, "wrong": 30, "empty": 20, "similar": 60,
+}  # fmt: skip
 """Number of scenes of each kind."""
 
-SMOKE_SCENES = {"single": 1, "bin": 1, "empty": 1}
+SMOKE_SCENES = {"single": 1, "bin": 1, "empty": 1, "similar": 1}
 
 FIRST_SEED = 20_000
 """Seed of the first scene of each kind; nothing was tuned on seeds from here on."""

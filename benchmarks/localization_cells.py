@@ -32,12 +32,13 @@ from .localization_scenes import (
     plain_surfaces,
     printed_table,
     resting,
+    similar_solids,
     solids,
 )
 
-KINDS = ("single", "occluded", "clutter", "bin", "wrong", "empty")
+KINDS = ("single", "occluded", "clutter", "bin", "wrong", "empty", "similar")
 """Alone, with some 30 % of its edges hidden, among clutter, 1 to 8 in a bin, another object than
-those that are looked for, and none."""
+those that are looked for, none, and solids like the one that is looked for but for their sizes."""
 
 DISTANCE = (0.38, 0.46)
 """Distances of the cameras from the middle of the scene, m."""
@@ -100,7 +101,7 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
     rng, names = np.random.default_rng((seed, KINDS.index(kind), 7)), list(solids())
     # Each object equally often, whatever the order in which scenes are made.
     order = names[seed % len(names) :] + names[: seed % len(names)]
-    present = {"empty": 0, "bin": 1 + (seed // len(names)) % 8}.get(kind, 1)
+    present = {"empty": 0, "similar": 0, "bin": 1 + (seed // len(names)) % 8}.get(kind, 1)
     objects = [model_of(solids()[name], name) for name in (2 * order)[:present]]
     others = order[1:2] if kind == "bin" and present == 1 else order[present : present + 1]
     if kind in ("wrong", "empty"):
@@ -123,6 +124,8 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
     if kind in ("clutter", "occluded", "empty", "wrong"):
         middle = placed[0] if placed else box(0.05, 0.05, 0.03).moved(shift)
         around = clutter(middle, rng)
+    if kind == "similar":
+        around = similar_solids(solids()[order[0]], cell.centre, rng)
     calibration = true_calibration(cell)
     if kind == "occluded":
         bar = occluder(objects[0], truth[0], camera_poses, calibration, rng, around)

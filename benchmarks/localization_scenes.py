@@ -229,6 +229,23 @@ def clutter(placed: Polyhedron, rng: np.random.Generator) -> list[Polyhedron]:
     return others
 
 
+def similar_solids(
+    solid: Polyhedron, centre: np.ndarray, rng: np.random.Generator
+) -> list[Polyhedron]:
+    """Return six solids about a point that are like a solid but for one or two of their sizes."""
+    found = []
+    for k in range(6):
+        stretch, axes = np.ones(3), rng.permutation(3)[: rng.integers(1, 3)]
+        shorter, longer = rng.uniform(0.6, 0.9, len(axes)), rng.uniform(1.12, 1.5, len(axes))
+        stretch[axes] = np.where(rng.random(len(axes)) < 0.5, shorter, longer)
+        angle, reach = 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / 6, rng.uniform(0.05, 0.075)
+        own = solid._replace(vertices=solid.vertices * stretch)
+        pose = resting(own, rng)
+        pose[:2, 3] += centre[:2] + reach * np.array([np.cos(angle), np.sin(angle)])
+        found.append(own.moved(pose))
+    return found
+
+
 def occluder(
     model: ObjectModel,
     world_from_object: np.ndarray,

@@ -36,8 +36,11 @@ def print_tables(records: list[dict[str, Any]], seconds: list[float], smoke: boo
         print("no records")
         return False
     print(f"{len(records)} scenes, {len({r['cell'] for r in records})} cells")
+    similar = [r for r in records if r["kind"] == "similar"]
+    records = [r for r in records if r["kind"] != "similar"]
     recalls = _print_recall(records)
     wrong = _print_false_accepts(records)
+    _print_similar(similar)
     ratio = _print_accuracy(records)
     _print_peers(records)
     _print_third_views(records)
@@ -109,6 +112,18 @@ def _print_false_accepts(records: list[dict[str, Any]]) -> float:
             f"   {wrong}/{searches}: {low:.2%} to {high:.2%}"
         )
     return max(shares["true"], shares[AFTER_THIRD])
+
+
+def _print_similar(records: list[dict[str, Any]]) -> None:
+    """Print in how many scenes of solids like it an object is accepted that is not there."""
+    if not records:
+        return
+    shares = []
+    for name in CALIBRATIONS:
+        wrong = sum(any(o["decision"] == "accepted" for o in r[name]) for r in records)
+        low, high = interval(wrong, len(records))
+        shares.append(f"{name} {wrong}/{len(records)} ({low:.1%} to {high:.1%})")
+    print(f"at solids like it but for one or two sizes accepted: {', '.join(shares)}")
 
 
 def _searches(record: dict[str, Any]) -> int:
