@@ -9,6 +9,7 @@ from .features import Features as Features
 from .features import find as find
 from .ideal_plane import IdealPlane as IdealPlane
 from .lone_edges import CLEARANCE as CLEARANCE
+from .lone_edges import lone_points as lone_points
 from .picture_evidence import DISTANCE_STEP as DISTANCE_STEP
 from .picture_evidence import FAR as FAR
 from .picture_evidence import ORIENTATIONS as ORIENTATIONS

@@ -14,8 +14,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .lone_edges import lone_points
-
 SMOOTHING = 1.0
 """Standard deviation of the smoothing before the gradient is taken, px."""
 
@@ -40,25 +38,12 @@ class EdgePoints(NamedTuple):
         normals: unit directions of the gradient, from dark to light.
         strengths: magnitudes of the gradient, grey levels per px.
         cells: column and row of the pixel that each belongs to.
-        lone: whether no other edge is so near that it displaces the point (`lone_points`).
     """
 
     pixels: Float[np.ndarray, "points 2"]
     normals: Float[np.ndarray, "points 2"]
     strengths: Float[np.ndarray, "points"]
     cells: Int[np.ndarray, "points 2"]
-    lone: Bool[np.ndarray, "points"]
-
-    @classmethod
-    def of(
-        cls,
-        pixels: Float[np.ndarray, "points 2"],
-        normals: Float[np.ndarray, "points 2"],
-        strengths: Float[np.ndarray, "points"],
-        cells: Int[np.ndarray, "points 2"],
-    ) -> "EdgePoints":
-        """Return edge points, after looking which of them are alone."""
-        return cls(pixels, normals, strengths, cells, lone_points(pixels, normals, cells))
 
 
 def noise_of(grey: Float[np.ndarray, "rows columns"]) -> float:
@@ -109,7 +94,7 @@ def find_edge_points(grey: Float[np.ndarray, "rows columns"]) -> EdgePoints:
     pixels[np.arange(len(row)), np.where(along_u, 0, 1)] += shift
     strengths = magnitude[row, column]
     normals = slopes[row, column] / strengths[:, None]
-    return EdgePoints.of(pixels, normals, strengths, np.column_stack([column, row]))
+    return EdgePoints(pixels, normals, strengths, np.column_stack([column, row]))
 
 
 def _peaks(

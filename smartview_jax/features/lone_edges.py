@@ -16,7 +16,9 @@ from itertools import product
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
+
+from .edge_points import EdgePoints
 
 CLEARANCE = 5.0
 """Distance from another edge, px, within which a blurred edge is displaced by it."""
@@ -34,18 +36,9 @@ SPREAD = 1
 """Number of pixels by which displaced points spread to their neighbours."""
 
 
-def lone_points(
-    pixels: Float[np.ndarray, "points 2"],
-    normals: Float[np.ndarray, "points 2"],
-    cells: Int[np.ndarray, "points 2"],
-) -> Bool[np.ndarray, "points"]:
-    """Return which edge points are farther than `CLEARANCE` from all other edges.
-
-    Args:
-        pixels: sub-pixel positions, px.
-        normals: unit directions across the edges.
-        cells: column and row of the pixel that each belongs to.
-    """
+def lone_points(points: EdgePoints) -> Bool[np.ndarray, "points"]:
+    """Return which edge points of a picture are farther than `CLEARANCE` from all other edges."""
+    pixels, normals, cells = points.pixels, points.normals, points.cells
     if not len(pixels):
         return np.zeros(0, dtype=bool)
     # With a margin, no search leaves the table.

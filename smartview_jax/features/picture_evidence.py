@@ -19,6 +19,7 @@ from ..cameras import Camera
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
 from .ideal_plane import IdealPlane
+from .lone_edges import lone_points
 from .picture_checks import grey_levels
 
 ORIENTATIONS = 8
@@ -74,11 +75,13 @@ class PictureEvidence(NamedTuple):
     Attributes:
         features: segments and corners.
         edge_points: of the whole picture, sub-pixel.
+        lone: which of them have no other edge beside them, which would displace them.
         maps: distances from its segments.
     """
 
     features: Features
     edge_points: EdgePoints
+    lone: Bool[np.ndarray, "points"]
     maps: EdgeMaps
 
 
@@ -95,7 +98,8 @@ def picture_evidence(picture: np.ndarray, camera: Camera) -> PictureEvidence:
     grey = grey_levels(picture, camera)
     edge_points = find_edge_points(grey)
     features = features_from_edge_points(grey, edge_points, camera)
-    return PictureEvidence(features, edge_points, edge_maps(features, camera))
+    lone = lone_points(edge_points)
+    return PictureEvidence(features, edge_points, lone, edge_maps(features, camera))
 
 
 def edge_maps(features: Features, camera: Camera) -> EdgeMaps:

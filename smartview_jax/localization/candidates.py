@@ -96,6 +96,7 @@ class Scene:
         self.views, self.pictures, self.known = views, pictures, known
         # The points stay as they are; only which of them are free changes.
         self._points = [one.edge_points for one in pictures]
+        self._lone = [one.lone for one in pictures]
         self._free = [np.ones(len(points.pixels), dtype=bool) for points in self._points]
         self._strengths = [points.strengths for points in self._points]
         self._surfaces = KnownSurfaces(views)
@@ -104,7 +105,7 @@ class Scene:
 
     def _lookup(self) -> EdgeLookup:
         size, depths = self.views.camera.image_size, self._surfaces.inverse_depth
-        return EdgeLookup.of(self._points, size, self._free, depths)
+        return EdgeLookup.of(self._points, size, self._free, depths, self._lone)
 
     def take(
         self,

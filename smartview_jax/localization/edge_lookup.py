@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..array_namespace import to_device
-from ..features import EdgePoints
+from ..features import EdgePoints, lone_points
 from ..padding import power_of_two_from, repeat_last
 
 MIN_POINTS = 32_768
@@ -54,6 +54,7 @@ class EdgeLookup(eqx.Module):
         image_size: tuple[int, int],
         usable: Sequence[Bool[np.ndarray, "_"]] | None = None,
         inverse_depth: Float[np.ndarray, "_ known_rows known_columns"] | None = None,
+        lone: Sequence[Bool[np.ndarray, "_"]] | None = None,
     ) -> "EdgeLookup":
         """Return the lookup of the edge points of some pictures.
 
@@ -62,6 +63,7 @@ class EdgeLookup(eqx.Module):
             image_size: width and height, px.
             usable: for each view, which points may be used; all by default.
             inverse_depth: of the nearest known surfaces (`KnownSurfaces`), 1/m; none by default.
+            lone: for each view, which points no other edge displaces; looked for by default.
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
         # One more than there are: the last stands for none.
@@ -69,18 +71,19 @@ class EdgeLookup(eqx.Module):
         cells = np.full((views, image_size[1], image_size[0]), count - 1, dtype=np.int32)
         pixels = np.full((views, count, 2), FAR_AWAY)
         normals, strengths = np.zeros((views, count, 2)), np.zeros((views, count))
-        lone = np.zeros((views, count), dtype=bool)
+        is_lone = np.zeros((views, count), dtype=bool)
         for view, points in enumerate(pictures):
             own = np.arange(len(points.pixels), dtype=np.int32)
             chosen = own if usable is None else own[usable[view]]
             _write_cells(cells[view], points.cells[chosen], chosen)
             pixels[view, own], normals[view, own] = points.pixels, points.normals
-            strengths[view, own], lone[view, own] = points.strengths, points.lone
+            strengths[view, own] = points.strengths
+            is_lone[view, own] = lone_points(points) if lone is None else lone[view]
         nearest = np.zeros((views, *(-(-size // KNOWN_CELL_PX) for size in image_size[::-1])))
         if inverse_depth is not None:
             nearest[: len(pictures)] = inverse_depth
         valid = np.arange(views) < len(pictures)
-        return cls(*map(to_device, (cells, pixels, normals, strengths, lone, nearest, valid)))
+        return cls(*map(to_device, (cells, pixels, normals, strengths, is_lone, nearest, valid)))
 
 
 def padded_view_count(count: int) -> int:

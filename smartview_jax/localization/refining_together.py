@@ -93,6 +93,7 @@ def _measured_anew(
         scene.views.camera.image_size,
         [np.logical_and.reduce(own) for own in zip(*(o.free for o in others), strict=True)],
         np.maximum.reduce([other.inverse_depth for other in others]),
+        [picture.lone for picture in scene.pictures],
     )
     own = prepared[one.model_index]
     try:

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.special import erf
 
-from smartview_jax.features.edge_points import SMOOTHING, find_edge_points
+from smartview_jax.features.edge_points import SMOOTHING, EdgePoints, find_edge_points
 from smartview_jax.features.lone_edges import (
     BESIDE,
     CLEARANCE,
@@ -56,7 +56,7 @@ def test_they_are_those_of_all_pairs(seed):
     expected = ~spread(points.cells, beside_another(points))
     assert 0.2 < expected.mean() < 0.98
     # Pixels that hold two points are seen once.
-    assert (points.lone == expected).mean() > 0.995
+    assert (lone_points(points) == expected).mean() > 0.995
 
 
 def two_steps(distance, ratio):
@@ -76,7 +76,7 @@ def test_another_edge_displaces_a_point_as_the_formula_says(distance, ratio):
     expected = ratio * 0.5 * s2 * np.exp(-0.5 * distance * (distance - 2.0) / s2)
     moved = float((points.pixels[first, 0] - 40.0).mean())
     assert moved == pytest.approx(expected, rel=0.15)
-    assert not points.lone.any()
+    assert not lone_points(points).any()
 
 
 @pytest.mark.parametrize("distance", [5.5, 9.0])
@@ -84,7 +84,7 @@ def test_edges_that_are_far_apart_are_lone_and_stay_where_they_are(distance):
     points = find_edge_points(two_steps(distance, 0.8))
     first = np.abs(points.pixels[:, 0] - 40.0) < 1.5
     assert abs(float((points.pixels[first, 0] - 40.0).mean())) < 2e-3
-    assert points.lone.all()
+    assert lone_points(points).all()
 
 
 def test_points_where_two_edges_run_into_each_other_are_not_lone():
@@ -98,10 +98,12 @@ def test_points_where_two_edges_run_into_each_other_are_not_lone():
     at_the_edge = np.abs(v - 59.5) < 1.0
     # The shadow's border is 1 + (u - 20) / 13 below the edge, its last row being drawn in full.
     near, far = (u > 40) & (u < 65), (u > 110) & (u < 260)
-    assert not points.lone[at_the_edge & near].any()
-    assert points.lone[at_the_edge & far].all()
+    lone = lone_points(points)
+    assert not lone[at_the_edge & near].any()
+    assert lone[at_the_edge & far].all()
 
 
 def test_no_points_are_no_error():
     none = np.zeros((0, 2))
-    assert lone_points(none, none, none.astype(int)).shape == (0,)
+    points = EdgePoints(none, none, np.zeros(0), none.astype(int))
+    assert lone_points(points).shape == (0,)

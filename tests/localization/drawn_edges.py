@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, Delaunay
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
 from smartview_jax.compilation import compiled
-from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps
+from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps, lone_points
 from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import SeenViews
@@ -78,7 +78,7 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
         width, rows = views.camera.image_size
         inside = (cells >= 0).all(axis=1) & (cells < [width, rows]).all(axis=1)
         strengths = np.full(int(inside.sum()), 20.0)
-        pictures.append(EdgePoints.of(pixels[inside], normals[inside], strengths, cells[inside]))
+        pictures.append(EdgePoints(pixels[inside], normals[inside], strengths, cells[inside]))
     return pictures
 
 
@@ -112,13 +112,12 @@ def evidence(pictures):
     """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
     features = no_features()
     maps = edge_maps(features, camera())
-    return [PictureEvidence(features, points, maps) for points in pictures]
+    return [PictureEvidence(features, points, lone_points(points), maps) for points in pictures]
 
 
 def together(*pictures):
     """The edge points of several drawings of the same views, beside each other."""
-    found = []
-    for one in zip(*pictures, strict=True):
-        *parts, _ = (np.concatenate(part) for part in zip(*one, strict=True))
-        found.append(EdgePoints.of(*parts))
-    return found
+    return [
+        EdgePoints(*(np.concatenate(parts) for parts in zip(*one, strict=True)))
+        for one in zip(*pictures, strict=True)
+    ]

@@ -98,7 +98,7 @@ def along(start, direction, length):
     direction = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     pixels = np.asarray(start) + np.arange(0.0, length)[:, None] * direction
     normals = np.tile([-direction[1], direction[0]], (len(pixels), 1))
-    return EdgePoints.of(pixels, normals, np.ones(len(pixels)), np.round(pixels).astype(int))
+    return EdgePoints(pixels, normals, np.ones(len(pixels)), np.round(pixels).astype(int))
 
 
 def joined(*edges):

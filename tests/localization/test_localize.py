@@ -64,7 +64,7 @@ def clutter(rng, count=40):
         cells = np.round(pixels).astype(int)
         inside = ((cells >= 0) & (cells < camera().image_size)).all(axis=1)
         strengths = np.full(int(inside.sum()), 20.0)
-        pictures.append(EdgePoints.of(pixels[inside], normals[inside], strengths, cells[inside]))
+        pictures.append(EdgePoints(pixels[inside], normals[inside], strengths, cells[inside]))
     return pictures
 
 
