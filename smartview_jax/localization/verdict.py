@@ -54,11 +54,18 @@ one is not, much of what is missing has to be of edges that end somewhere, and t
 behind something, not as at the corner of another solid (`log_likelihood_of_ends`).
 """
 
-CONFIRMED_SIZE = 0.1
+CONFIRMED_SIZE = 0.12
 """Smallest size of a face that is to be confirmed: visible length of its edges over that of all.
 
 In 60 scenes of solids that are like the model in some of their sizes 58 wrong poses fitted exactly,
 all but one with an unconfirmed face of 0.13 or more. Of 180 right poses 164 had none of 0.1.
+"""
+
+UNCONFIRMED_SHARE = 0.9
+"""Explained share from which a pose with a face that is not confirmed may be accepted.
+
+Below it, how its edges end has to speak for something that hides them, as above. At solids that are
+like the model up to 84 % of the edges were explained in two pictures.
 """
 
 PARTLY_HIDDEN = 0.3
@@ -192,7 +199,7 @@ def judge(
     doubts = []
     if share < _accepted_share(evidence, is_certain):
         more = f", and fit to {rms:.2f} px" if share >= ACCEPTED_SHARE else ""
-        more = f"{more}, and too little of one of its faces" if ends_are_asked(evidence) else more
+        more = ", and too little of one of its faces" if ends_are_asked(evidence) else more
         doubts.append(f"only {share:.0%} of its visible edges are in the pictures{more}")
     few_will_do = rms <= EXACT_EDGE_RMS and evidence.log_odds >= SUFFICIENT_LOG_ODDS
     is_few = evidence.edges < ACCEPTED_EDGES and not few_will_do
@@ -237,11 +244,13 @@ def _accepted_share(evidence: Evidence, is_certain: bool) -> float:
     if evidence.edge_rms > EXACT_EDGE_RMS or (is_alone and not is_certain):
         return LOOSE_SHARE
     is_hidden = evidence.partly_hidden >= PARTLY_HIDDEN and evidence.log_ends >= MIN_LOG_ENDS
-    is_whole = evidence.unconfirmed < CONFIRMED_SIZE
-    return HIDDEN_SHARE if is_certain and (is_whole or is_hidden) else ACCEPTED_SHARE
+    if is_certain and (is_hidden or evidence.unconfirmed < CONFIRMED_SIZE):
+        return HIDDEN_SHARE
+    # The size is NaN for a model without faces, which nothing can confirm or refute.
+    return UNCONFIRMED_SHARE if evidence.unconfirmed >= CONFIRMED_SIZE else ACCEPTED_SHARE
 
 
 def ends_are_asked(evidence: Evidence) -> bool:
     """Return whether it matters how edges end: much is missing, and a face is not confirmed."""
-    # The size is NaN for a model without faces: nothing can confirm it.
-    return evidence.explained < ACCEPTED_SHARE and not evidence.unconfirmed < CONFIRMED_SIZE
+    asked = UNCONFIRMED_SHARE if evidence.unconfirmed >= CONFIRMED_SIZE else ACCEPTED_SHARE
+    return evidence.explained < asked and not evidence.unconfirmed < CONFIRMED_SIZE

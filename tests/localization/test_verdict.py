@@ -91,6 +91,17 @@ def test_hidden_object_with_an_unconfirmed_face_is_accepted_only_where_something
     )
 
 
+def test_a_face_that_is_not_confirmed_needs_more_of_the_edges():
+    """Another solid, of another size, explains most of what is seen."""
+    assert verdict(explained=0.85, unconfirmed=0.05).decision == "accepted"
+    assert verdict(explained=0.85, unconfirmed=np.nan).decision == "accepted"
+    found = verdict(explained=0.85, unconfirmed=0.2)
+    assert found.decision == "open"
+    assert "too little of one of its faces" in found.reasons[0]
+    assert verdict(explained=0.93, unconfirmed=0.2).decision == "accepted"
+    assert verdict(explained=0.85, unconfirmed=0.2, log_ends=3.0).decision == "accepted"
+
+
 def test_loosely_fitting_pose_needs_more_of_its_edges():
     assert verdict(explained=0.85).decision == "accepted"
     loose = verdict(explained=0.85, edge_rms=0.6)
