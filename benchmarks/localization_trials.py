@@ -175,10 +175,11 @@ def _beside(
     bounds, peers = [], []
     views = SeenViews.of(calibration, poses)
     # The bound counts all points of an edge, also those that another edge displaces.
-    points, every = zip(
-        *((one.edge_points, np.ones_like(one.lone)) for one in evidence), strict=True
+    lookup = EdgeLookup.of(
+        [one.edge_points for one in evidence],
+        calibration.camera.image_size,
+        lone=[np.ones_like(one.lone) for one in evidence],
     )
-    lookup = EdgeLookup.of(points, calibration.camera.image_size, lone=every)
     for one in found.accepted:
         k, angle, shift = _nearest(scene, one)
         if k is None or not is_right(angle, shift):

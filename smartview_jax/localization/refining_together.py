@@ -30,7 +30,8 @@ class _Claim(NamedTuple):
 
     Attributes:
         free: which edge points of each view it does not explain.
-        inverse_depth: of its surface in each view, 1/m; zero where it is not.
+        inverse_depth: of its surface, and of all that is known to stand there, in each view, 1/m;
+            zero where nothing is.
     """
 
     free: list[Bool[np.ndarray, "_"]]
@@ -55,12 +56,8 @@ def refined_together(
     if len(accepted) < 2:
         return list(found)
     claims = [_claim(one, prepared[one.model_index], scene) for one in accepted]
-    walls = KnownSurfaces(scene.views)
-    walls.add_triangles(scene.known)
-    everything = [np.ones(len(one.edge_points.pixels), dtype=bool) for one in scene.pictures]
-    known = _Claim(everything, walls.inverse_depth)
     refined = [
-        _measured_anew(one, [known, *claims[:k], *claims[k + 1 :]], scene, prepared, uncertainty)
+        _measured_anew(one, claims[:k] + claims[k + 1 :], scene, prepared, uncertainty)
         for k, one in enumerate(accepted)
     ]
     poses = _solved_together(refined, accepted, uncertainty)
@@ -71,6 +68,7 @@ def refined_together(
 def _claim(one: Localization, prepared: Prepared, scene: Scene) -> _Claim:
     """Return the parts of the pictures that an object takes from the others."""
     surface = KnownSurfaces(scene.views)
+    surface.add_triangles(scene.known)
     surface.add(prepared.coarse, one.world_from_object)
     free = []
     for view, picture in enumerate(scene.pictures):
@@ -113,11 +111,11 @@ def _solved_together(
     uncertainty: CalibrationUncertainty,
 ) -> list[RefinedPose]:
     """Return poses with the errors in common that all objects tell of."""
-    # Of a model there may be several objects, whose vertices err alike.
-    errors = {one.model_index: CommonErrors.of(uncertainty, one.model) for one in objects}
     if not len(uncertainty.names) and all(one.model.is_exact for one in objects):
         # Nothing is common: each pose is what it is alone.
         return list(refined)
+    # Of a model there may be several objects, whose vertices err alike.
+    errors = {one.model_index: CommonErrors.of(uncertainty, one.model) for one in objects}
     equations = [pose.equations for pose in refined]
     by_vertices = [
         [

@@ -246,11 +246,16 @@ def _accepted_share(evidence: Evidence, is_certain: bool) -> float:
     is_hidden = evidence.partly_hidden >= PARTLY_HIDDEN and evidence.log_ends >= MIN_LOG_ENDS
     if is_certain and (is_hidden or evidence.unconfirmed < CONFIRMED_SIZE):
         return HIDDEN_SHARE
-    # The size is NaN for a model without faces, which nothing can confirm or refute.
-    return UNCONFIRMED_SHARE if evidence.unconfirmed >= CONFIRMED_SIZE else ACCEPTED_SHARE
+    return _unhidden_share(evidence)
 
 
 def ends_are_asked(evidence: Evidence) -> bool:
     """Return whether it matters how edges end: much is missing, and a face is not confirmed."""
-    asked = UNCONFIRMED_SHARE if evidence.unconfirmed >= CONFIRMED_SIZE else ACCEPTED_SHARE
-    return evidence.explained < asked and not evidence.unconfirmed < CONFIRMED_SIZE
+    is_confirmed = evidence.unconfirmed < CONFIRMED_SIZE
+    return evidence.explained < _unhidden_share(evidence) and not is_confirmed
+
+
+def _unhidden_share(evidence: Evidence) -> float:
+    """Return the explained share from which nothing has to hide what is missing."""
+    # The size is NaN for a model without faces, which nothing can confirm or refute.
+    return UNCONFIRMED_SHARE if evidence.unconfirmed >= CONFIRMED_SIZE else ACCEPTED_SHARE

@@ -3,13 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from drawn_edges import calibration
 from solids import box
 
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import Matches
-from smartview_jax.modeling import CalibrationUncertainty
 
 MODEL = box()
 POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
@@ -22,11 +20,6 @@ def placed(points, pose=POSE):
 
 
 MIDDLE = placed(MODEL.vertices.mean(axis=0))
-
-
-def robot_uncertainty(views):
-    """The uncertainty of views that a robot with `NOISE` takes, all else being known."""
-    return CalibrationUncertainty.of(views, calibration(), None, NOISE)
 
 
 def projected(views, points):

@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from drawn_edges import drawn, seen_views
-from placed_box import MIDDLE, MODEL, POSE
+from drawn_edges import drawn
+from placed_box import MODEL, POSE
 from solids import box
 
 from smartview_jax.localization import EdgeLookup, Wireframe
@@ -17,11 +17,6 @@ from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 from smartview_jax.localization.refinement import measured_lines
 
 SIDES = np.ptp(MODEL.vertices, axis=0)
-
-
-@pytest.fixture(scope="module")
-def views():
-    return seen_views(MIDDLE)
 
 
 def asked(views, seen, model=MODEL, **more):

@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 import pytest
-from drawn_edges import drawn, seen_views
-from placed_box import MIDDLE, MODEL, NOISE, POSE, placed, projected, robot_uncertainty
+from drawn_edges import drawn
+from placed_box import MODEL, NOISE, POSE, placed, projected
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import FIT_SAMPLES, EdgeLookup, Wireframe, refine_pose
@@ -14,16 +14,6 @@ from smartview_jax.localization.evidence import evidence_of
 from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations, solve_pose
 from smartview_jax.localization.refinement import measured_lines
 from smartview_jax.modeling import CalibrationUncertainty
-
-
-@pytest.fixture(scope="module")
-def views():
-    return seen_views(MIDDLE)
-
-
-@pytest.fixture(scope="module")
-def uncertainty(views):
-    return robot_uncertainty(views)
 
 
 def test_common_errors_are_those_of_a_least_squares_fit_that_has_them_as_unknowns():

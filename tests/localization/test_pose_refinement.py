@@ -42,11 +42,6 @@ from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenView
 
 
 @pytest.fixture(scope="module")
-def views():
-    return seen_views(MIDDLE)
-
-
-@pytest.fixture(scope="module")
 def wireframe():
     return Wireframe.of(MODEL, FIT_SAMPLES)
 

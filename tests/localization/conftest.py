@@ -1,0 +1,18 @@
+"""Two views of the placed box, and how uncertain a robot makes them."""
+
+import pytest
+from drawn_edges import calibration, seen_views
+from placed_box import MIDDLE, NOISE
+
+from smartview_jax.modeling import CalibrationUncertainty
+
+
+@pytest.fixture(scope="module")
+def views():
+    return seen_views(MIDDLE)
+
+
+@pytest.fixture(scope="module")
+def uncertainty(views):
+    """Of views that a robot with `NOISE` takes, all else being known."""
+    return CalibrationUncertainty.of(views, calibration(), None, NOISE)
