@@ -12,7 +12,6 @@ from jaxtyping import Float
 from ..features import PictureEvidence
 from ..modeling import ObjectModel, SeenViews
 from .distinct_poses import pose_distances
-from .edge_ends import log_likelihood_of_ends
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of, log_likelihood_of
@@ -20,7 +19,6 @@ from .hypotheses import Hypothesis
 from .known_surfaces import KnownSurfaces
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES, explained_edge_points, measured_lines
-from .verdict import ends_are_asked
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 MAX_HYPOTHESES = 24
@@ -140,15 +138,6 @@ class Scene:
     ) -> Evidence:
         """Return what `lines` say of their pose."""
         return evidence_of(lines, wireframe, self._strengths, chance, absorbed)
-
-    def with_ends(self, evidence: Evidence, lines: EdgeLines, wireframe: Wireframe) -> Evidence:
-        """Return evidence of a pose with that of how its edges end, where the verdict asks for it.
-
-        What another object explains is not found, but its outline may well be before an edge.
-        """
-        if not ends_are_asked(evidence):
-            return evidence
-        return evidence._replace(log_ends=log_likelihood_of_ends(lines, wireframe, self._points))
 
     def measured(
         self, prepared: Sequence[Prepared], candidates: Sequence[Candidate]

@@ -7,12 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from .chance import log_chance_of_exact_edges, log_odds_of
-from .confirmed_faces import largest_unconfirmed_face
 from .edge_lines import EdgeLines
+from .moved_faces import MovedFace
 from .wireframe import Wireframe
-
-PARTLY_HIDDEN_SHARES = (0.1, 0.92)
-"""Explained shares of an edge, lower and upper, between which the edge counts as partly hidden."""
 
 MIN_VIEW_PX = 60.0
 """Visible edge length, px, from which a view is judged by its own share."""
@@ -20,6 +17,9 @@ MIN_VIEW_PX = 60.0
 FOUND_PROBABILITY = 0.9
 """Probability that a piece of a truly visible edge has an edge point: shadows and equal brightness
 on both sides take the rest."""
+
+MIN_CHANCE, MAX_CHANCE = 0.02, 0.8
+"""Share of the visible length that clutter explains, within what few places can tell."""
 
 INDEPENDENT_LENGTH = 12.0
 """Length of an edge, px, whose being found or not counts as one observation."""
@@ -33,30 +33,28 @@ class Evidence(NamedTuple):
         explained_in_view: likewise in each view; NaN where too little of the object is visible.
         visible_px: visible edge length of all views, px.
         edges: number of measured edges, each view for itself.
-        unconfirmed: size of the largest face that is not found: see `largest_unconfirmed_face`.
-        partly_hidden: part of the missing length that is of edges of which a part is there.
+        has_faces: whether the model has any; without faces `moved` cannot be asked for.
         edge_rms: RMS distance of measured edges from the model, px.
         contrast: see `MIN_CONTRAST`.
         in_picture: part of the vertices within the picture, in the view that has most of them.
         in_front: part of its edges that no known object hides, all views together.
         log_likelihood: of the visible edges being found or not, over their being clutter.
         log_exactness: see `log_chance_of_exact_edges`.
-        log_ends: see `log_likelihood_of_ends`; zero where it was not asked for.
+        moved: see `likeliest_moved_face`; None where it was not asked for.
     """
 
     explained: float
     explained_in_view: tuple[float, ...]
     visible_px: float
     edges: int
-    unconfirmed: float
-    partly_hidden: float
+    has_faces: bool
     edge_rms: float
     contrast: float
     in_picture: float
     in_front: float
     log_likelihood: float
     log_exactness: float
-    log_ends: float = 0.0
+    moved: MovedFace | None = None
 
     @property
     def log_odds(self) -> float:
@@ -91,8 +89,7 @@ def evidence_of(
         tuple(in_view.tolist()),
         total,
         int(lines.measured.sum()),
-        largest_unconfirmed_face(lines, wireframe),
-        _partly_hidden(lines),
+        bool(np.asarray(wireframe.edge_faces).any()),
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
         _contrast(lines, strengths),
         float(lines.in_picture.max()),
@@ -102,21 +99,21 @@ def evidence_of(
     )
 
 
-def _partly_hidden(lines: EdgeLines) -> float:
-    """Return the part of the missing length that belongs to edges which are partly hidden."""
-    missing = lines.visible_px - lines.explained_px
-    shares = lines.explained_px / np.maximum(lines.visible_px, 1.0)
-    partly = (shares > PARTLY_HIDDEN_SHARES[0]) & (shares < PARTLY_HIDDEN_SHARES[1])
-    return float(missing[partly].sum() / max(missing.sum(), 1.0))
-
-
 def log_likelihood_of(share: float, visible_px: float, chance: float) -> float:
     """Return the log-likelihood of found and missing edge length over that of clutter."""
     # Each piece is found with probability q if the object is there, and with p if clutter is:
     #   l = n (x log(q / p) + (1 - x) log((1 - q) / (1 - p)))
-    p, q = float(np.clip(chance, 0.02, 0.8)), FOUND_PROBABILITY
+    p, q = float(np.clip(chance, MIN_CHANCE, MAX_CHANCE)), FOUND_PROBABILITY
     pieces = visible_px / INDEPENDENT_LENGTH
     return pieces * (share * np.log(q / p) + (1.0 - share) * np.log((1.0 - q) / (1.0 - p)))
+
+
+def log_likelihood_of_found(found_px: float, chance: float) -> float:
+    """Return the log-likelihood of edge length that is found over that of clutter.
+
+    What is missing does not count, because something may hide it.
+    """
+    return found_px / INDEPENDENT_LENGTH * float(np.log(FOUND_PROBABILITY / chance))
 
 
 def _contrast(lines: EdgeLines, strengths: Sequence[Float[np.ndarray, "_"]]) -> float:

@@ -16,9 +16,10 @@ from .corrected_views import corrected_views
 from .distinct_poses import in_one_place, pose_distances
 from .evidence import Evidence
 from .localization import Localization, Rival
+from .moved_faces import likeliest_moved_face
 from .pose_convergence import lengths_of_poses
 from .refinement import refine_pose
-from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, relative_std
+from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, may_be_another_size, relative_std
 
 MAX_JUDGED = 12
 """Largest number of poses that are judged, all models together."""
@@ -189,14 +190,18 @@ class _Judging:
         if rivals:
             other = self._prepared[rivals[0].model].model.name
             name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
+        views = scene.views
         # Rivals are not corrected, and are compared with what is not corrected either.
         if len(refined.calibration_error):
-            views = corrected_views(scene.views, self._uncertainty, refined.calibration_error)
+            views = corrected_views(views, self._uncertainty, refined.calibration_error)
             lines = scene.lines(pose, one.fine, views)
             evidence = scene.evidence(lines, one.fine, chance.mean, refined.absorbed)
-        evidence = scene.with_ends(evidence, lines, one.fine)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+        if verdict.decision == "accepted" and may_be_another_size(evidence):
+            moved = likeliest_moved_face(pose, one.model, lines, views, scene.lookup)
+            evidence = evidence._replace(moved=moved)
+            verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         return Localization(one.model, best.model, refined, verdict, tuple(rivals))
 
     def _rivals(

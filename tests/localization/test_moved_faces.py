@@ -1,0 +1,152 @@
+"""Where a face is moved to, and what is found there, on drawn edges of solids of other sizes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from drawn_edges import drawn, not_behind, together
+from placed_box import MIDDLE, MODEL, POSE
+from solids import box, prism
+
+from smartview_jax.geometry import host_exponentials
+from smartview_jax.localization import EdgeLookup, Wireframe
+from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
+from smartview_jax.localization.moved_faces import (
+    MOVED_SAMPLES,
+    _found_lengths,
+    _places,
+    _rates,
+    likeliest_moved_face,
+    movements_of_face,
+)
+from smartview_jax.localization.refinement import measured_lines
+from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
+
+SIDES = np.ptp(MODEL.vertices, axis=0)
+FAR = {0: "right", 1: "back", 2: "top"}
+BAR = box(0.012, 0.03, 0.08)
+
+
+def frustum():
+    """A truncated pyramid on a square: its edges to the top lean inwards."""
+    solid = box(0.06, 0.06, 0.03)
+    centre = np.array([0.03, 0.03, 0.0])
+    top = solid.vertices[:, 2:] > 0.0
+    return dataclasses.replace(
+        solid, vertices=np.where(top, centre + 0.6 * (solid.vertices - centre), solid.vertices)
+    )
+
+
+def pyramid():
+    vertices = np.array(
+        [[0, 0, 0], [0.05, 0, 0], [0.05, 0.05, 0], [0, 0.05, 0], [0.02, 0.03, 0.04]]
+    )
+    faces = tuple(Face(k) for k in ((3, 2, 1, 0), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)))
+    return ObjectModel(vertices, edges_of_faces(faces), faces)
+
+
+SOLIDS = {"box": MODEL, "frustum": frustum(), "prism": prism(5), "pyramid": pyramid()}
+
+
+def lookup_of(pictures, views):
+    return EdgeLookup.of(pictures, views.camera.image_size)
+
+
+def asked(pictures, views, model=MODEL):
+    lookup = lookup_of(pictures, views)
+    lines = measured_lines(Wireframe.of(model, 512), views, lookup, POSE, EXPLAINED_DISTANCE)
+    return likeliest_moved_face(POSE, model, lines, views, lookup)
+
+
+@pytest.mark.parametrize("name", ["box", "frustum", "prism"])
+def test_a_moved_face_leaves_the_planes_of_all_others(name):
+    model = SOLIDS[name]
+    for face in range(len(model.faces)):
+        moved = dataclasses.replace(
+            model, vertices=model.vertices + 0.004 * movements_of_face(model, face)
+        )
+        for other in range(len(model.faces)):
+            gap = moved.plane(other).origin - model.plane(other).origin
+            away = gap @ model.plane(other).normal
+            assert away == pytest.approx(0.004 if other == face else 0.0, abs=1e-12)
+            np.testing.assert_allclose(
+                moved.plane(other).normal, model.plane(other).normal, atol=1e-12
+            )
+
+
+def test_an_object_is_stretched_where_its_face_cannot_slide():
+    """Two edges and more lead to each vertex of a pyramid's side."""
+    model = SOLIDS["pyramid"]
+    normal = model.plane(1).normal
+    heights = (model.vertices - model.plane(1).origin) @ normal
+    movements = movements_of_face(model, 1)
+    np.testing.assert_allclose(movements[[0, 1, 4]], np.tile(normal, (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        movements, np.outer(1.0 - heights / heights.min(), normal), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_what_is_found_is_that_of_a_model_with_the_face_there(views, name):
+    model = SOLIDS[name]
+    lookup = lookup_of(drawn(MODEL, views, POSE, 0.05), views)
+    for face in range(len(model.faces)):
+        movements = movements_of_face(model, face)
+        places = _places(model, movements, POSE, views)
+        distances = places[:: max(len(places) // 4, 1)]
+        found = _found_lengths(
+            Wireframe.of(model, MOVED_SAMPLES),
+            _rates(Wireframe.of(model, MOVED_SAMPLES), model, movements),
+            distances,
+            POSE,
+            views,
+            lookup,
+        )
+        for distance, px in zip(distances, found, strict=True):
+            moved = dataclasses.replace(model, vertices=model.vertices + distance * movements)
+            wireframe = Wireframe.of(moved, MOVED_SAMPLES)
+            lines = measured_lines(wireframe, views, lookup, POSE, EXPLAINED_DISTANCE)
+            # Samples stand at other places of the edges.
+            assert px == pytest.approx(lines.explained_px.sum(), abs=40.0)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_no_edge_vanishes_where_a_face_is_moved(views, name):
+    model = SOLIDS[name]
+    a, b = model.edges.T
+    for face in range(len(model.faces)):
+        movements = movements_of_face(model, face)
+        places = _places(model, movements, POSE, views)
+        assert len(places) > 10
+        for distance in (places[0], places[-1]):
+            moved = model.vertices + distance * movements
+            along, before = moved[b] - moved[a], model.vertices[b] - model.vertices[a]
+            assert ((along * before).sum(axis=1) > 0.0).all()
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("stretch", [0.7, 1.4])
+def test_the_face_of_a_block_of_another_length_is_found_where_it_is(views, axis, stretch):
+    block = box(*(SIDES * np.where(np.arange(3) == axis, stretch, 1.0)))
+    found = asked(drawn(block, views, POSE, 0.05), views)
+    assert found.face is not None
+    assert MODEL.faces[found.face].name == FAR[axis]
+    assert found.distance == pytest.approx((stretch - 1.0) * SIDES[axis], abs=6e-4)
+    assert found.gained_px > 150.0
+
+
+def test_a_face_that_is_found_is_not_looked_for_elsewhere(views):
+    """A second block beside the first, which continues all its edges, takes nothing from it."""
+    beside = POSE.copy()
+    beside[:3, 3] += POSE[:3, 0] * SIDES[0]
+    pictures = together(*(drawn(MODEL, views, pose, 0.05) for pose in (POSE, beside)))
+    assert asked(pictures, views) == (None, 0.0, 0.0)
+
+
+def test_the_hidden_edges_of_an_object_are_nowhere(views):
+    bar = host_exponentials(np.array([0.0, 0.0, 0.0, 1.3, 0.5, 0.3]))
+    towards = views.centres.mean(axis=0) - MIDDLE
+    bar[:3, 3] = MIDDLE + 0.15 * towards - bar[:3, :3] @ [0.006, 0.015, 0.04]
+    behind = not_behind(drawn(MODEL, views, POSE, 0.05), views, BAR, bar)
+    found = asked(together(behind, drawn(BAR, views, bar, 0.05)), views)
+    assert found.gained_px < 60.0
