@@ -77,7 +77,10 @@ def test_pictures_in_which_nothing_can_be_seen_are_refused(factor, words):
 
 @pytest.mark.parametrize("gap", [0.0, 5e-4, 2e-3])
 def test_two_objects_that_touch_are_two(gap):
-    """Where their faces meet edges of both are at one place, which count for the first one only."""
+    """Where their faces meet edges of both are at one place, which count for the first one only.
+
+    The second has those of its other faces, and no face that is elsewhere.
+    """
     model = dataclasses.replace(MODEL, name="box", symmetry=find_symmetry(MODEL))
     second = POSE.copy()
     second[:3, 3] += POSE[:3, :3] @ [0.06 + gap, 0.0, 0.0]
@@ -95,5 +98,4 @@ def test_two_objects_that_touch_are_two(gap):
     for one in found:
         shifts = [errors(model, one.world_from_object[None], t)[1][0] for t in (POSE, second)]
         assert min(shifts) < 0.3
-    assert len(found.accepted) == (2 if gap > 1e-3 else 1)
-    assert len(found) == 2 or found.messages
+    assert len(found.accepted) == 2
