@@ -33,7 +33,8 @@ class Evidence(NamedTuple):
         explained_in_view: likewise in each view; NaN where too little of the object is visible.
         visible_px: visible edge length of all views, px.
         edges: number of measured edges, each view for itself.
-        has_faces: whether the model has any; without faces `moved` cannot be asked for.
+        has_faces: whether some edges of the model are between two faces; the size of anything else
+            cannot be asked for (`moved`).
         edge_rms: RMS distance of measured edges from the model, px.
         contrast: see `MIN_CONTRAST`.
         in_picture: part of the vertices within the picture, in the view that has most of them.
@@ -55,6 +56,11 @@ class Evidence(NamedTuple):
     log_likelihood: float
     log_exactness: float
     moved: MovedFace | None = None
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether it is of one picture only."""
+        return len(self.explained_in_view) == 1
 
     @property
     def log_odds(self) -> float:
@@ -89,7 +95,7 @@ def evidence_of(
         tuple(in_view.tolist()),
         total,
         int(lines.measured.sum()),
-        bool(np.asarray(wireframe.edge_faces).any()),
+        bool((np.asarray(wireframe.edge_faces).sum(axis=1) >= 2).any()),
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
         _contrast(lines, strengths),
         float(lines.in_picture.max()),

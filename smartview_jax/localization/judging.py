@@ -198,6 +198,7 @@ class _Judging:
             evidence = scene.evidence(lines, one.fine, chance.mean, refined.absorbed)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+        # Moving faces takes time, so that only what would be accepted is asked.
         if verdict.decision == "accepted" and may_be_another_size(evidence):
             moved = likeliest_moved_face(pose, one.model, lines, views, scene.lookup)
             evidence = evidence._replace(moved=moved)

@@ -1,17 +1,16 @@
 """Ask whether a face of an object is elsewhere: the pictures may show a solid of another size.
 
-Much of what is made has right angles and some lengths in common. A pose at the corner of another
-block fits exactly, as far as that block agrees with the model, and the rest could be hidden. What
-gives it away is that the rest of the block is there: where a face of the model is moved along its
-normal to where the block's own face is, its edges are found, in all views at the same distance. The
-hidden edges of the object itself are found nowhere.
+Many manufactured parts have right angles, and some lengths in common. A pose at the corner of
+another block fits exactly, as far as that block agrees with the model, and the rest could be
+hidden. What gives it away is that the rest of the block is there: a face of the model, moved along
+its normal to where the block has its own, finds that block's edges, at the same distance in all
+views. The hidden edges of the object itself are found nowhere.
 
 Each face of which too little is found is moved by itself. Its vertices slide along the edges that
 lead to it, so that all other faces stay in their planes; where that is not possible, the whole
 object is stretched along the normal.
 """
 
-import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -24,15 +23,16 @@ from jaxtyping import Array, Float
 from ..array_namespace import to_device
 from ..cameras import Camera
 from ..compilation import compiled_optimised
-from ..modeling import ObjectModel, SeenViews
+from ..modeling import ObjectModel, SeenViews, pixel_jacobians
 from ..padding import repeat_last
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .pose_convergence import THREADS
+from .refinement import places_on_edges
 from .wireframe import Wireframe
 
-MOVABLE_SHARE = 0.6
-"""Explained share of a face's edges from which the face is where the model has it."""
+FOUND_FACE_SHARE = 0.6
+"""Explained share of a face's edges from which the face counts as found, and is not moved."""
 
 MOVED_SAMPLES = 256
 """Number of points along all edges at which it is asked what is found."""
@@ -46,7 +46,7 @@ Edges are found within `EXPLAINED_DISTANCE` on both sides.
 MIN_MOVED_PX = 8.0
 """Smallest movement of a face that is elsewhere, px, in the picture where it moves most.
 
-An edge near its place in the model has the points that are there.
+Nearer, its edges would be explained by the same points as at its place in the model.
 """
 
 FARTHEST = 0.6
@@ -58,8 +58,11 @@ SHORTEST = 0.15
 MIN_SLOPE = 0.2
 """Smallest cosine between a face's normal and an edge along which its vertex slides."""
 
-MAX_PLACES = 160
-"""Largest number of places at which a face is tried, a limit of time."""
+THINNEST = 0.02
+"""Smallest height of a face that is moved, from the object's lowest point, over its extent."""
+
+MAX_PLACES = 240
+"""Largest number of places at which a face is tried, the nearest ones, a limit of time."""
 
 PLACES_PER_BATCH = 16
 """Number of places that are tried by one call of a compiled program."""
@@ -69,10 +72,11 @@ class MovedFace(NamedTuple):
     """The place of a face at which a solid like the model explains most of the pictures.
 
     Attributes:
-        face: index of the face in the model; None where no face has to be moved, or can be.
+        face: index of the face in the model; None if every face is found, or none explains more
+            elsewhere.
         distance: from its place in the model, along its outward normal, m.
-        gained_px: edge length that is found of such a solid, less that which is found of the model,
-            all views together, px.
+        gained_px: edge length found of the solid with the moved face, minus that found of the
+            model, all views together, px.
     """
 
     face: int | None
@@ -84,9 +88,10 @@ class _Rates(NamedTuple):
     """Derivatives of the arrays of a wireframe by the distance of a face, in which all is linear.
 
     Attributes:
-        vertices, samples, triangles, face_points, face_normals: changes.
-        sample_tangents: changes of the edges, over their lengths in the model: of an edge that
-            becomes longer the tangent does, and the samples stand for what they did.
+        vertices, samples, triangles, face_points: changes. Normals keep their directions where
+            vertices slide, and nearly do where the object is stretched.
+        sample_tangents: changes of the edges, over their lengths in the model. A tangent grows with
+            its edge, so that the unchanged `sample_lengths` still add up to the edge's length.
     """
 
     vertices: Float[Array, "V 3"]
@@ -94,7 +99,6 @@ class _Rates(NamedTuple):
     sample_tangents: Float[Array, "S 3"]
     triangles: Float[Array, "T 3 3"]
     face_points: Float[Array, "F 3"]
-    face_normals: Float[Array, "F 3"]
 
 
 def likeliest_moved_face(
@@ -104,7 +108,7 @@ def likeliest_moved_face(
     views: SeenViews,
     lookup: EdgeLookup,
 ) -> MovedFace:
-    """Return the face that would explain most of the pictures at another place than it has.
+    """Return the face that explains most more of the pictures where it is moved along its normal.
 
     Args:
         pose: world_from_object.
@@ -119,10 +123,12 @@ def likeliest_moved_face(
     visible, explained = (
         px.sum(axis=0) @ edge_faces for px in (lines.visible_px, lines.explained_px)
     )
-    for face in np.flatnonzero(explained < MOVABLE_SHARE * visible):
+    for face in np.flatnonzero(explained < FOUND_FACE_SHARE * visible):
         movements = movements_of_face(model, int(face))
-        # The model itself comes first.
+        # Distance 0, the model as it is, comes first.
         distances = np.append(0.0, _places(model, movements, pose, views))
+        if len(distances) == 1:
+            continue
         rates = _rates(wireframe, model, movements)
         found_px = _found_lengths(wireframe, rates, distances, pose, views, lookup)
         k = int(np.argmax(found_px))
@@ -133,25 +139,36 @@ def likeliest_moved_face(
 
 
 def movements_of_face(model: ObjectModel, face: int) -> Float[np.ndarray, "V 3"]:
-    """Return by what each vertex moves where a face moves by one along its outward normal.
+    """Return how far each vertex moves where a face moves by 1 m along its outward normal.
 
-    The vertices of the face slide along the edges that lead to it, one to each. Where there are
-    more or none, or where they lead along the face, the object is stretched: each vertex moves by
-    its height over the lowest one.
+    The vertices of the face slide along the edges that lead to it, one to each. Where several edges
+    or none lead to a vertex, or one runs nearly along the face, the whole object is stretched: each
+    vertex moves in proportion to its height above the lowest one. Nothing moves where the face is
+    not above it, as of a sheet.
     """
     border, normal = model.faces[face].indices, model.plane(face).normal
     movements = np.zeros_like(model.vertices)
     for vertex in border:
-        ends = {end for edge in model.edges.tolist() if vertex in edge for end in edge}
-        leading = sorted(ends - set(border))
-        along = model.vertices[vertex] - model.vertices[leading].mean(axis=0)
-        slope = float(along @ normal) / max(float(np.linalg.norm(along)), 1e-12)
-        if len(leading) != 1 or abs(slope) < MIN_SLOPE:
-            heights = model.vertices @ normal
-            heights = (heights - heights.min()) / max(float(np.ptp(heights)), 1e-12)
-            return heights[:, None] * normal
-        movements[vertex] = along / float(along @ normal)
+        ends = model.edges[(model.edges == vertex).any(axis=1)]
+        leading = sorted(set(ends.ravel().tolist()) - set(border))
+        if len(leading) != 1:
+            return _stretched(model, face)
+        along = model.vertices[vertex] - model.vertices[leading[0]]
+        slope = float(along @ normal)
+        if abs(slope) < MIN_SLOPE * float(np.linalg.norm(along)):
+            return _stretched(model, face)
+        movements[vertex] = along / slope
     return movements
+
+
+def _stretched(model: ObjectModel, face: int) -> Float[np.ndarray, "V 3"]:
+    """Return how far each vertex moves where the object is stretched along a face's normal."""
+    normal = model.plane(face).normal
+    heights = model.vertices @ normal
+    own = heights[model.faces[face].indices].mean() - heights.min()
+    if own < THINNEST * float(np.ptp(model.vertices, axis=0).max()):
+        return np.zeros_like(model.vertices)
+    return (heights - heights.min())[:, None] / own * normal
 
 
 def _places(
@@ -160,7 +177,10 @@ def _places(
     pose: Float[np.ndarray, "4 4"],
     views: SeenViews,
 ) -> Float[np.ndarray, "places"]:
-    """Return the distances at which a face is tried, m."""
+    """Return the distances at which a face is tried, m, the nearest first; none if it stays."""
+    px = _px_per_metre(model, movements, pose, views)
+    if px == 0.0:
+        return np.zeros(0)
     # No edge becomes shorter than a part of itself: length + t rate >= `SHORTEST` length.
     a, b = model.edges.T
     along = model.vertices[b] - model.vertices[a]
@@ -169,10 +189,10 @@ def _places(
     outwards, inwards = (
         float(((1.0 - SHORTEST) / own[own > 0.0]).min(initial=farthest)) for own in (-rates, rates)
     )
-    px = _px_per_metre(model, movements, pose, views)
-    step = max(STEP_PX / px, (inwards + outwards) / MAX_PLACES)
-    places = step * np.arange(-int(inwards / step), int(outwards / step) + 1)
-    return places[np.abs(places) * px >= MIN_MOVED_PX]
+    step = STEP_PX / px
+    steps = np.arange(-int(inwards / step), int(outwards / step) + 1)
+    steps = steps[np.abs(steps) * STEP_PX >= MIN_MOVED_PX]
+    return step * steps[np.argsort(np.abs(steps), kind="stable")][:MAX_PLACES]
 
 
 def _px_per_metre(
@@ -181,36 +201,33 @@ def _px_per_metre(
     pose: Float[np.ndarray, "4 4"],
     views: SeenViews,
 ) -> float:
-    """Return by how much the vertices move at most in a picture where a face moves by 1 m, px."""
-    camera_from_object = views.camera_from_world @ pose
-    R, t = camera_from_object[:, :3, :3], camera_from_object[:, None, :3, 3]
-    p, d = model.vertices @ R.swapaxes(1, 2) + t, movements @ R.swapaxes(1, 2)
-    # d(x / z) = (dx - (x / z) dz) / z; the lens changes little of it.
-    depths = np.maximum(p[..., 2:], 1e-6)
-    moved = (d[..., :2] - p[..., :2] / depths * d[..., 2:]) / depths
-    focal = max(float(views.camera.alpha_u), float(views.camera.alpha_v))
-    return focal * float(np.linalg.norm(moved, axis=2).max())
+    """Return the largest movement of a vertex in any picture where a face moves by 1 m, px."""
+    R, t = pose[:3, :3], pose[:3, 3]
+    by_point = pixel_jacobians(views, model.vertices @ R.T + t).by_point
+    moved = np.einsum("vpij,pj->vpi", by_point, movements @ R.T)
+    return float(np.linalg.norm(moved, axis=2).max(initial=0.0))
 
 
 def _rates(wireframe: Wireframe, model: ObjectModel, movements: Float[np.ndarray, "V 3"]) -> _Rates:
     """Return the derivatives of a model's wireframe by the distance of a face."""
-    unit = 1e-3 * float(np.ptp(model.vertices, axis=0).max())
-    moved = Wireframe.of(
-        dataclasses.replace(model, vertices=model.vertices + unit * movements, symmetry=None), 1
-    )
-    changes = {
-        name: (np.asarray(getattr(moved, name)) - np.asarray(getattr(wireframe, name))) / unit
-        for name in ("vertices", "triangles", "face_points", "face_normals")
-    }
-    # Samples stay at their parts of the edges.
-    a, b = model.edges[np.asarray(wireframe.sample_edges)].T
-    along = model.vertices[b] - model.vertices[a]
-    lengths = np.linalg.norm(along, axis=1, keepdims=True)
-    gaps = np.asarray(wireframe.samples) - model.vertices[a]
-    parts = (gaps * along).sum(axis=1, keepdims=True) / lengths**2
+    padded = np.zeros(wireframe.vertices.shape)
+    padded[: len(movements)] = movements
+    origins = np.zeros(wireframe.face_points.shape)
+    for k, face in enumerate(model.faces):
+        origins[k] = movements[list(face.loop)].mean(axis=0)
+    owners = np.asarray(wireframe.sample_edges)
+    a, b = model.edges[owners].T
+    lengths = np.linalg.norm(model.vertices[b] - model.vertices[a], axis=1)
+    parts = places_on_edges(model, np.asarray(wireframe.samples), owners)
     change = movements[b] - movements[a]
-    changes |= {"samples": movements[a] + parts * change, "sample_tangents": change / lengths}
-    return _Rates(**{name: to_device(change) for name, change in changes.items()})
+    return _Rates(
+        to_device(padded),
+        # Samples stay at their parts of the edges.
+        to_device(movements[a] + parts[:, None] * change),
+        to_device(change / lengths[:, None]),
+        to_device(padded[np.asarray(wireframe.triangle_vertices)]),
+        to_device(origins),
+    )
 
 
 def _found_lengths(

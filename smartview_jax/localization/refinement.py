@@ -229,7 +229,7 @@ def line_equations(
         R, t = world_from_object[:3, :3], world_from_object[:3, 3]
         found = pixel_jacobians(views, samples @ R.T + t)
         owners = np.asarray(wireframe.sample_edges)
-        places = _places_on_edges(model, samples, owners)
+        places = places_on_edges(model, samples, owners)
         # The samples of an edge differ in number, so that this is no array operation.
         for k, (v, e) in enumerate(zip(view, edge, strict=True)):
             own = np.flatnonzero((owners == e) & (lines.combination[v, 0] != 0.0))
@@ -255,7 +255,7 @@ def line_equations(
     )
 
 
-def _places_on_edges(
+def places_on_edges(
     model: ObjectModel, samples: Float[np.ndarray, "S 3"], owners: np.ndarray
 ) -> Float[np.ndarray, "S"]:
     """Return where samples are on their edges: 0 at the first vertex, 1 at the second."""

@@ -17,7 +17,8 @@ The test has six parts, each with a threshold that is a constant below and a num
 
 The thresholds lie between what was measured on rendered scenes of five solids and on real pictures:
 at the true pose 0.83 to 0.99 of the visible edges are explained, 0.46 to 0.75 with 30 % of them
-hidden, and they fit to 0.02 to 0.4 px; other solids explain 0.6, or more and fit to 0.6 px.
+hidden, and they fit to 0.02 to 0.4 px; other solids explain 0.6, or fit to no better than 0.6 px,
+but for those of another size, which fit exactly.
 """
 
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from jaxtyping import Float
 from ..modeling import ObjectModel
 from .chance import Chance
 from .evidence import MAX_CHANCE, Evidence, log_likelihood_of_found
+from .moved_faces import MovedFace
 
 ACCEPTED_SHARE, REJECTED_SHARE = 0.82, 0.4
 """Explained shares from which a pose may be accepted, and below which it is rejected."""
@@ -63,15 +65,19 @@ COMPLETE_SHARE = 0.9
 """Explained share from which nothing has to be hidden, and no face is asked for elsewhere."""
 
 MAX_LOG_MOVED = 12.0
-"""Largest log-likelihood by which a solid with a face elsewhere explains more, of an accepted pose.
+"""Largest log-likelihood of a solid with a face elsewhere, over that of the model, of an accepted
+pose.
 
-It is `MIN_MARGIN` and what the best of some hundred places has by chance. In 120 scenes of six
-solids each that are like the model but for some sizes all 160 exact poses but four had 14.8 or
-more; of 59 right poses of objects that are hidden by some 30 % none had more than 10.5.
+It is `MIN_MARGIN`, and about 6 more for the hundreds of places that are tried. In 120 scenes of six
+solids each that are like the model but for some sizes 160 of 164 wrong poses that fit exactly had
+14.8 or more; of 59 right poses of objects that are hidden by some 30 % none had more than 10.5.
 """
 
 MIN_CHANCE_BESIDE = 0.25
-"""Smallest share that clutter explains where a face is elsewhere: other objects stand about."""
+"""Smallest probability that clutter explains a piece of an edge of a moved face.
+
+Where another solid stands, more of them do.
+"""
 
 CERTAIN_LOG_FALSE_ALARMS = -18.0
 """Decimal logarithm of false alarms up to which chance is out of the question.
@@ -96,12 +102,12 @@ How exactly the edges fit does not count here: with it one of 100 objects that a
 pictures was accepted, of which as little was explained.
 """
 
-COMPLETE_LOG_LIKELIHOOD = 35.0
-"""Likewise, where `LOOSE_SHARE` of the edges are found, and fit exactly.
+SMALL_LOG_LIKELIHOOD = 35.0
+"""Likewise, of a pose with `LOOSE_SHARE` of its edges that fits exactly.
 
-Small objects show that little. In 180 single pictures of other seeds and 72 searches of single
-pictures of the castle, boxes of other sizes included, no wrong pose was so complete and exact with
-less than 140.
+Small objects have no more edge length. In 180 single pictures of other seeds and 96 searches of
+single pictures of the castle, boxes of other sizes included, the wrong poses so complete and exact
+all had 140 or more, so that this limit lets none of them in.
 """
 
 SUFFICIENT_LOG_ODDS = 160.0
@@ -230,19 +236,21 @@ def judge(
     ]
     if log_false_alarms > MAX_LOG_FALSE_ALARMS and not is_certain:
         doubts.append(f"{10.0**log_false_alarms:.2g} such poses are expected by chance")
-    is_alone = len(evidence.explained_in_view) == 1
-    if rms > (ALONE_EDGE_RMS if is_alone else MAX_EDGE_RMS):
-        more = ", too far for one picture alone" if is_alone else ""
+    if rms > (ALONE_EDGE_RMS if evidence.is_alone else MAX_EDGE_RMS):
+        more = ", too far for one picture alone" if evidence.is_alone else ""
         doubts.append(f"its edges are {rms:.2f} px (RMS) from those of the pictures{more}")
     if evidence.contrast < MIN_CONTRAST:
         doubts.append(f"its edges have {evidence.contrast:.2f} of the pictures' usual contrast")
     if uncertainty > MAX_RELATIVE_STD:
         doubts.append(f"its pose is uncertain by {uncertainty:.0%} of its size")
-    if evidence.moved is not None and _log_moved(evidence, chance) > MAX_LOG_MOVED:
+    if evidence.moved is not None and _log_moved(evidence.moved, chance) > MAX_LOG_MOVED:
         face, distance = evidence.moved.face, 1e3 * evidence.moved.distance
+        # It is known to a step only.
+        length = f"{abs(distance):.{0 if abs(distance) >= 1.0 else 1}f} mm"
+        way = "out" if distance > 0.0 else "in"
         doubts.append(
-            f"another size: with face {face} {abs(distance):.0f} mm farther "
-            f"{'out' if distance > 0.0 else 'in'} it would explain more"
+            f"another size: with face {face} moved {way} by {length}, it would explain more of the "
+            "pictures"
         )
     if margin < MIN_MARGIN:
         doubts.append(f"ambiguous: {rival} explains the pictures nearly as well")
@@ -259,17 +267,16 @@ def _is_certain(evidence: Evidence, log_false_alarms: float) -> bool:
 
 def _accepted_share(evidence: Evidence, is_certain: bool) -> float:
     """Return the explained share from which a pose may be accepted, given how well it fits."""
-    is_alone = len(evidence.explained_in_view) == 1
     is_sure_alone = is_certain and evidence.log_exactness <= ALONE_LOG_EXACTNESS
-    if evidence.edge_rms > EXACT_EDGE_RMS or (is_alone and not is_sure_alone):
+    if evidence.edge_rms > EXACT_EDGE_RMS or (evidence.is_alone and not is_sure_alone):
         return LOOSE_SHARE
     return HIDDEN_SHARE if is_certain and evidence.has_faces else ACCEPTED_SHARE
 
 
 def _accepted_log_likelihood(evidence: Evidence) -> float:
     """Return the log-likelihood over clutter from which a pose may be accepted."""
-    is_complete = evidence.explained >= LOOSE_SHARE and evidence.edge_rms <= EXACT_EDGE_RMS
-    return COMPLETE_LOG_LIKELIHOOD if is_complete else ACCEPTED_LOG_LIKELIHOOD
+    is_small = evidence.explained >= LOOSE_SHARE and evidence.edge_rms <= EXACT_EDGE_RMS
+    return SMALL_LOG_LIKELIHOOD if is_small else ACCEPTED_LOG_LIKELIHOOD
 
 
 def may_be_another_size(evidence: Evidence) -> bool:
@@ -277,9 +284,7 @@ def may_be_another_size(evidence: Evidence) -> bool:
     return evidence.explained < COMPLETE_SHARE and evidence.has_faces
 
 
-def _log_moved(evidence: Evidence, chance: Chance) -> float:
-    """Return the log-likelihood of a solid with a face elsewhere; zero where none was asked for."""
-    if evidence.moved is None:
-        return 0.0
+def _log_moved(moved: MovedFace, chance: Chance) -> float:
+    """Return the log-likelihood of the solid with the moved face over that of the model."""
     beside = float(np.clip(chance.mean, MIN_CHANCE_BESIDE, MAX_CHANCE))
-    return log_likelihood_of_found(evidence.moved.gained_px, beside)
+    return log_likelihood_of_found(moved.gained_px, beside)

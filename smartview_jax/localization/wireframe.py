@@ -43,6 +43,7 @@ class Wireframe(eqx.Module):
         sample_tangents: unit directions of the edges, from the first vertex to the second.
         sample_lengths: lengths of the parts, m; 0 for samples that were added.
         triangles: corners of the faces' triangles, m.
+        triangle_vertices: the vertices in these corners; zeros for triangles that were added.
         triangle_faces: sign of each triangle in the row of its face; 0 elsewhere.
         face_points: a point of each face, m.
         face_normals: outward unit normals; 0 for faces that were added.
@@ -60,6 +61,7 @@ class Wireframe(eqx.Module):
     sample_tangents: Float[Array, "S 3"]
     sample_lengths: Float[Array, "S"]
     triangles: Float[Array, "T 3 3"]
+    triangle_vertices: Int[Array, "T 3"]
     triangle_faces: Float[Array, "T F"]
     face_points: Float[Array, "F 3"]
     face_normals: Float[Array, "F 3"]
@@ -87,11 +89,11 @@ class Wireframe(eqx.Module):
         owners, lengths, parts = _sampled_edges(model, samples)
         starts, ends = model.vertices[model.edges[owners]].transpose(1, 0, 2)
         tangents = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
-        triangles, triangle_faces = _fans(model)
+        corners, triangle_faces = _fans(model)
         V = _rounded(len(model.vertices), MIN_VERTICES)
         E = _rounded(len(model.edges), MIN_EDGES)
         S = _rounded(len(owners), samples)
-        T, F = _rounded(len(triangles), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
+        T, F = _rounded(len(corners), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
         planes = [model.plane(k) for k in range(len(faces))]
         extent = float(np.ptp(model.vertices, axis=0).max())
         arrays = (
@@ -105,7 +107,8 @@ class Wireframe(eqx.Module):
             _padded(owners, S),
             _padded(tangents, S, 3),
             _padded(lengths, S),
-            _padded(triangles, T, 3, 3),
+            _padded(model.vertices[corners], T, 3, 3),
+            _padded(corners, T, 3),
             _padded(triangle_faces, T, F),
             _padded(np.array([one.origin for one in planes]).reshape(-1, 3), F, 3),
             _padded(np.array([one.normal for one in planes]).reshape(-1, 3), F, 3),
@@ -160,8 +163,8 @@ def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
     return np.array(on, dtype=bool).reshape(len(edges), len(sides))
 
 
-def _fans(model: ObjectModel) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T F"]]:
-    """Return the triangles of all faces, and their signs in the rows of their faces."""
+def _fans(model: ObjectModel) -> tuple[Int[np.ndarray, "T 3"], Float[np.ndarray, "T F"]]:
+    """Return the vertices of all faces' triangles, and their signs in the rows of their faces."""
     corners, signs = [], []
     for k, face in enumerate(model.faces):
         for triangle, sign in zip(*_fan(model, face, model.plane(k).normal), strict=True):
@@ -171,20 +174,19 @@ def _fans(model: ObjectModel) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndar
             signs.append(row)
     # With its length stated: an array of no faces could have any.
     shape = len(corners), len(model.faces)
-    return np.array(corners).reshape(-1, 3, 3), np.array(signs).reshape(shape)
+    return np.array(corners, int).reshape(-1, 3), np.array(signs).reshape(shape)
 
 
 def _fan(
     model: ObjectModel, face: Face, normal: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T"]]:
+) -> tuple[Int[np.ndarray, "T 3"], Float[np.ndarray, "T"]]:
     """Return the triangles between the first vertex of a face and its sides, and their signs."""
     apex = face.loop[0]
     # The sides at the apex itself make no triangle.
     sides = np.array([pair for pair in face.directed_edges if apex not in pair])
-    triangles = np.concatenate(
-        [np.tile(model.vertices[apex], (len(sides), 1, 1)), model.vertices[sides]], axis=1
-    )
+    corners = np.column_stack([np.full(len(sides), apex), sides])
+    triangles = model.vertices[corners]
     areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ normal
     # A side in line with the apex makes a triangle without area, which nothing can pass through.
     useful = np.abs(areas) > 1e-12 * np.abs(areas).max()
-    return triangles[useful], np.sign(areas[useful])
+    return corners[useful], np.sign(areas[useful])

@@ -177,7 +177,7 @@ def test_the_corner_of_another_block_is_not_accepted():
     (one, *_) = find(drawn(box(0.06, 0.03, 0.03), views(), POSE, 0.03))
     assert 0.5 < one.verdict.evidence.explained < 0.82
     assert one.verdict.decision == "open"
-    assert f"with face {BACK} 10 mm farther in" in one.message
+    assert f"with face {BACK} moved in by 10 mm" in one.message
 
 
 def test_a_hidden_object_is_accepted():

@@ -9,7 +9,7 @@ from placed_box import MIDDLE, MODEL, POSE
 from solids import box, prism
 
 from smartview_jax.geometry import host_exponentials
-from smartview_jax.localization import EdgeLookup, Wireframe
+from smartview_jax.localization import EdgeLookup, Wireframe, evidence_of
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 from smartview_jax.localization.moved_faces import (
     MOVED_SAMPLES,
@@ -24,6 +24,7 @@ from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
 SIDES = np.ptp(MODEL.vertices, axis=0)
 FAR = {0: "right", 1: "back", 2: "top"}
+FACE_OF = {face.name: k for k, face in enumerate(MODEL.faces)}
 BAR = box(0.012, 0.03, 0.08)
 
 
@@ -46,6 +47,14 @@ def pyramid():
 
 
 SOLIDS = {"box": MODEL, "frustum": frustum(), "prism": prism(5), "pyramid": pyramid()}
+
+
+def sheet():
+    """The top of the box alone, as of a card, which has a size that no face can be asked about."""
+    top = MODEL.faces[FACE_OF["top"]]
+    vertices = MODEL.vertices[list(top.loop)]
+    face = Face(tuple(range(4)))
+    return ObjectModel(vertices, edges_of_faces([face]), (face,))
 
 
 def lookup_of(pictures, views):
@@ -133,6 +142,32 @@ def test_the_face_of_a_block_of_another_length_is_found_where_it_is(views, axis,
     assert MODEL.faces[found.face].name == FAR[axis]
     assert found.distance == pytest.approx((stretch - 1.0) * SIDES[axis], abs=6e-4)
     assert found.gained_px > 150.0
+
+
+def test_a_sheet_has_no_face_to_move_and_is_not_taken_for_a_solid(views):
+    top = [k for k, edge in enumerate(MODEL.edges) if (MODEL.vertices[edge, 2] > 0.0).all()]
+    pictures = drawn(MODEL, views, POSE, 0.05, hidden=top[:3])
+    lookup = lookup_of(pictures, views)
+    wireframe = Wireframe.of(sheet(), 512)
+    lines = measured_lines(wireframe, views, lookup, POSE, EXPLAINED_DISTANCE)
+    assert not movements_of_face(sheet(), 0).any()
+    assert likeliest_moved_face(POSE, sheet(), lines, views, lookup) == (None, 0.0, 0.0)
+    strengths = [points.strengths for points in pictures]
+    assert not evidence_of(lines, wireframe, strengths, 0.05).has_faces
+    whole = Wireframe.of(MODEL, 512)
+    lines = measured_lines(whole, views, lookup, POSE, EXPLAINED_DISTANCE)
+    assert evidence_of(lines, whole, strengths, 0.05).has_faces
+
+
+def test_a_view_that_looks_away_changes_nothing(views):
+    """Behind a camera there are no pixels, and nothing moves there."""
+    away = views.camera_from_world[:1].copy()
+    away[:, :3] = np.diag([1.0, -1.0, -1.0]) @ away[:, :3]
+    more = views._replace(camera_from_world=np.concatenate([views.camera_from_world, away]))
+    movements = movements_of_face(MODEL, 0)
+    np.testing.assert_allclose(
+        _places(MODEL, movements, POSE, more), _places(MODEL, movements, POSE, views)
+    )
 
 
 def test_a_face_that_is_found_is_not_looked_for_elsewhere(views):

@@ -83,7 +83,7 @@ def test_without_faces_nothing_can_be_taken_for_hidden():
 
 @pytest.mark.parametrize(
     ("face", "distance", "words"),
-    [(3, 0.0123, "face 3 12 mm farther out"), (0, -0.004, "face 0 4 mm farther in")],
+    [(3, 0.0123, "face 3 moved out by 12 mm"), (0, -0.004, "face 0 moved in by 4 mm")],
 )
 def test_a_solid_of_another_size_that_explains_more_is_named(face, distance, words):
     found = verdict(**HIDDEN | {"moved": MovedFace(face, distance, 150.0)})
