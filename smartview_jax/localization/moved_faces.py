@@ -11,12 +11,10 @@ lead to it, so that all other faces stay in their planes; where that is not poss
 object is stretched along the normal.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -25,9 +23,9 @@ from ..cameras import Camera
 from ..compilation import compiled_optimised
 from ..modeling import ObjectModel, SeenViews, pixel_jacobians
 from ..padding import repeat_last
-from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, lines_in_views
+from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup, padded_poses
-from .pose_convergence import THREADS
+from .pose_convergence import in_batches, lengths_at
 from .refinement import places_on_edges
 from .wireframe import Wireframe
 
@@ -246,11 +244,7 @@ def _found_lengths(
         found = _found_at_places(wireframe, rates, views.camera, lookup, *arrays, batch)
         return np.asarray(found)[: len(own)]
 
-    starts = range(0, len(distances), PLACES_PER_BATCH)
-    batches = [distances[start : start + PLACES_PER_BATCH] for start in starts]
-    # The first one compiles the program, if need be.
-    with ThreadPoolExecutor(THREADS) as pool:
-        return np.concatenate([*map(of_batch, batches[:1]), *pool.map(of_batch, batches[1:])])
+    return np.concatenate(in_batches(of_batch, distances, PLACES_PER_BATCH))
 
 
 @compiled_optimised
@@ -271,8 +265,6 @@ def _found_at_places(
             wireframe,
             [getattr(wireframe, name) + distance * rate for name, rate in rates._asdict().items()],
         )
-        radius = jnp.asarray(EXPLAINED_DISTANCE)
-        lines = lines_in_views(moved, camera, lookup, camera_from_world, pose, radius)
-        return lines.explained_px.sum()
+        return lengths_at(moved, camera, lookup, camera_from_world, pose)[1]
 
     return jax.lax.map(at, distances)

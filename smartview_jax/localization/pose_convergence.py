@@ -63,7 +63,7 @@ def converged_poses(
 
     def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, "2"]]:
         pose, _ = jax.lax.scan(step, pose, jnp.asarray(RADII))
-        lengths = _lengths(wireframe, camera, lookup, camera_from_world, pose)
+        lengths = lengths_at(wireframe, camera, lookup, camera_from_world, pose)
         return pose, lengths
 
     # One pose after the other: their arrays stay in the processor's cache.
@@ -80,12 +80,12 @@ def _lengths_at(
 ) -> Float[Array, "poses 2"]:
     """Return the visible and the explained edge length of poses, px."""
     return jax.lax.map(
-        lambda pose: _lengths(wireframe, camera, lookup, camera_from_world, pose),
+        lambda pose: lengths_at(wireframe, camera, lookup, camera_from_world, pose),
         world_from_object,
     )
 
 
-def _lengths(
+def lengths_at(
     wireframe: Wireframe,
     camera: Camera,
     lookup: EdgeLookup,
@@ -139,9 +139,23 @@ def _in_batches(
         found = program(wireframe, views.camera, lookup, camera_from_world, batch)
         return jax.block_until_ready(found)
 
-    starts = range(0, len(world_from_object), POSES_PER_BATCH)
-    batches = [world_from_object[start : start + POSES_PER_BATCH] for start in starts]
-    # The first one compiles the program, if need be; a program of a few poses uses one core.
+    return in_batches(of_batch, world_from_object, POSES_PER_BATCH)
+
+
+def in_batches(
+    of_batch: Callable[[Float[np.ndarray, "batch *k"]], Any],
+    items: Float[np.ndarray, "items *k"],
+    size: int,
+) -> list[Any]:
+    """Return what a function makes of batches of items, several computed at the same time.
+
+    Args:
+        of_batch: runs one compiled program, which uses one core.
+        items: poses, or whatever the function takes.
+        size: largest number of items in a batch.
+    """
+    batches = [items[start : start + size] for start in range(0, len(items), size)]
+    # The first one compiles the program, if need be.
     first, rest = batches[:1], batches[1:]
     with ThreadPoolExecutor(THREADS) as pool:
         return [*map(of_batch, first), *pool.map(of_batch, rest)]

@@ -61,6 +61,15 @@ def test_each_weakness_is_named(changes, decision, words):
     assert any(words in reason for reason in found.reasons)
 
 
+def test_in_a_third_view_something_may_be_before_the_object():
+    good = {"explained": 0.75, "explained_in_view": (0.9, 0.9, 0.3)}
+    assert verdict(**good).decision == "accepted"
+    found = verdict(**good | {"explained_in_view": (0.9, 0.4, 0.3)})
+    assert found.decision == "open"
+    assert found.reasons[0].startswith("view 1: 40%")
+    assert verdict(**good | {"explained_in_view": (0.9, 0.9, np.nan)}).decision == "accepted"
+
+
 def test_few_edges_are_enough_where_they_are_long_and_fit_exactly():
     assert verdict(edges=5, log_likelihood=200.0).decision == "accepted"
     assert verdict(edges=5, log_likelihood=200.0, edge_rms=0.55).decision == "open"
