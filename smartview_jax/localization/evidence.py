@@ -19,7 +19,8 @@ FOUND_PROBABILITY = 0.9
 on both sides take the rest."""
 
 MIN_CHANCE, MAX_CHANCE = 0.02, 0.8
-"""Share of the visible length that clutter explains, within what few places can tell."""
+"""Smallest and largest share of the visible length that clutter is taken to explain: the few places
+at which it is measured cannot tell more."""
 
 INDEPENDENT_LENGTH = 12.0
 """Length of an edge, px, whose being found or not counts as one observation."""

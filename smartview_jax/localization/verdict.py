@@ -90,7 +90,7 @@ ACCEPTED_VIEW_SHARE = 0.45
 """Smallest explained share in each of the views that an accepted pose needs."""
 
 MIN_GOOD_VIEWS = 2
-"""Number of views that have to explain that much, or all where there are fewer.
+"""Number of views that have to show the object and explain that much, or all where there are fewer.
 
 In a further one something may be before the object: of six objects in bins that two views had shown
 a third one showed 23 to 44 % of the edges.
@@ -229,15 +229,15 @@ def judge(
     is_few = evidence.edges < ACCEPTED_EDGES and not few_will_do
     if is_few or evidence.log_likelihood < _accepted_log_likelihood(evidence):
         doubts.append(f"{evidence.edges} edges of {evidence.visible_px:.0f} px are few")
-    seen = sum(np.isfinite(evidence.explained_in_view))
-    if seen < min(2, len(evidence.explained_in_view)):
-        doubts.append(f"only {seen} of {len(evidence.explained_in_view)} views show it")
+    in_view = evidence.explained_in_view
+    seen, needed = sum(np.isfinite(in_view)), min(MIN_GOOD_VIEWS, len(in_view))
+    if seen < needed:
+        doubts.append(f"only {seen} of {len(in_view)} views show it")
     if evidence.in_picture < MIN_IN_PICTURE:
         doubts.append(f"only {evidence.in_picture:.0%} of it are within a picture")
     if evidence.in_front < MIN_IN_FRONT:
         doubts.append(f"only {evidence.in_front:.0%} of its edges are not behind other objects")
-    in_view = evidence.explained_in_view
-    if sum(one >= ACCEPTED_VIEW_SHARE for one in in_view) < min(MIN_GOOD_VIEWS, len(in_view)):
+    if sum(one >= ACCEPTED_VIEW_SHARE for one in in_view) < needed:
         doubts += [
             f"view {k}: {one:.0%} of its visible edges are in the picture"
             for k, one in enumerate(in_view)
