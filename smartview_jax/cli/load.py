@@ -1,4 +1,4 @@
-"""Load the data set that a subcommand works on."""
+"""Load the data set, or the pictures of an object, that a subcommand works on."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..dataset import Dataset
+    from ..robots import Command
 
 
 def load_named(
@@ -51,3 +52,16 @@ def with_estimated_clock(
     found = estimate_time_offset(data, log.trajectory, log.picture_times, lens, progress=progress)
     note = f"{found} (in dataset.yaml: poses.time_offset: {found.seconds:.6f})"
     return dataclasses.replace(found.data, notes=(*data.notes, note))
+
+
+def load_views(folder: Path) -> "tuple[list[str], list[Path], Command]":
+    """Return names, pictures and what the robot reported of the views in a folder."""
+    from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
+
+    # A data set of a board may have the pictures of the object in a folder of their own.
+    for one in (folder, folder / "object"):
+        if (one / OBJECT_VIEWS_FILE).is_file():
+            found = load_object_views(one)
+            return list(found.view_ids), list(found.paths), found.command
+    views = load_view_pictures(folder)
+    return views.view_ids, views.pictures, views.command

@@ -13,6 +13,7 @@ from .evaluate import evaluate
 from .export import export
 from .garbage import rare_collections
 from .grasp import grasp
+from .localize import localize
 from .logs import configure_logs
 from .model import model
 from .new import new
@@ -85,6 +86,7 @@ for _subcommand in (
     evaluate,
     export,
     grasp,
+    localize,
     model,
     new,
     plan,

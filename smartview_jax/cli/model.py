@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .load import load_views
 from .options import DebugOption
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..joint import SavedEstimate
-    from ..robots import Command
 
 
 def model(
@@ -38,7 +38,7 @@ def model(
     with errors_reported(debug):
         from ..editor import ModelSession, serve
 
-        names, pictures, command = _load_views(dataset)
+        names, pictures, command = load_views(dataset)
         target = out or dataset / "object.json"
         try:
             estimate, covariance = load_calibration(dataset, calibration)
@@ -51,19 +51,6 @@ def model(
         except ImportError as error:
             # An extra that is not installed is for the user to install, not a fault to trace.
             raise ValueError(str(error)) from error
-
-
-def _load_views(dataset: Path) -> "tuple[list[str], list[Path], Command]":
-    """Return names, pictures and what the robot reported of the views in a folder."""
-    from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
-
-    # A data set of a board may have the pictures of the object in a folder of their own.
-    for folder in (dataset, dataset / "object"):
-        if (folder / OBJECT_VIEWS_FILE).is_file():
-            found = load_object_views(folder)
-            return list(found.view_ids), list(found.paths), found.command
-    views = load_view_pictures(dataset)
-    return views.view_ids, views.pictures, views.command
 
 
 def load_calibration(

@@ -88,7 +88,7 @@ def localised_section(
     figures.append(StoryFigure("(f)", f"the grasp: {strip[-1][0]}", strip[-1][1]))
     text = "Two views are searched for the model; a further one verifies what was found in them."
     if look.verification is not None:
-        text += f" It was chosen because it {look.verification.reason}."
+        text += f" Why it was chosen: {look.verification.reason}."
     return Section("Localised, verified, grasped (Fig. 8)", text, figures)
 
 

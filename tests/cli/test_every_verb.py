@@ -6,16 +6,20 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from smartview_jax import fit_staged
 from smartview_jax.cli import app
-from smartview_jax.io import object_sample_folder
+from smartview_jax.io import object_sample_folder, save_object_model
+from smartview_jax.localization import Localization, Localizations
+from smartview_jax.modeling import ObjectModel
 
 TIP = "--tip 0 0 0.1 --above"
 GRASP = "--grasp-pose 0,0,0.01,0,180,0"
+VIEWS = "object/calibration.yaml object"
 ROUGH = "--start camera_from_tool=0,0.05,0.06,0,0,0 --start base_from_world=0.5,0.1,0,0,0,180"
 
 
@@ -47,6 +51,9 @@ CASES = (
     Case("export", "data/dataset.yaml --to urdf", 2, "data/dataset.yaml"),
     Case("grasp", f"data/truth.yaml {GRASP}", 0, "approach"),
     Case("grasp", "data/truth.yaml", 2, "give one of --grasp-pose and --model"),
+    Case("localize", f"{VIEWS} object/block.json", 0, "Found for certain in 0 pictures: block."),
+    Case("localize", f"{VIEWS} object/absent.json", 1, "Nothing was found for certain."),
+    Case("localize", f"{VIEWS} nowhere.json", 2, "nowhere.json"),
     Case("model", "object --no-browser", 0, "the editor of object/object.json is at"),
     Case("model", "data --no-browser", 2, "entry 'pictures' is missing"),
     Case("new", "mine --robot ur", 0, "smartview check mine"),
@@ -79,6 +86,9 @@ def folder(tmp_path_factory):
     description.write_text(description.read_text().replace("base_from_tool", "tool_from_base"))
     shutil.copytree(object_sample_folder(), path / "object")
     shutil.copy(path / "data" / "truth.yaml", path / "object" / "calibration.yaml")
+    for name in ("block", "absent"):
+        model = ObjectModel(np.eye(3), np.array([[0, 1], [1, 2]]), name=name)
+        save_object_model(model, path / "object" / f"{name}.json")
     return path
 
 
@@ -90,6 +100,14 @@ def short_work(monkeypatch):
         pick = SimpleNamespace(outcome="grasped")
         return SimpleNamespace(pick=pick, held=seed != 13, position_error=1e-3, page=out / "page")
 
+    def localize(pictures, command, calibration, models, **_):
+        evidence = SimpleNamespace(explained=0.9, edge_rms=0.2)
+        verdict = SimpleNamespace(decision="accepted", evidence=evidence)
+        refined = SimpleNamespace(world_from_object=np.eye(4), covariance=np.eye(6))
+        found = [Localization(models[0], 0, refined, verdict, ())]
+        return Localizations(found[: models[0].name == "block"], (), (), command)
+
+    monkeypatch.setattr("smartview_jax.localization.localize", localize)
     evaluation = sys.modules["smartview_jax.evaluation"]
     methods = {"staged": lambda part: fit_staged(part, "radial")}
     monkeypatch.setattr(evaluation, "standard_methods", lambda *_, **__: methods)

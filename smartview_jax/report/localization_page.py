@@ -1,0 +1,105 @@
+"""Present what was found of objects: a table, and one HTML page with the pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..calibration import Calibration
+from ..geometry import host_matrices, host_transforms, pose_codec
+from ..plots import with_wireframes
+from .story import Section, StoryFigure, write_story
+
+if TYPE_CHECKING:
+    from ..localization import Localization, Localizations
+
+LOCALIZATION_HEADINGS = (
+    "object",
+    "verdict",
+    "x,y,z m, yaw,pitch,roll degrees",
+    "+- mm",
+    "+- degrees",
+    "edges found",
+    "off by px",
+)
+"""The headings of `localization_rows`; intervals are those of 95 %."""
+
+
+def localization_rows(found: "Sequence[Localization]") -> list[list[str]]:
+    """Return a row for each object: verdict, pose, how well it is known, and its evidence."""
+    rows = []
+    for one in found:
+        std, evidence = np.sqrt(np.diagonal(one.covariance)), one.verdict.evidence
+        # 1.96 standard deviations are 95 % of a Gaussian; of three axes the worst counts.
+        rows.append(
+            [
+                one.model.name or f"model {one.model_index}",
+                one.verdict.decision,
+                object_pose_text(one),
+                f"{1.96e3 * std[:3].max():.2f}",
+                f"{1.96 * np.rad2deg(std[3:].max()):.3f}",
+                f"{evidence.explained:.0%}",
+                f"{evidence.edge_rms:.2f}",
+            ]
+        )
+    return rows
+
+
+def object_pose_text(one: "Localization") -> str:
+    """Return `world_from_object` as `smartview grasp --object-pose` reads it."""
+    codec = pose_codec("yaw_pitch_roll")
+    numbers = codec.encode(host_transforms(one.world_from_object), angle_unit="deg")
+    # Micrometres, and a ten-thousandth of a degree, which is 0.2 micrometres at 0.1 m.
+    return ",".join([f"{x:.6f}" for x in numbers[:3]] + [f"{x:.4f}" for x in numbers[3:]])
+
+
+def localization_verdict(found: "Localizations") -> str:
+    """Return the result in a sentence."""
+    if not found.accepted:
+        return "Nothing was found for certain."
+    names = ", ".join(one.model.name or f"model {one.model_index}" for one in found.accepted)
+    return f"Found for certain in {len(found.pictures)} pictures: {names}."
+
+
+def write_localization_page(
+    path: Path,
+    title: str,
+    calibration: Calibration,
+    found: "Localizations",
+    pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
+    view_ids: Sequence[str],
+) -> None:
+    """Write what was found as a page: the table, the reasons, and wireframes over the pictures.
+
+    Args:
+        path: of the HTML file.
+        title: of the page.
+        calibration: of the camera.
+        found: the objects.
+        pictures: of all views.
+        view_ids: their names.
+    """
+    camera_from_world = host_matrices(calibration.camera_from_world(found.command))
+    sections = [
+        Section(
+            "What was found",
+            "Intervals are those of 95 %, by the pictures' noise and the calibration's covariance.",
+            header=LOCALIZATION_HEADINGS,
+            rows=localization_rows(found),
+        )
+    ]
+    if found.messages:
+        sections.append(Section("What was not", rows=[[text] for text in found.messages]))
+    # What is open is drawn too: a person sees at once whether it is there.
+    for decision in ("accepted", "open"):
+        own = [one for one in found if one.verdict.decision == decision]
+        objects = [(one.model, np.asarray(one.world_from_object)) for one in own]
+        if objects:
+            figures = [
+                StoryFigure(name, "", with_wireframes(picture, calibration.camera, pose, objects))
+                for name, picture, pose in zip(view_ids, pictures, camera_from_world, strict=True)
+            ]
+            sections.append(Section(f"In the pictures: {decision}", figures=figures))
+    write_story(path, title, localization_verdict(found), sections)
