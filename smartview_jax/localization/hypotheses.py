@@ -87,7 +87,7 @@ def find_hypotheses(
     """
     if not len(models):
         raise ValueError("models: expected at least one, found none")
-    box = None if workspace is None else _checked_box(workspace)
+    box = None if workspace is None else checked_box(workspace)
     maps = SceneMaps.of(evidence, views)
     # What the pictures propose is the same for all models.
     paths, edges = _picture_proposals(evidence, views)
@@ -108,7 +108,7 @@ def find_hypotheses(
     return sorted(found, key=lambda one: -one.score)
 
 
-def _checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
+def checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
     """Return the corners of a box with the lower bounds first."""
     corners = np.asarray(workspace, dtype=float)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():

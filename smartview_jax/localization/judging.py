@@ -81,13 +81,14 @@ class _Judging:
         found, waiting = list(known), list(candidates)
         for one in known:
             waiting = self._elsewhere(one, waiting)
-        for _ in range(MAX_JUDGED):
-            if not waiting:
-                break
+        count = 0
+        while waiting and count < MAX_JUDGED:
             best, waiting = waiting[0], waiting[1:]
-            # All that follow explain less, so that the search can end.
+            # The order is that of likelihood, which counts length too: one that follows may explain
+            # a larger share of itself.
             if found and best.explained < REJECTED_SHARE:
-                break
+                continue
+            count += 1
             is_known = any(one.model_index == best.model for one in found)
             if is_known and self.is_rejected_unrefined(best):
                 continue
@@ -188,8 +189,9 @@ class _Judging:
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
         name = ""
         if rivals:
-            other = self._prepared[rivals[0].model].model.name
-            name = "another pose" if rivals[0].model == best.model else f"the model {other!r}"
+            k = rivals[0].model
+            other = repr(self._prepared[k].model.name) if self._prepared[k].model.name else str(k)
+            name = "another pose" if k == best.model else f"the model {other}"
         views = scene.views
         # Rivals are not corrected, and are compared with what is not corrected either.
         if len(refined.calibration_error):

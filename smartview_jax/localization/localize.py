@@ -19,7 +19,7 @@ from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
 from .candidates import Prepared, Scene, converged_candidates
-from .hypotheses import Hypothesis, find_hypotheses
+from .hypotheses import Hypothesis, checked_box, find_hypotheses
 from .judging import judged
 from .known_surfaces import checked_triangles
 from .localization import Localization, Localizations
@@ -51,7 +51,8 @@ def localize(
             takes it as exact.
         noise: sizes of the robot's noise in these views; by default that of the fit.
         previous: what was found in earlier views of the same scene. Their pictures count together
-            with the new ones, and every hypothesis is judged anew.
+            with the new ones, and every pose that is accepted, open or a rival is judged anew.
+            Models of which there is none are searched for again, in all pictures.
         hypotheses: poses to begin from instead of those that are searched for.
         workspace: two opposite corners of a box in the world, m, in which objects are, as of a bin;
             what is not there is not found. None for anywhere.
@@ -63,10 +64,13 @@ def localize(
 
     Raises:
         ValueError: no views, a number of poses that is not that of the pictures, a model without
-            edges, a picture on which nothing can be found, or something else than triangles that
-            is known; the message names the view or model.
+            edges, a picture on which nothing can be found, a workspace that is not a box,
+            something else than triangles that is known, or a hypothesis of a model that is not
+            there; the message names the view, model or argument.
     """
     prepared, standing = _prepared(models), checked_triangles(known)
+    box = None if workspace is None else checked_box(workspace)
+    _check_models(hypotheses, previous, len(prepared))
     views = _checked_views(pictures_or_features, poses, calibration)
     # OpenCV and NumPy release the interpreter lock, so that pictures are searched side by side.
     with ThreadPoolExecutor(THREADS) as pool:
@@ -78,25 +82,22 @@ def localize(
         pictures = (*previous.pictures, *pictures)
         views = SeenViews.of(calibration, command)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
-    # A further view is asked about the poses that are left; the search is not begun anew.
-    if hypotheses is None and previous is not None and len(previous):
-        hypotheses = _hypotheses_of(previous)
+    # A further view is asked about the poses that are left: for these nothing is searched anew.
+    left = _hypotheses_of(previous) if hypotheses is None else list(hypotheses)
     if hypotheses is None:
-        hypotheses = find_hypotheses(
-            pictures, views, [one.model for one in prepared], workspace=workspace
-        )
+        left += _searched(pictures, views, prepared, {one.model for one in left}, box)
     scene = Scene(views, pictures, standing)
-    candidates = converged_candidates(scene, prepared, hypotheses)
-    # Checked again after the fit, which may have drawn a pose out of the box.
-    if workspace is not None:
-        low, high = np.min(workspace, axis=0), np.max(workspace, axis=0)
+    candidates = converged_candidates(scene, prepared, left)
+    # Checked again after the fit, which may have drawn a pose out of the box. That its middle is
+    # inside is enough: its vertices were checked when it was proposed, and a wall may err.
+    if box is not None:
         middles = [prepared[one.model].middle_at(one.pose) for one in candidates]
-        inside = [bool(((low <= m) & (m <= high)).all()) for m in middles]
+        inside = [bool(((box[0] <= m) & (m <= box[1])).all()) for m in middles]
         candidates = [one for one, is_in in zip(candidates, inside, strict=True) if is_in]
-    found = judged(scene, prepared, candidates, uncertainty, len(hypotheses))
+    found = judged(scene, prepared, candidates, uncertainty, len(left))
     found = refined_together(found, scene, prepared, uncertainty)
     return Localizations(
-        _reported(found), _messages(prepared, found, hypotheses), pictures, _own_command(views)
+        _reported(found), _messages(prepared, found, left), pictures, _own_command(views)
     )
 
 
@@ -117,6 +118,11 @@ def _checked_views(
     """Return the views, after checking that each picture has a pose."""
     if isinstance(pictures, np.ndarray | PictureEvidence) or not len(pictures):
         raise ValueError("pictures: expected a list of pictures, one for each view")
+    if not isinstance(calibration, Calibration):
+        kind = type(calibration).__name__
+        raise ValueError(
+            f"calibration: expected a Calibration, such as fit.calibration; found {kind}"
+        )
     views = SeenViews.of(calibration, poses)
     count = len(views.camera_from_world)
     if count != len(pictures):
@@ -133,6 +139,11 @@ def _evidence(
     """Return what is found in the picture of a view."""
     if isinstance(picture, PictureEvidence):
         return picture
+    if not isinstance(picture, np.ndarray):
+        raise ValueError(
+            f"view {view}: expected a picture, or what picture_evidence found in it; found "
+            f"{type(picture).__name__}"
+        )
     try:
         return picture_evidence(picture, calibration.camera)
     except ValueError as error:
@@ -146,15 +157,46 @@ def _own_command(views: SeenViews) -> Command:
 
 
 def _joined_commands(first: Command, second: Command) -> Command:
-    """Return two batches of commands as one."""
+    """Return two batches of commands as one, with joint readings where both have them."""
+    if first.joints is None or second.joints is None:
+        first, second = Command(first.base_from_tool), Command(second.base_from_tool)
     return jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
 
 
-def _hypotheses_of(previous: Localizations) -> list[Hypothesis]:
+def _check_models(
+    hypotheses: Sequence[Hypothesis] | None, previous: Localizations | None, count: int
+) -> None:
+    """Raise a ValueError where a hypothesis, or what was found before, is of an unknown model."""
+    given = [one.model for one in hypotheses or ()]
+    found = [one.model_index for one in previous or ()]
+    for name, indices in (("hypotheses", given), ("previous", found)):
+        unknown = [k for k in indices if not 0 <= k < count]
+        if unknown:
+            raise ValueError(f"{name}: of model {unknown[0]}, where there are {count} models")
+
+
+def _hypotheses_of(previous: Localizations | None) -> list[Hypothesis]:
     """Return every pose that earlier views left, rivals included."""
-    poses = [(one.model_index, one.world_from_object) for one in previous]
-    poses += [(rival.model, rival.world_from_object) for one in previous for rival in one.rivals]
+    left = [one for one in previous or () if one.verdict.decision != "rejected"]
+    poses = [(one.model_index, one.world_from_object) for one in left]
+    poses += [(rival.model, rival.world_from_object) for one in left for rival in one.rivals]
     return [Hypothesis(model, pose, 0.0, 0.0) for model, pose in poses]
+
+
+def _searched(
+    pictures: Sequence[PictureEvidence],
+    views: SeenViews,
+    prepared: Sequence[Prepared],
+    known: set[int],
+    box: Float[np.ndarray, "2 3"] | None,
+) -> list[Hypothesis]:
+    """Return hypotheses of the models that are not known, by their indices among all."""
+    missing = [k for k in range(len(prepared)) if k not in known]
+    if not missing:
+        return []
+    models = [prepared[k].model for k in missing]
+    found = find_hypotheses(pictures, views, models, workspace=box)
+    return [one._replace(model=missing[one.model]) for one in found]
 
 
 def _reported(found: Sequence[Localization]) -> list[Localization]:

@@ -3,7 +3,10 @@
 import copy
 import dataclasses
 import pickle
+import subprocess
+import sys
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,10 +25,11 @@ from solids import box, prism
 import smartview_jax as sv
 from smartview_jax.engine import Noise
 from smartview_jax.features import EdgePoints
-from smartview_jax.geometry import host_exponentials, host_logarithms
+from smartview_jax.geometry import host_exponentials, host_logarithms, host_transforms
 from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
 from smartview_jax.localization.pose_convergence import lengths_of_poses
 from smartview_jax.modeling import ObjectModel, find_symmetry
+from smartview_jax.robots import Command
 
 PLAIN = box()
 MODEL = dataclasses.replace(PLAIN, name="box", symmetry=find_symmetry(PLAIN))
@@ -265,7 +269,48 @@ def test_a_further_view_counts_together_with_the_first(pictures):
     assert sizes[1] < 0.8 * sizes[0]
 
 
+def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatch):
+    solid = prism(6)
+    other = dataclasses.replace(solid, name="prism", symmetry=find_symmetry(solid))
+    beside = POSE @ host_exponentials(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    box_alone = drawn(MODEL, views(), POSE, 0.1)
+    both = together(box_alone, drawn(other, views(), beside, 0.1))
+    # Something is before the prism in the first picture.
+    first = localize(
+        evidence(box_alone[:1]), POSES[:1], CALIBRATION, [MODEL, other], hypotheses=starts()
+    )
+    assert {one.model.name for one in first} == {"box"}
+
+    def find_hypotheses(pictures, views, models, workspace):
+        assert [one.name for one in models] == ["prism"]
+        assert len(pictures) == 2
+        return starts(beside)
+
+    module = sys.modules["smartview_jax.localization.localize"]
+    monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)
+    found = localize(evidence(both[1:]), POSES[1:], CALIBRATION, [MODEL, other], previous=first)
+    assert {(one.model.name, one.model_index) for one in found} == {("box", 0), ("prism", 1)}
+
+
+def test_views_with_and_without_joint_readings_go_together(pictures):
+    poses = host_transforms(POSES)
+    first = localize(
+        evidence(pictures[:1]),
+        Command(jax.tree.map(lambda x: x[:1], poses), jnp.zeros((1, 6))),
+        CALIBRATION,
+        MODEL,
+        hypotheses=starts(),
+    )
+    both = localize(evidence(pictures[1:]), POSES[1:], CALIBRATION, MODEL, previous=first)
+    assert len(both.pictures) == 2
+    assert both.command.joints is None
+
+
 def test_bad_input_is_named(pictures):
+    with pytest.raises(ValueError, match="workspace: expected two corners"):
+        find(pictures, workspace=np.full((2, 3), np.nan))
+    with pytest.raises(ValueError, match="hypotheses: of model 1, where there are 1 models"):
+        find(pictures, hypotheses=starts(model=1))
     edgeless = ObjectModel(MODEL.vertices, name="points")
     with pytest.raises(ValueError, match="model 0 'points' has no edges"):
         find(pictures, edgeless)
@@ -280,6 +325,25 @@ def test_bad_input_is_named(pictures):
         localize([blank, blank], POSES, CALIBRATION, MODEL)
     with pytest.raises(ValueError, match="view 1: picture: over-exposed"):
         localize([evidence(pictures)[0], blank + np.uint8(165)], POSES, CALIBRATION, MODEL)
+
+
+def test_other_kinds_of_input_are_named():
+    """In a process of its own: here such kinds are refused before the function is called."""
+    code = """if True:
+        import numpy as np
+        import smartview_jax as sv
+        model = sv.ObjectModel(np.eye(3), np.array([[0, 1]]))
+        known = sv.simulation.paper_calibration()
+        for picture, calibration in (("a.png", known), (np.zeros((480, 640), np.uint8), None)):
+            try:
+                sv.localize([picture], np.eye(4)[None], calibration, model)
+            except ValueError as error:
+                print(error)
+    """
+    run = [sys.executable, "-c", code]
+    said = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert "view 0: expected a picture, or what picture_evidence found in it; found str" in said
+    assert "calibration: expected a Calibration, such as fit.calibration; found NoneType" in said
 
 
 def test_the_papers_view_looks_along_the_top_surface(found):

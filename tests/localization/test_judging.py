@@ -1,0 +1,42 @@
+"""The order in which poses are judged, without pictures."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from smartview_jax.localization import Localization, judging
+from smartview_jax.localization.candidates import Candidate
+
+
+class Recorded(judging._Judging):
+    """Verdicts that reject everything, and a list of what was asked for."""
+
+    def __init__(self):
+        self.asked = []
+
+    def is_rejected_unrefined(self, candidate):
+        return False
+
+    def best_explanation(self, first, others):
+        self.asked.append(first)
+        return Localization(None, first.model, None, SimpleNamespace(decision="rejected"), ())
+
+
+def candidate(share, visible_px):
+    return Candidate(0, np.eye(4), visible_px, share * visible_px)
+
+
+def test_a_short_pose_that_explains_little_does_not_end_the_search():
+    # The shortest one comes before the longest by its likelihood, which counts what is missing.
+    given = [candidate(0.9, 1000.0), candidate(0.38, 100.0), candidate(0.58, 2500.0)]
+    assert given == sorted(given, key=lambda one: -one.log_likelihood())
+    recorded = Recorded()
+    recorded.in_order(given, [])
+    assert recorded.asked == [given[0], given[2]]
+
+
+def test_what_is_skipped_leaves_the_others_their_places():
+    good, poor = candidate(0.9, 1000.0), candidate(0.3, 10.0)
+    recorded = Recorded()
+    recorded.in_order([good, *[poor] * judging.MAX_JUDGED, *[good] * judging.MAX_JUDGED], [])
+    assert recorded.asked == [good] * judging.MAX_JUDGED
