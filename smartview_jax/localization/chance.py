@@ -87,7 +87,7 @@ def chance_poses(
         seed: of the displacements.
     """
     rng = np.random.default_rng(seed)
-    extent = float(np.ptp(model.vertices, axis=0).max())
+    extent = model.extent
     tangents = np.zeros((CHANCE_POSES, 6))
     directions = rng.standard_normal((CHANCE_POSES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -114,7 +114,7 @@ def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChanceP
     """
     middle = _middle_frame(model)
     moved = tried.world_from_object @ middle - pose @ middle
-    extent = float(np.ptp(model.vertices, axis=0).max())
+    extent = model.extent
     elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
     visible, explained = tried.lengths.T
     shares = explained / np.maximum(visible, 1.0)

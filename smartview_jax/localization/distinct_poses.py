@@ -24,7 +24,7 @@ def in_one_place(
         p[:3, :3] @ m.vertices.mean(axis=0) + p[:3, 3]
         for m, p in ((model, pose), (other, its_pose))
     ]
-    smaller = min(float(np.ptp(one.vertices, axis=0).max()) for one in (model, other))
+    smaller = min(one.extent for one in (model, other))
     return bool(np.linalg.norm(middles[0] - middles[1]) < SAME_PLACE * smaller)
 
 

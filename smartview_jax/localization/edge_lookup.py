@@ -10,7 +10,7 @@ from ..array_namespace import to_device
 from ..features import EdgePoints, lone_points
 from ..padding import power_of_two_from, repeat_last
 
-MIN_POINTS = 32_768
+MIN_EDGE_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
 
 KNOWN_CELL_PX = 4
@@ -67,7 +67,7 @@ class EdgeLookup(eqx.Module):
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
         # One more than there are: the last stands for none.
-        count = max(MIN_POINTS, 1 << int(largest).bit_length())
+        count = max(MIN_EDGE_POINTS, 1 << int(largest).bit_length())
         cells = np.full((views, image_size[1], image_size[0]), count - 1, dtype=np.int32)
         pixels = np.full((views, count, 2), FAR_AWAY)
         normals, strengths = np.zeros((views, count, 2)), np.zeros((views, count))

@@ -26,6 +26,9 @@ from .wireframe import Wireframe
 MAX_PATHS_ALONE, MAX_PATHS = 300, 40
 """Largest number of paths of a picture, where it is the only one and where there are more."""
 
+MAX_HYPOTHESES = 24
+"""Largest number of hypotheses of each model, unless stated; so many are drawn to the edges."""
+
 WIDENED = 32
 """Number of the best proposals of one picture near which distant junctions are searched for."""
 
@@ -65,7 +68,7 @@ def find_hypotheses(
     evidence: Sequence[PictureEvidence],
     views: SeenViews,
     models: Sequence[ObjectModel],
-    count: int = 24,
+    count: int = MAX_HYPOTHESES,
     *,
     workspace: Float[np.ndarray, "2 3"] | None = None,
 ) -> list[Hypothesis]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..modeling import CalibrationUncertainty
-from .candidates import Candidate, Prepared, Scene
+from .candidates import Candidate, Prepared, measured_candidates
 from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .corrected_views import corrected_views
 from .distinct_poses import in_one_place, pose_distances
@@ -18,7 +18,9 @@ from .evidence import Evidence
 from .localization import Localization, Rival
 from .moved_faces import likeliest_moved_face
 from .pose_convergence import lengths_of_poses
+from .pose_equations import UndeterminedPoseError
 from .refinement import refine_pose
+from .scene import Scene
 from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, may_be_another_size, relative_std
 
 MAX_JUDGED = 12
@@ -52,11 +54,11 @@ def judged(
     # What was judged before its neighbours were known is judged again, with what these hide.
     if not accepted or all(one.accepted for one in found[: len(accepted)]):
         return found
-    anew = Scene(scene.views, scene.pictures, scene.known)
+    anew = scene.untouched()
     judging = _Judging(anew, prepared, uncertainty, tested)
     for one in accepted:
         judging.take(one)
-    return judging.in_order(anew.measured(prepared, candidates), accepted)
+    return judging.in_order(measured_candidates(anew, prepared, candidates), accepted)
 
 
 class _Judging:
@@ -101,7 +103,7 @@ class _Judging:
             if waiting and one.verdict.decision != "rejected":
                 # What is explained already is no evidence: the others are looked at anew.
                 self.take(one)
-                waiting = self.scene.measured(self._prepared, waiting)
+                waiting = measured_candidates(self.scene, self._prepared, waiting)
         return found
 
     def _elsewhere(self, one: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -117,7 +119,8 @@ class _Judging:
     def take(self, one: Localization) -> None:
         """Take the edge points that an object explains, and what an accepted one hides."""
         wireframe = self._prepared[one.model_index].coarse if one.accepted else None
-        self.scene.take(one.refined.lines, wireframe, one.world_from_object)
+        claim = self.scene.claim(one.refined.lines, wireframe, one.world_from_object)
+        self.scene.take(claim)
         # Kept: the places that were tried can be measured again without a search.
         self._tried_before |= self._tried
         self._tried.clear()
@@ -166,7 +169,7 @@ class _Judging:
             return one
         rival = one.rivals[0]
         pose = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
-        (second,) = self.scene.measured(self._prepared, [pose])
+        (second,) = measured_candidates(self.scene, self._prepared, [pose])
         better = self.localization(second, [first, *others])
         is_better = better is not None and better.verdict.margin > one.verdict.margin
         return better if is_better else one
@@ -179,7 +182,7 @@ class _Judging:
                 best.pose, one.model, one.fine, scene.views, scene.lookup, self._uncertainty
             )
         # Too few edges are left once others have been taken: there is nothing to report.
-        except ValueError:
+        except UndeterminedPoseError:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
         lines = scene.lines(pose, one.fine)
@@ -292,7 +295,7 @@ class _Judging:
                 scene.lookup,
                 self._uncertainty,
             )
-        except ValueError:
+        except UndeterminedPoseError:
             return rival
         fitted = self._as_rival(rival.model, refined.world_from_object, chance)
         # A fit that leaves edges out says nothing against the pose that has them.

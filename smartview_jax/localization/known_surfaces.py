@@ -4,6 +4,8 @@ Objects that were accepted hide parts of others, as neighbours in a bin do. Thei
 into coarse maps of inverse depth, in which a program looks up any point of any model.
 """
 
+import copy
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -33,21 +35,29 @@ class KnownSurfaces:
         )
         self._rays: Float[np.ndarray, "rows columns 2"] | None = None
 
+    def copy(self) -> "KnownSurfaces":
+        """Return surfaces to which others can be added; the grid of rays is common to both."""
+        # Made here, if it was not yet: it takes longer than to draw an object.
+        self._ray_grid()
+        other = copy.copy(self)
+        other.inverse_depth = self.inverse_depth.copy()
+        return other
+
     def add(self, wireframe: Wireframe, world_from_object: Float[np.ndarray, "4 4"]) -> None:
         """Draw the faces of an object into the maps of all views."""
-        triangles, signs = np.asarray(wireframe.triangles), np.asarray(wireframe.triangle_faces)
-        in_world = triangles @ world_from_object[:3, :3].T + world_from_object[:3, 3]
-        for face in np.flatnonzero(np.abs(signs).any(axis=0)):
-            own = np.flatnonzero(signs[:, face])
-            self._draw(in_world[own], signs[own, face])
+        vertices, corners = np.asarray(wireframe.vertices), np.asarray(wireframe.triangle_vertices)
+        in_world = vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+        for own in np.asarray(wireframe.triangle_faces).T:
+            if own.any():
+                self._draw(in_world[corners[own]])
 
     def add_triangles(self, triangles: Float[np.ndarray, "T 3 3"]) -> None:
         """Draw triangles in the world into the maps of all views."""
         for triangle in triangles:
-            self._draw(triangle[None], np.ones(1))
+            self._draw(triangle[None])
 
-    def _draw(self, triangles: Float[np.ndarray, "T 3 3"], signs: Float[np.ndarray, "T"]) -> None:
-        """Draw a face in the world, given as triangles with their signs."""
+    def _draw(self, triangles: Float[np.ndarray, "T 3 3"]) -> None:
+        """Draw a face in the world, given as the triangles of a fan."""
         for view, camera_from_world in enumerate(self._views.camera_from_world):
             in_camera = triangles @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
             if in_camera[..., 2].min() < MIN_DEPTH:
@@ -57,12 +67,16 @@ class KnownSurfaces:
             # Beyond the lens a ray is NaN, which no comparison finds inside.
             places = np.nonzero(((rays >= low) & (rays <= high)).all(axis=2))
             own = rays[places]
-            # Triangles of opposite sign cancel where a face is not convex.
+            # Triangles that turn the other way cancel where a face is not convex.
             inside = np.stack([_is_inside(own, triangle) for triangle in corners], axis=1)
-            covered = np.abs(inside @ signs)
+            first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+            turns = np.sign(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+            covered = np.abs(inside @ turns)
             # Where the plane n . p = n . a meets the ray (x, y, 1):  1 / z = n . (x, y, 1) / n . a
-            a, b, c = in_camera[0]
-            normal = np.cross(b - a, c - a)
+            a = in_camera[0, 0]
+            normals = np.cross(in_camera[:, 1] - a, in_camera[:, 2] - a)
+            # Some triangles of a fan have no area.
+            normal = normals[np.argmax((normals**2).sum(axis=1))]
             across = float(normal @ a)
             if across == 0.0:
                 continue

@@ -18,13 +18,14 @@ from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
-from .candidates import Prepared, Scene, converged_candidates
+from .candidates import Prepared, converged_candidates
 from .hypotheses import Hypothesis, checked_box, find_hypotheses
 from .judging import judged
 from .known_surfaces import checked_triangles
 from .localization import Localization, Localizations
 from .pose_convergence import THREADS
 from .refining_together import refined_together
+from .scene import Scene
 
 
 def localize(

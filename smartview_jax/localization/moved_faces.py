@@ -86,8 +86,8 @@ class _Rates(NamedTuple):
     """Derivatives of the arrays of a wireframe by the distance of a face, in which all is linear.
 
     Attributes:
-        vertices, samples, triangles, face_points: changes. Normals keep their directions where
-            vertices slide, and nearly do where the object is stretched.
+        vertices, samples, face_points: changes. Normals keep their directions where vertices slide,
+            and nearly do where the object is stretched.
         sample_tangents: changes of the edges, over their lengths in the model. A tangent grows with
             its edge, so that the unchanged `sample_lengths` still add up to the edge's length.
     """
@@ -95,7 +95,6 @@ class _Rates(NamedTuple):
     vertices: Float[Array, "V 3"]
     samples: Float[Array, "S 3"]
     sample_tangents: Float[Array, "S 3"]
-    triangles: Float[Array, "T 3 3"]
     face_points: Float[Array, "F 3"]
 
 
@@ -164,7 +163,7 @@ def _stretched(model: ObjectModel, face: int) -> Float[np.ndarray, "V 3"]:
     normal = model.plane(face).normal
     heights = model.vertices @ normal
     own = heights[model.faces[face].indices].mean() - heights.min()
-    if own < THINNEST * float(np.ptp(model.vertices, axis=0).max()):
+    if own < THINNEST * model.extent:
         return np.zeros_like(model.vertices)
     return (heights - heights.min())[:, None] / own * normal
 
@@ -183,7 +182,7 @@ def _places(
     a, b = model.edges.T
     along = model.vertices[b] - model.vertices[a]
     rates = ((movements[b] - movements[a]) * along).sum(axis=1) / (along**2).sum(axis=1)
-    farthest = FARTHEST * float(np.ptp(model.vertices, axis=0).max())
+    farthest = FARTHEST * model.extent
     outwards, inwards = (
         float(((1.0 - SHORTEST) / own[own > 0.0]).min(initial=farthest)) for own in (-rates, rates)
     )
@@ -223,7 +222,6 @@ def _rates(wireframe: Wireframe, model: ObjectModel, movements: Float[np.ndarray
         # Samples stay at their parts of the edges.
         to_device(movements[a] + parts[:, None] * change),
         to_device(change / lengths[:, None]),
-        to_device(padded[np.asarray(wireframe.triangle_vertices)]),
         to_device(origins),
     )
 
@@ -260,11 +258,16 @@ def _found_at_places(
     """Return the edge length that is found, all views together, at each distance of a face."""
 
     def at(distance: Float[Array, ""]) -> Float[Array, ""]:
-        moved = eqx.tree_at(
-            lambda one: [getattr(one, name) for name in _Rates._fields],
-            wireframe,
-            [getattr(wireframe, name) + distance * rate for name, rate in rates._asdict().items()],
-        )
+        moved = _moved(wireframe, rates, distance)
         return lengths_at(moved, camera, lookup, camera_from_world, pose)[1]
 
     return jax.lax.map(at, distances)
+
+
+def _moved(wireframe: Wireframe, rates: _Rates, distance: Float[Array, ""]) -> Wireframe:
+    """Return the wireframe with a face at a distance from its place in the model, m."""
+    return eqx.tree_at(
+        lambda one: [getattr(one, name) for name in _Rates._fields],
+        wireframe,
+        [getattr(wireframe, name) + distance * rate for name, rate in rates._asdict().items()],
+    )

@@ -23,6 +23,10 @@ MIN_OWN_INFORMATION = 1e-14
 """Smallest part of the information on a parameter that is left once those before it are unknown."""
 
 
+class UndeterminedPoseError(ValueError):
+    """Too few features, or all on one line: they do not determine a pose."""
+
+
 class PoseEquations(NamedTuple):
     """Linear equations about a pose, or about several ones, px, in blocks of one feature each.
 
@@ -171,17 +175,19 @@ def whitening(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
     """Return a matrix W with `W^T W` the inverse of an information matrix A, and `W A W^T = 1`.
 
     Raises:
-        ValueError: the information is singular: something is undetermined.
+        UndeterminedPoseError: the information is singular.
     """
     diagonal = np.diagonal(information)
     if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
-        raise ValueError("the pose is undetermined: too few features")
+        raise UndeterminedPoseError("the pose is undetermined: too few features")
     # Correlations instead of covariances: metres and radians keep their precision.
     scale = np.sqrt(diagonal)
     of_correlations = np.asarray(inverse_cholesky_factor(information / np.outer(scale, scale)))
     # NaN, where they are not positive definite, does not compare.
     if not np.diagonal(of_correlations).max() ** -2 >= MIN_OWN_INFORMATION:
-        raise ValueError("the pose is undetermined: too few features, or all on one line")
+        raise UndeterminedPoseError(
+            "the pose is undetermined: too few features, or all on one line"
+        )
     return of_correlations / scale
 
 

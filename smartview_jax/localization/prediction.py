@@ -135,21 +135,38 @@ def _turned_away(
 
 def faces_before(
     triangles: Float[Array, "T 3 3"],
-    triangle_faces: Float[Array, "T F"],
+    triangle_faces: Bool[Array, "T F"],
     centre: Float[Array, "3"],
     points: Float[Array, "n 3"],
     last: Float[Array, "n"],
 ) -> Bool[Array, "n F"]:
     """Return which faces the rays from a centre to points pass through before they arrive.
 
-    Reference: Moeller and Trumbore, Fast, minimum storage ray-triangle intersection, 1997.
-
     Args:
-        triangles: of the faces.
-        triangle_faces: sign of each triangle in the row of its face, as of a `Wireframe`.
+        triangles: of the faces, as fans of a `Wireframe`.
+        triangle_faces: which face each triangle is part of.
         centre: the camera's centre, in the same frame.
         points: at which the rays arrive.
         last: part of each ray, from the centre to its point, within which faces count.
+    """
+    crossings = triangle_crossings(triangles, centre, points, last)
+    # How often a ray winds through each face: triangles of opposite sign cancel.
+    return jnp.abs(crossings @ triangle_faces.astype(crossings.dtype)) > 0.5
+
+
+def triangle_crossings(
+    triangles: Float[Array, "T 3 3"],
+    centre: Float[Array, "3"],
+    points: Float[Array, "n 3"],
+    last: Float[Array, "n"],
+) -> Float[Array, "n T"]:
+    """Return where rays from a centre pass through triangles: 1 or -1 by the side, 0 elsewhere.
+
+    Reference: Moeller and Trumbore, Fast, minimum storage ray-triangle intersection, 1997.
+
+    Args:
+        triangles: corners; nothing passes through one without area.
+        centre, points, last: as in `faces_before`.
     """
     # With the ray c + t d, d = p - c, and the triangle v0, e1, e2:  c - v0 = -t d + u e1 + v e2.
     # By Cramer's rule, with s = c - v0, all four determinants are products of d or e2 with vectors
@@ -161,15 +178,14 @@ def faces_before(
     det = d @ jnp.cross(e2, e1).T
     det_u, det_v = d @ jnp.cross(e2, s).T, d @ jnp.cross(s, e1).T
     det_t = (e2 * jnp.cross(s, e1)).sum(axis=1)[None]
-    # All are compared after multiplication with det's sign: padded triangles have det = 0.
+    # All are compared after multiplication with det's sign: triangles without area have det = 0.
     sign, size = jnp.sign(det), jnp.abs(det)
     u, v, t = sign * det_u, sign * det_v, sign * det_t
     # A ray along the border of two triangles passes through both rather than between them.
     slack = 1e-9 * size
     passed = (u >= -slack) & (v >= -slack) & (u + v <= size + slack)
     passed = passed & (t > 0.0) & (t < last[:, None] * size)
-    # How often a ray winds through each face: triangles of opposite sign cancel.
-    return jnp.abs(passed.astype(d.dtype) @ triangle_faces) > 0.5
+    return jnp.where(passed, sign, 0.0)
 
 
 def search_regions(

@@ -7,35 +7,25 @@ tells of them by how its edges disagree between the views, which makes all poses
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty
-from .candidates import Prepared, Scene
+from .candidates import Prepared
 from .distinct_poses import pose_distances
-from .edge_lookup import EdgeLookup
 from .heavy_tails import NUMBERS
-from .known_surfaces import KnownSurfaces
 from .localization import Localization
-from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose
-from .refinement import RefinedPose, explained_edge_points, refine_pose
-
-
-class _Claim(NamedTuple):
-    """The parts of the pictures that an object takes from the others.
-
-    Attributes:
-        free: which edge points of each view it does not explain.
-        inverse_depth: of its surface, and of all that is known to stand there, in each view, 1/m;
-            zero where nothing is.
-    """
-
-    free: list[Bool[np.ndarray, "_"]]
-    inverse_depth: Float[np.ndarray, "views rows columns"]
+from .pose_equations import (
+    CommonErrors,
+    PoseEquations,
+    PoseStep,
+    UndeterminedPoseError,
+    solve_pose,
+)
+from .refinement import RefinedPose, refine_pose
+from .scene import Claim, Scene
 
 
 def refined_together(
@@ -55,7 +45,10 @@ def refined_together(
     accepted = [one for one in found if one.accepted]
     if len(accepted) < 2:
         return list(found)
-    claims = [_claim(one, prepared[one.model_index], scene) for one in accepted]
+    claims = [
+        scene.claim(one.refined.lines, prepared[one.model_index].coarse, one.world_from_object)
+        for one in accepted
+    ]
     refined = [
         _measured_anew(one, claims[:k] + claims[k + 1 :], scene, prepared, uncertainty)
         for k, one in enumerate(accepted)
@@ -65,41 +58,26 @@ def refined_together(
     return [next(anew) if one.accepted else one for one in found]
 
 
-def _claim(one: Localization, prepared: Prepared, scene: Scene) -> _Claim:
-    """Return the parts of the pictures that an object takes from the others."""
-    surface = KnownSurfaces(scene.views)
-    surface.add_triangles(scene.known)
-    surface.add(prepared.coarse, one.world_from_object)
-    free = []
-    for view, picture in enumerate(scene.pictures):
-        is_free = np.ones(len(picture.edge_points.pixels), dtype=bool)
-        is_free[explained_edge_points(one.refined.lines, view, picture.edge_points)] = False
-        free.append(is_free)
-    return _Claim(free, surface.inverse_depth)
-
-
 def _measured_anew(
     one: Localization,
-    others: Sequence[_Claim],
+    others: Sequence[Claim],
     scene: Scene,
     prepared: Sequence[Prepared],
     uncertainty: CalibrationUncertainty,
 ) -> RefinedPose:
     """Return the refined pose of an object among known others; as it was where that is lost."""
-    lookup = EdgeLookup.of(
-        [picture.edge_points for picture in scene.pictures],
-        scene.views.camera.image_size,
-        [np.logical_and.reduce(own) for own in zip(*(o.free for o in others), strict=True)],
-        np.maximum.reduce([other.inverse_depth for other in others]),
-        [picture.lone for picture in scene.pictures],
-    )
     own = prepared[one.model_index]
     try:
         refined = refine_pose(
-            one.world_from_object, own.model, own.fine, scene.views, lookup, uncertainty
+            one.world_from_object,
+            own.model,
+            own.fine,
+            scene.views,
+            scene.lookup_among(others),
+            uncertainty,
         )
     # What the others leave may be too little; the pose is as certain as it was.
-    except ValueError:
+    except UndeterminedPoseError:
         return one.refined
     moved = pose_distances(own.model, one.world_from_object, refined.world_from_object[None])[0]
     return refined if moved < own.same else one.refined

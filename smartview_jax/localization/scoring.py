@@ -27,7 +27,7 @@ POSES_PER_CALL = 1024
 POSES_PER_CHUNK = 32
 """Number of poses that are computed at once: their samples fit in the processor's cache."""
 
-MIN_POINTS = 4096
+MIN_MAP_POINTS = 4096
 """The number of points of the maps is rounded up to it times a power of two."""
 
 
@@ -71,7 +71,7 @@ class SceneMaps(eqx.Module):
             )
         maps = [one.maps for one in evidence]
         # A power of two, or every new number of segments would compile all programs anew.
-        size = MIN_POINTS
+        size = MIN_MAP_POINTS
         while size < max(len(one.points) for one in maps):
             size *= 2
 

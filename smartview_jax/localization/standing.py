@@ -14,10 +14,11 @@ from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import to_device
 from ..compilation import compiled_optimised
+from ..padding import power_of_two_from
 from .distinct_poses import in_one_place
 from .edge_lines import HIDING_DEPTH
 from .localization import Localization
-from .prediction import faces_before
+from .prediction import faces_before, triangle_crossings
 from .wireframe import MIN_TRIANGLES, Wireframe
 
 
@@ -26,21 +27,20 @@ class Standing(NamedTuple):
 
     Attributes:
         triangles: of the faces, in the world, m.
-        triangle_faces: sign of each triangle in the row of its face; 0 elsewhere.
+        triangle_faces: which face each triangle is part of, as of a `Wireframe`; None where each
+            hides by itself.
     """
 
     triangles: Float[np.ndarray, "T 3 3"]
-    triangle_faces: Float[np.ndarray, "T F"]
+    triangle_faces: Bool[np.ndarray, "T F"] | None
 
     @classmethod
     def of_triangles(cls, triangles: Float[np.ndarray, "T 3 3"]) -> "Standing":
-        """Return triangles as faces, rounded up to a size that programs are compiled for."""
-        size = MIN_TRIANGLES
-        while size < len(triangles):
-            size *= 2
+        """Return triangles, their number rounded up to one that programs are compiled for."""
+        size = max(MIN_TRIANGLES, power_of_two_from(len(triangles)))
         # What was added has no area, so that no ray passes through it.
         padded = np.pad(triangles, ((0, size - len(triangles)), (0, 0), (0, 0)))
-        return cls(padded, np.eye(size))
+        return cls(padded, None)
 
     @classmethod
     def of_object(cls, one: Localization) -> "Standing":
@@ -85,15 +85,15 @@ def hidden_in_views(
     hidden = np.zeros((len(centres), len(points)), dtype=bool)
     on_device = to_device(centres), to_device(points)
     for one in standing:
-        faces = to_device(one.triangles), to_device(one.triangle_faces)
-        hidden |= np.asarray(_are_behind(*faces, *on_device))
+        owners = None if one.triangle_faces is None else to_device(one.triangle_faces)
+        hidden |= np.asarray(_are_behind(to_device(one.triangles), owners, *on_device))
     return hidden
 
 
 @compiled_optimised
 def _are_behind(
     triangles: Float[Array, "T 3 3"],
-    triangle_faces: Float[Array, "T F"],
+    triangle_faces: Bool[Array, "T F"] | None,
     centres: Float[Array, "views 3"],
     points: Float[Array, "S 3"],
 ) -> Bool[Array, "views S"]:
@@ -101,6 +101,8 @@ def _are_behind(
     last = jnp.full(len(points), 1.0 - HIDING_DEPTH)
 
     def from_centre(centre: Float[Array, "3"]) -> Bool[Array, "S"]:
+        if triangle_faces is None:
+            return (triangle_crossings(triangles, centre, points, last) != 0.0).any(axis=1)
         return faces_before(triangles, triangle_faces, centre, points, last).any(axis=1)
 
     return jax.vmap(from_centre)(centres)

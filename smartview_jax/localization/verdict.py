@@ -21,7 +21,7 @@ hidden, and they fit to 0.02 to 0.4 px; other solids explain 0.6, or fit to no b
 but for those of another size, which fit exactly.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -164,7 +164,7 @@ class Verdict(NamedTuple):
         margin: log-likelihood over that of the best rival; infinite without one.
     """
 
-    decision: str
+    decision: Literal["accepted", "rejected", "open"]
     reasons: tuple[str, ...]
     evidence: Evidence
     log_false_alarms: float
@@ -177,8 +177,7 @@ def relative_std(model: ObjectModel, covariance: Float[np.ndarray, "6 6"]) -> fl
     turns = np.cross(np.eye(3)[None], model.vertices[:, None])
     moves = np.concatenate([np.tile(np.eye(3), (len(turns), 1, 1)), turns], axis=1)
     spread = moves.swapaxes(1, 2) @ covariance @ moves
-    extent = float(np.ptp(model.vertices, axis=0).max())
-    return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max())) / extent
+    return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max())) / model.extent
 
 
 def judge(

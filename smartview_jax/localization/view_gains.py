@@ -23,7 +23,7 @@ from ..geometry import host_adjoints, host_cross_matrices
 from ..modeling import ObjectModel
 from ..padding import repeat_last
 from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
-from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH
+from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
 from .prediction import pose_jacobians, predict_view
 from .standing import Standing, hidden_in_views, leading, standing_beside
@@ -35,9 +35,6 @@ SAME_EDGE_DISTANCE, SAME_EDGE_COSINE = 4.0, 0.9
 
 ENOUGH_MARGIN = 4.0 * MIN_MARGIN
 """Difference of log-likelihoods beyond which a rival needs no further telling apart."""
-
-CHANCE_SHARE = 0.25
-"""Probability that clutter has an edge where a rival would."""
 
 MAX_RIVALS = 6
 """Largest number of rivals of each object that are told apart."""
@@ -194,7 +191,7 @@ def _against_nothing(own: _Predicted) -> Float[np.ndarray, "views"]:
     return (
         own.visible_px.sum(axis=1)
         / INDEPENDENT_LENGTH
-        * _information_of_piece(FOUND_PROBABILITY, CHANCE_SHARE)
+        * _information_of_piece(FOUND_PROBABILITY, TYPICAL_CHANCE)
     )
 
 
@@ -213,7 +210,7 @@ def _difference(own: _Predicted, other: _Predicted) -> Float[np.ndarray, "views"
         np.where(_alike(a, b), 0.0, a.visible_px).sum(axis=1) / INDEPENDENT_LENGTH
         for a, b in ((own, other), (other, own))
     )
-    p, q = FOUND_PROBABILITY, CHANCE_SHARE
+    p, q = FOUND_PROBABILITY, TYPICAL_CHANCE
     return mine * _information_of_piece(p, q) + theirs * _information_of_piece(q, p)
 
 

@@ -28,8 +28,10 @@ face of another.
 class Wireframe(eqx.Module):
     """The vertices, edges and faces of a model, and points along its edges, in its own frame.
 
-    Each face is a fan of triangles about one of its vertices. A fan covers a face that is convex
-    once; where the face is not convex, or has holes, triangles of opposite sign cancel.
+    Each face is a fan of triangles about one of its vertices, their corners in the order of its
+    border. A fan covers a face that is convex once; where the face is not convex, or has holes,
+    triangles that turn the other way cancel. Which way they turn is not stored, so that it stays
+    true where vertices are moved.
 
     Attributes:
         vertices: m.
@@ -42,9 +44,8 @@ class Wireframe(eqx.Module):
         sample_edges: edge of each sample; 0 for those that were added.
         sample_tangents: unit directions of the edges, from the first vertex to the second.
         sample_lengths: lengths of the parts, m; 0 for samples that were added.
-        triangles: corners of the faces' triangles, m.
-        triangle_vertices: the vertices in these corners; zeros for triangles that were added.
-        triangle_faces: sign of each triangle in the row of its face; 0 elsewhere.
+        triangle_vertices: corners of the faces' triangles; zeros for triangles that were added.
+        triangle_faces: which face each triangle is part of.
         face_points: a point of each face, m.
         face_normals: outward unit normals; 0 for faces that were added.
         margin: distance in front of a point within which no face hides it, m.
@@ -60,9 +61,8 @@ class Wireframe(eqx.Module):
     sample_edges: Int[Array, "S"]
     sample_tangents: Float[Array, "S 3"]
     sample_lengths: Float[Array, "S"]
-    triangles: Float[Array, "T 3 3"]
     triangle_vertices: Int[Array, "T 3"]
-    triangle_faces: Float[Array, "T F"]
+    triangle_faces: Bool[Array, "T F"]
     face_points: Float[Array, "F 3"]
     face_normals: Float[Array, "F 3"]
     margin: Float[Array, ""]
@@ -95,7 +95,6 @@ class Wireframe(eqx.Module):
         S = _rounded(len(owners), samples)
         T, F = _rounded(len(corners), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
         planes = [model.plane(k) for k in range(len(faces))]
-        extent = float(np.ptp(model.vertices, axis=0).max())
         arrays = (
             _padded(model.vertices, V, 3),
             np.arange(V) < len(model.vertices),
@@ -107,14 +106,18 @@ class Wireframe(eqx.Module):
             _padded(owners, S),
             _padded(tangents, S, 3),
             _padded(lengths, S),
-            _padded(model.vertices[corners], T, 3, 3),
             _padded(corners, T, 3),
             _padded(triangle_faces, T, F),
             _padded(np.array([one.origin for one in planes]).reshape(-1, 3), F, 3),
             _padded(np.array([one.normal for one in planes]).reshape(-1, 3), F, 3),
-            np.array(HIDING_MARGIN * extent),
+            np.array(HIDING_MARGIN * model.extent),
         )
         return cls(*map(to_device, arrays))
+
+    @property
+    def triangles(self) -> Float[Array, "T 3 3"]:
+        """The corners of the faces' triangles, m; those that were added have no area."""
+        return self.vertices[self.triangle_vertices]
 
 
 def _rounded(count: int, smallest: int) -> int:
@@ -163,30 +166,18 @@ def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
     return np.array(on, dtype=bool).reshape(len(edges), len(sides))
 
 
-def _fans(model: ObjectModel) -> tuple[Int[np.ndarray, "T 3"], Float[np.ndarray, "T F"]]:
-    """Return the vertices of all faces' triangles, and their signs in the rows of their faces."""
-    corners, signs = [], []
-    for k, face in enumerate(model.faces):
-        for triangle, sign in zip(*_fan(model, face, model.plane(k).normal), strict=True):
-            row = np.zeros(len(model.faces))
-            row[k] = sign
-            corners.append(triangle)
-            signs.append(row)
-    # With its length stated: an array of no faces could have any.
-    shape = len(corners), len(model.faces)
-    return np.array(corners, int).reshape(-1, 3), np.array(signs).reshape(shape)
+def _fans(model: ObjectModel) -> tuple[Int[np.ndarray, "T 3"], Bool[np.ndarray, "T F"]]:
+    """Return the vertices of all faces' triangles, and which face each is part of."""
+    fans = [_fan(face) for face in model.faces]
+    owners = np.repeat(np.arange(len(fans)), [len(fan) for fan in fans])
+    corners = np.concatenate(fans) if fans else np.zeros((0, 3), int)
+    return corners, owners[:, None] == np.arange(len(fans))
 
 
-def _fan(
-    model: ObjectModel, face: Face, normal: Float[np.ndarray, "3"]
-) -> tuple[Int[np.ndarray, "T 3"], Float[np.ndarray, "T"]]:
-    """Return the triangles between the first vertex of a face and its sides, and their signs."""
+def _fan(face: Face) -> Int[np.ndarray, "T 3"]:
+    """Return the triangles between the first vertex of a face and its sides."""
     apex = face.loop[0]
-    # The sides at the apex itself make no triangle.
+    # The sides at the apex itself make no triangle. One in line with it makes one without area,
+    # which gains area where a vertex is moved.
     sides = np.array([pair for pair in face.directed_edges if apex not in pair])
-    corners = np.column_stack([np.full(len(sides), apex), sides])
-    triangles = model.vertices[corners]
-    areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) @ normal
-    # A side in line with the apex makes a triangle without area, which nothing can pass through.
-    useful = np.abs(areas) > 1e-12 * np.abs(areas).max()
-    return corners[useful], np.sign(areas[useful])
+    return np.column_stack([np.full(len(sides), apex), sides])

@@ -154,7 +154,7 @@ def widths_between_fingers(
     """Return `width_between_fingers` of many tool poses, NaN where there is none."""
     origins, directions = object_from_tool[:, :3, 3], object_from_tool[:, :3, 0]
     # The outermost hits on both sides: fingers close from outside, over hollows.
-    scale = _ON_SURFACE * float(np.ptp(model.vertices, axis=0).max())
+    scale = _ON_SURFACE * model.extent
     ahead, behind = np.full(len(origins), -np.inf), np.full(len(origins), np.inf)
     for face in model.faces:
         plane = face_plane(model.vertices, face)

@@ -98,10 +98,10 @@ class ObjectModel:
                 f"vertex {wrong[0]}: not finite: {self.vertices[wrong[0]].round(6).tolist()}"
             )
         # Millimetres that were given as metres make a house of a bracket.
-        extent = float(np.ptp(self.vertices, axis=0).max()) if len(self.vertices) else 0.0
-        if extent > MAX_EXTENT:
+        if self.extent > MAX_EXTENT:
             raise ValueError(
-                f"vertices: an object of {extent:.4g} m; expected metres, up to {MAX_EXTENT:g} m"
+                f"vertices: an object of {self.extent:.4g} m; expected metres, up to "
+                f"{MAX_EXTENT:g} m"
             )
 
     def _check_edges(self) -> None:
@@ -137,6 +137,11 @@ class ObjectModel:
             factor.ndim != 2 or len(factor) != 3 * count or not np.isfinite(factor).all()
         ):
             raise ValueError(f"calibration_factor: expected {3 * count} finite rows")
+
+    @property
+    def extent(self) -> float:
+        """The largest size along an axis of the object's frame, m; 0 without vertices."""
+        return float(np.ptp(self.vertices, axis=0).max()) if len(self.vertices) else 0.0
 
     @property
     def is_exact(self) -> bool:

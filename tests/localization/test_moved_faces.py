@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from drawn_edges import drawn, not_behind, together
@@ -14,11 +15,13 @@ from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 from smartview_jax.localization.moved_faces import (
     MOVED_SAMPLES,
     _found_lengths,
+    _moved,
     _places,
     _rates,
     likeliest_moved_face,
     movements_of_face,
 )
+from smartview_jax.localization.prediction import faces_before
 from smartview_jax.localization.refinement import measured_lines
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
@@ -65,6 +68,33 @@ def asked(pictures, views, model=MODEL):
     lookup = lookup_of(pictures, views)
     lines = measured_lines(Wireframe.of(model, 512), views, lookup, POSE, EXPLAINED_DISTANCE)
     return likeliest_moved_face(POSE, model, lines, views, lookup)
+
+
+def channel():
+    """A bar with a groove along it: two of its faces are not convex, with sides in line."""
+    outline = 0.01 * np.array([[0, 0], [6, 0], [6, 4], [4, 4], [4, 2], [2, 2], [2, 4], [0, 4]])
+    ends = [np.column_stack([outline, np.full(8, y)]) for y in (0.0, 0.05)]
+    walls = [Face((k, (k + 1) % 8, 8 + (k + 1) % 8, 8 + k)) for k in range(8)]
+    faces = (*walls, Face(tuple(range(8))[::-1]), Face(tuple(range(8, 16))))
+    return ObjectModel(np.concatenate(ends), edges_of_faces(faces), faces)
+
+
+@pytest.mark.parametrize("face", range(8))
+def test_faces_hide_the_same_after_one_is_moved(face):
+    model = channel()
+    movements = movements_of_face(model, face)
+    wireframe = Wireframe.of(model)
+    moved = _moved(wireframe, _rates(wireframe, model, movements), jnp.array(0.004))
+    built = Wireframe.of(dataclasses.replace(model, vertices=model.vertices + 0.004 * movements))
+    rng = np.random.default_rng(face)
+    points = jnp.array(rng.uniform([-0.01, -0.01, -0.01], [0.07, 0.05, 0.06], (400, 3)))
+    centre, last = jnp.array([0.2, 0.15, 0.3]), jnp.full(400, 0.999)
+    before = [
+        np.asarray(faces_before(one.triangles, one.triangle_faces, centre, points, last))
+        for one in (moved, built)
+    ]
+    assert before[1].any()
+    np.testing.assert_array_equal(*before)
 
 
 @pytest.mark.parametrize("name", ["box", "frustum", "prism"])

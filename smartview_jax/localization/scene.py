@@ -1,0 +1,119 @@
+"""Keep which edge points of a scene no object explains yet, and what known surfaces hide."""
+
+import copy
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..features import PictureEvidence
+from ..modeling import SeenViews
+from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
+from .edge_lookup import EdgeLookup
+from .evidence import Evidence, evidence_of
+from .known_surfaces import KnownSurfaces
+from .refinement import explained_edge_points, measured_lines
+from .wireframe import Wireframe
+
+
+class Claim(NamedTuple):
+    """The parts of the pictures that an object takes from all others.
+
+    Attributes:
+        free: which edge points of each view it does not explain.
+        inverse_depth: of the nearest known surface, its own included, in each part of each view,
+            1/m; zero where nothing is.
+    """
+
+    free: list[Bool[np.ndarray, "_"]]
+    inverse_depth: Float[np.ndarray, "views rows columns"]
+
+
+class Scene:
+    """The pictures of one scene, and which of their edge points no object explains yet.
+
+    Attributes:
+        views: camera and poses.
+        pictures: what was found in each.
+        lookup: the free edge points, and what hides others.
+    """
+
+    def __init__(
+        self,
+        views: SeenViews,
+        pictures: Sequence[PictureEvidence],
+        known: Float[np.ndarray, "triangles 3 3"],
+    ):
+        self.views, self.pictures = views, pictures
+        self._surfaces = KnownSurfaces(views)
+        self._surfaces.add_triangles(known)
+        self._claims: list[Claim] = []
+        self.lookup: EdgeLookup = self.lookup_among(self._claims)
+
+    def untouched(self) -> "Scene":
+        """Return the scene as it was before anything was taken."""
+        anew = copy.copy(self)
+        anew._claims = []
+        anew.lookup = anew.lookup_among(anew._claims)
+        return anew
+
+    def claim(
+        self,
+        lines: EdgeLines,
+        wireframe: Wireframe | None = None,
+        pose: Float[np.ndarray, "4 4"] | None = None,
+    ) -> Claim:
+        """Return what an object takes from the others.
+
+        Args:
+            lines: what it explains.
+            wireframe, pose: of an object that hides what is behind it.
+        """
+        surfaces = self._surfaces
+        if wireframe is not None and pose is not None:
+            surfaces = surfaces.copy()
+            surfaces.add(wireframe, pose)
+        free = []
+        for view, picture in enumerate(self.pictures):
+            is_free = np.ones(len(picture.edge_points.pixels), dtype=bool)
+            is_free[explained_edge_points(lines, view, picture.edge_points)] = False
+            free.append(is_free)
+        return Claim(free, surfaces.inverse_depth)
+
+    def take(self, claim: Claim) -> None:
+        """Take what an object explains and hides away from all others."""
+        self._claims.append(claim)
+        self.lookup = self.lookup_among(self._claims)
+
+    def lookup_among(self, claims: Sequence[Claim]) -> EdgeLookup:
+        """Return the edge points that are left by some objects, and what these hide."""
+        free = [
+            np.logical_and.reduce([np.ones(len(picture.edge_points.pixels), bool), *own])
+            for picture, *own in zip(self.pictures, *(one.free for one in claims), strict=True)
+        ]
+        depths = [self._surfaces.inverse_depth, *(one.inverse_depth for one in claims)]
+        return EdgeLookup.of(
+            [picture.edge_points for picture in self.pictures],
+            self.views.camera.image_size,
+            free,
+            np.maximum.reduce(depths),
+            [picture.lone for picture in self.pictures],
+        )
+
+    def lines(
+        self,
+        pose: Float[np.ndarray, "4 4"],
+        wireframe: Wireframe,
+        views: SeenViews | None = None,
+    ) -> EdgeLines:
+        """Return the free edge points along the edges at a pose, in views that may be corrected."""
+        views = self.views if views is None else views
+        return measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
+
+    def evidence(
+        self, lines: EdgeLines, wireframe: Wireframe, chance: float, absorbed: float = 0.0
+    ) -> Evidence:
+        """Return what `lines` say of their pose."""
+        strengths = [picture.edge_points.strengths for picture in self.pictures]
+        return evidence_of(lines, wireframe, strengths, chance, absorbed)
