@@ -164,6 +164,29 @@ def test_bad_input_is_named(cell):
         cell.place([BLOCK], [2.0 * np.eye(4)])
 
 
+@pytest.mark.parametrize(
+    ("objects", "poses", "named"),
+    [
+        ([STEP, BLOCK], [np.eye(4)], "a pose for each of 2 objects, found 1"),
+        ([STEP], [np.eye(4), np.eye(4)], "a pose for each of 1 objects, found 2"),
+        ([STEP], [2.0 * np.eye(4)], "object step: "),
+        ([STEP, STEP], [np.eye(4), np.eye(4)], "given more than once"),
+    ],
+)
+def test_a_cell_that_refused_objects_is_as_it_was(objects, poses, named):
+    cell = SimulatedCell(7)
+    corner = np.eye(4)
+    corner[:3, 3] = cell.centre
+    for before in ((), (BLOCK,)):
+        if before:
+            cell.place([BLOCK], [corner])
+        shown = cell.board_shown
+        with pytest.raises(ValueError, match=named):
+            cell.place(objects, poses)
+        assert cell.board_shown == shown
+        assert list(cell.judge().world_from_object) == [one.name for one in before]
+
+
 def test_errors_of_the_arm_can_be_switched_off():
     assert np.all(np.asarray(random_truth(0, 0.0).calibration.robot_error.coefficients) == 0.0)
     assert np.any(np.asarray(random_truth(0).calibration.robot_error.coefficients) != 0.0)
