@@ -10,11 +10,14 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..geometry import host_transforms, xyzoat
-from ..io import write_viewpoints
+from ..io import HandSteps, write_viewpoints
 from ..modeling import Grasp
 
 PHASES = ("pre_grasp", "grasp", "lift", "retreat")
 """The poses of a grasp in the order in which the robot takes them; it closes at the second."""
+
+STRAIGHT = (False, True, True, True)
+"""Whether the tool goes to each of the `PHASES` in a straight line, on which it was checked."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,8 +64,19 @@ class PlannedGrasp:
         """The commands in VAL's form: x, y, z in m and O, A, T in rad (Eq. 18)."""
         return np.asarray(xyzoat(self.poses))
 
+    @property
+    def hand(self) -> HandSteps:
+        """The ways to the poses, and the distance of the fingers on each of them."""
+        closed_after = PHASES.index("grasp")
+        openings = (self.opening if k <= closed_after else 0.0 for k in range(len(PHASES)))
+        return HandSteps(STRAIGHT, tuple(openings))
+
     def write(self, path: str | Path, pose_format: str = "val_oat") -> None:
         """Write the commands for a robot: VAL, CSV or JSON, as `io.write_viewpoints` does.
+
+        The fingers open before the tool sets out, and close at the grasp. From there on it moves in
+        straight lines, as it does from the pre-grasp: these ways were checked for collisions. The
+        way to the pre-grasp was not.
 
         Args:
             path: a file ending in .val, .csv or .json.
@@ -74,7 +88,7 @@ class PlannedGrasp:
         # A file of a refused grasp would be executed by whoever finds it.
         if not self.is_safe:
             raise ValueError(f"the grasp is not written: {'; '.join(self.reasons)}")
-        write_viewpoints(path, self.poses, PHASES, self.joints, pose_format)
+        write_viewpoints(path, self.poses, PHASES, self.joints, pose_format, self.hand)
 
 
 class NoSafeGraspError(ValueError):

@@ -1,5 +1,6 @@
 """Whole grasps: their commands by Eq. 20, what refuses them, and how they are ranked."""
 
+import csv
 import dataclasses
 import json
 
@@ -105,13 +106,35 @@ def test_it_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
         assert read.names == PHASES
         assert np.allclose(host_matrices(read.base_from_tool), best.base_from_tool)
         assert np.allclose(read.joints, best.joints)
-    best.write(tmp_path / "grasp.val")
-    assert (tmp_path / "grasp.val").read_text().count("MOVE ") == 4
     units = json.loads((tmp_path / "grasp.json").read_text())["units"]
     assert units["length"] == "mm"
     # And Eq. 18's numbers, in m and rad.
     again = host_matrices(sv.se3_from_xyzoat(jnp.asarray(best.xyzoat)))
     assert np.allclose(again, best.base_from_tool)
+
+
+def test_what_is_written_opens_and_closes_the_gripper(plan, tmp_path):
+    best = plan.best
+    best.write(tmp_path / "grasp.val")
+    lines = (tmp_path / "grasp.val").read_text().splitlines()
+    # Open, go there, and from then on as straight as the way was checked.
+    assert [line for line in lines if not line.startswith("SET")] == [
+        f"OPENI {1e3 * best.opening:.2f}",
+        "MOVE pre_grasp",
+        "BREAK",
+        "MOVES grasp",
+        "CLOSEI",
+        "MOVES lift",
+        "MOVES retreat",
+    ]
+    best.write(tmp_path / "grasp.csv")
+    rows = list(csv.DictReader((tmp_path / "grasp.csv").read_text().splitlines()))
+    best.write(tmp_path / "grasp.json")
+    entries = json.loads((tmp_path / "grasp.json").read_text())["viewpoints"]
+    for found in (rows, entries):
+        assert [one["motion"] for one in found] == ["free", "straight", "straight", "straight"]
+        openings = [float(one["opening_m"]) for one in found]
+        assert openings == [best.opening, best.opening, 0.0, 0.0]
 
 
 def test_the_probability_falls_with_the_covariance(scene):
