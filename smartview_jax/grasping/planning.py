@@ -10,7 +10,13 @@ from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..robots import Command, Gripper
 from .candidates import Candidate, candidate_grasps
-from .collisions import CollisionChecker, closing_fingers, swept_gripper
+from .collisions import (
+    CollisionChecker,
+    Contact,
+    closing_fingers,
+    swept_gripper,
+    swept_object,
+)
 from .localized import LocalizedObject, checked_object
 from .motions import Motions, plan_motions
 from .planned import PHASES, GraspPlan, NoSafeGraspError, PlannedGrasp
@@ -60,9 +66,15 @@ def grasps_for(
 
     Every grasp of the model, or without any those of `suggested_grasps`, is repeated by the model's
     symmetry and by half a turn of the gripper, moved to the object's pose by Eq. 20, and checked:
-    reach, joint limits, singularity; collisions of gripper and arm with the scene's obstacles; and
-    the probability of success by `success_probability`. A grasp that fails a check is among
-    `GraspPlan.refused` with its reasons.
+    reach, joint limits, singularity; collisions with the scene's obstacles; and the probability of
+    success by `success_probability`. A grasp that fails a check is among `GraspPlan.refused` with
+    its reasons.
+
+    Collisions are checked on the straight lines from the pre-grasp to the retreat: of the gripper,
+    of the held object's convex hull on its way up, and, with `GraspScene.link_radius`, of the arm's
+    links. Not checked are the way from the last view to the pre-grasp, the links without that
+    radius, the camera and whatever else is on the hand, and what a held object does that slips or
+    turns between the fingers.
 
     Args:
         localization: the object, with its pose and covariance.
@@ -119,6 +131,8 @@ def _without_collisions(
     # The object itself is in the way of the open fingers, until they close.
     faces = [Obstacle.of_object(localization)] if localization.model.faces else []
     itself = CollisionChecker([one._replace(name="the object itself") for one in faces])
+    # However it is held, it goes straight up.
+    held = _contact_of_held(localization, world_from_object, around, scene, motion)
     drafts = []
     for one in candidates:
         # Eq. 20 in the world: world_from_object @ object_from_gripper.
@@ -147,6 +161,8 @@ def _without_collisions(
             touched = itself.nearest(approach)
             if touched is not None and touched.clearance <= 0.0:
                 reasons.append(str(touched))
+            if held is not None:
+                reasons.append(str(held))
         drafts.append(
             PlannedGrasp(
                 one.grasp,
@@ -162,6 +178,20 @@ def _without_collisions(
             )
         )
     return drafts
+
+
+def _contact_of_held(
+    localization: LocalizedObject,
+    world_from_object: Float[np.ndarray, "4 4"],
+    around: CollisionChecker,
+    scene: GraspScene,
+    motion: Motion,
+) -> Contact | None:
+    """Return what an object touches on its way up, or None if there is nothing."""
+    R, t = world_from_object[:3, :3], world_from_object[:3, 3]
+    swept = swept_object(localization.model.vertices @ R.T + t, motion.retreat * scene.up_direction)
+    contact = around.nearest(swept)
+    return contact if contact is not None and contact.clearance <= 0.0 else None
 
 
 def _with_motions(

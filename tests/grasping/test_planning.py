@@ -20,6 +20,8 @@ from smartview_jax.grasping import (
     PlacedObject,
     grasps_for,
 )
+from smartview_jax.grasping.collisions import CollisionChecker, arm_links
+from smartview_jax.grasping.motions import _joint_reasons
 from smartview_jax.io import read_viewpoints
 from smartview_jax.modeling import find_symmetry, grasp_on_face
 from smartview_jax.robot_errors import DHErrors, RobotError
@@ -192,6 +194,53 @@ def test_the_links_of_the_arm_are_kept_clear(scene):
     assert "arm's link" in plan.summary
     assert "tower" in plan.summary
     assert len(grasps_for(placed(), GRIPPER, dataclasses.replace(blocked, link_radius=None)))
+
+
+def test_links_are_kept_clear_between_the_poses_too(scene, plan):
+    """A ball bearing in the air that a link passes between the lift and the retreat."""
+    joints = plan.best.joints[PHASES.index("lift") :]
+    origins = np.asarray(six_axes().frame_origins(np.stack([joints[0], joints.mean(0), joints[1]])))
+    world_from_base = np.linalg.inv(host_matrices(CALIBRATION.base_from_world))
+    ends = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
+    thin = dataclasses.replace(scene, obstacles=(), link_radius=0.01)
+
+    def bearing(spot):
+        pose = np.eye(4)
+        pose[:3, 3] = spot
+        return thin.with_obstacles([Obstacle.box("bearing", (5e-3,) * 3, pose)])
+
+    def gap(spot):
+        checker = CollisionChecker(bearing(spot).obstacles)
+        contacts = [checker.nearest(arm_links(one[1:], 0.01)) for one in (ends[0], ends[2])]
+        return min(contact.clearance for contact in contacts)
+
+    # Of the links' middles, half on the way, the one that is farthest from both ends.
+    spot = max(0.5 * (ends[1, 1:-1] + ends[1, 2:]), key=gap)
+    assert gap(spot) > 0.01
+    blocked = bearing(spot)
+    checker = CollisionChecker(blocked.obstacles)
+    reasons = _joint_reasons(blocked, plan.best.joints, checker)
+    assert [("touches bearing" in one, "lift to retreat" in one) for one in reasons] == [
+        (True,) * 2
+    ]
+    assert _joint_reasons(thin, plan.best.joints, CollisionChecker(())) == []
+
+
+def test_a_long_bar_under_a_shelf_is_not_lifted(scene):
+    """Far from the fingers: the gripper passes, what it holds does not."""
+    bar = box(0.3, 0.02, 0.02, name="bar")
+    grasp = grasp_on_face(bar, 1, opening_direction=np.array([0.0, 1.0, 0.0]), depth=0.01)
+    found = placed(model=dataclasses.replace(bar, grasps=(grasp,)), turn=0.0)
+    assert len(grasps_for(found, GRIPPER, scene))
+    shelf = np.eye(4)
+    # 5 mm above the last 20 mm of the bar, whose frame is at a corner.
+    shelf[:3, 3] = [0.1 + 0.29, -0.1 + 0.01, 0.02 + 5e-3 + 1e-3]
+    covered = scene.with_obstacles([Obstacle.box("shelf", (0.02, 0.1, 2e-3), shelf)])
+    plan = grasps_for(found, GRIPPER, covered)
+    assert not len(plan)
+    assert "the held object touches shelf" in plan.summary
+    # The gripper alone would pass.
+    assert all(one.reasons == ("the held object touches shelf",) for one in plan.refused)
 
 
 def test_symmetry_finds_a_grasp_where_one_side_is_blocked(scene):
