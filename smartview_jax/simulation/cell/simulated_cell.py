@@ -313,7 +313,7 @@ class SimulatedCell:
         }
         touched = self._physics.touched_by_fingers()
         # Without a bin an object counts as soon as it is off the table.
-        floor = max((float(box.size[2]) for box in self.fixtures), default=0.0)
+        floor = 0.0 if self._bin is None or self.board_shown else self._bin.rim
         lifted = [one.vertices[:, 2].min() > floor + HELD_HEIGHT for one in self._solids()]
         held = tuple(
             self._objects[k].name for k in sorted(touched["left"] & touched["right"]) if lifted[k]
