@@ -19,6 +19,9 @@ PHASES = ("pre_grasp", "grasp", "lift", "retreat")
 STRAIGHT = (False, True, True, True)
 """Whether the tool goes to each of the `PHASES` in a straight line, on which it was checked."""
 
+LISTED_REASONS = 6
+"""Largest number of reasons in the summary of a plan without a safe grasp: more help nobody."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlannedGrasp:
@@ -53,6 +56,16 @@ class PlannedGrasp:
     def is_safe(self) -> bool:
         """Whether nothing speaks against the grasp."""
         return not self.reasons
+
+    @property
+    def checks_passed(self) -> int:
+        """The number of checks it came through: of collisions, of the arm, of the probability."""
+        if self.is_safe:
+            return 3
+        # Each is computed only for what passed the one before.
+        if np.isfinite(self.success_probability):
+            return 2
+        return int(np.isfinite(self.base_from_tool).any())
 
     @property
     def poses(self) -> SE3:
@@ -130,7 +143,10 @@ class GraspPlan:
 
     @property
     def summary(self) -> str:
-        """The best grasp in words, or why there is none, with the number of grasps per reason."""
+        """The best grasp in words, or why there is none.
+
+        Each reason comes with its number of grasps, that of the grasps that came furthest first.
+        """
         subject = self.object_name or "the object"
         if self.safe:
             best = self.safe[0]
@@ -141,10 +157,16 @@ class GraspPlan:
             )
         if not self.refused:
             return f"no safe grasp: the model of {subject} has no place for this gripper"
+        return f"no safe grasp of {subject}: {len(self.refused)} looked at; {self._reasons()}"
+
+    def _reasons(self) -> str:
+        """Return why grasps were refused, each reason with its number of grasps."""
         # The same reason stops many grasps: it is said once, with its number.
         counts = Counter(reason for one in self.refused for reason in one.reasons)
-        listed = "; ".join(f"{count} of them: {text}" for text, count in counts.most_common(6))
-        # A long list helps nobody.
-        others = len(counts) - 6
-        more = f"; and {others} other reasons" if others > 0 else ""
-        return f"no safe grasp of {subject}: {len(self.refused)} looked at; {listed}{more}"
+        # A reason belongs to one check: all grasps that have it came equally far.
+        furthest = {r: one.checks_passed for one in self.refused for r in one.reasons}
+        # What stopped the grasps that came furthest decides, however many were stopped before.
+        ranked = sorted(counts, key=lambda reason: (-furthest[reason], -counts[reason]))
+        listed = "; ".join(f"{counts[r]} of them: {r}" for r in ranked[:LISTED_REASONS])
+        others = len(counts) - LISTED_REASONS
+        return listed + (f"; and {others} other reasons" if others > 0 else "")

@@ -97,7 +97,8 @@ def grasps_for(
     # A grasp near the object's middle does not let it turn; of those, wide openings forgive more.
     candidates.sort(key=lambda one: (_offset(one, middle), -one.opening))
     drafts = _without_collisions(candidates, localization, pose, gripper, scene, motion)
-    promising = [draft for draft in drafts if draft.is_safe]
+    # A draft goes on with the candidate that it was made of.
+    promising = [pair for pair in zip(drafts, candidates, strict=True) if pair[0].is_safe]
     refused = [draft for draft in drafts if not draft.is_safe]
     safe: list[PlannedGrasp] = []
     # The motions are computed in lots: the first with a safe grasp is the last.
@@ -105,8 +106,7 @@ def grasps_for(
         if safe:
             break
         lot = promising[start : start + GRASPS_AT_ONCE]
-        chosen = [candidates[drafts.index(draft)] for draft in lot]
-        for grasp in _with_motions(lot, chosen, localization, gripper, scene, motion):
+        for grasp in _with_motions(lot, localization, gripper, scene, motion):
             (safe if grasp.is_safe else refused).append(grasp)
     # In whole per cents: what is as likely is ordered by the room around it.
     safe.sort(key=lambda one: (-round(one.success_probability, 2), -one.clearance))
@@ -195,8 +195,7 @@ def _contact_of_held(
 
 
 def _with_motions(
-    drafts: Sequence[PlannedGrasp],
-    candidates: Sequence[Candidate],
+    lot: Sequence[tuple[PlannedGrasp, Candidate]],
     localization: LocalizedObject,
     gripper: Gripper,
     scene: GraspScene,
@@ -204,10 +203,10 @@ def _with_motions(
 ) -> list[PlannedGrasp]:
     """Return grasps with their commands and probabilities, refused where the arm cannot go."""
     # All grasps of the lot at once: programs are compiled for one size.
-    motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one in drafts]))
+    motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one, _ in lot]))
     errors = _errors_of_reached(motions, gripper, scene)
     finished = []
-    for k, (draft, one) in enumerate(zip(drafts, candidates, strict=True)):
+    for k, (draft, one) in enumerate(lot):
         reasons, probability, risks = motions.reasons[k], float("nan"), {}
         if not reasons:
             covariance = error_covariance(

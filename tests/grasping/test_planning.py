@@ -13,6 +13,7 @@ import smartview_jax as sv
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.grasping import (
     PHASES,
+    GraspPlan,
     GraspScene,
     Motion,
     NoSafeGraspError,
@@ -173,6 +174,60 @@ def test_out_of_reach_is_said_with_the_phases(scene):
     plan = grasps_for(placed(x=3.0), GRIPPER, dataclasses.replace(scene, obstacles=()))
     assert not len(plan)
     assert "out of reach (pre_grasp)" in plan.summary
+
+
+def test_the_reason_that_decided_comes_first(plan):
+    """Of many grasps against walls, and one that only the covariance stopped."""
+    best, nothing = plan.best, np.full((4, 4, 4), np.nan)
+    against = [
+        dataclasses.replace(
+            best,
+            reasons=(f"the palm touches wall {k}",),
+            base_from_tool=nothing,
+            success_probability=float("nan"),
+        )
+        for k in range(8)
+        for _ in range(10 - k)
+    ]
+    late = dataclasses.replace(
+        against[0], reasons=("out of reach",), base_from_tool=np.ones((4, 4, 4))
+    )
+    last = dataclasses.replace(best, reasons=("less than 50% chance",), success_probability=0.2)
+    for refused in ([*against, late, last], [last, late, *against]):
+        summary = GraspPlan((), tuple(refused), "box").summary
+        first, second, third = summary.split("; ")[1:4]
+        assert first == "1 of them: less than 50% chance"
+        assert second == "1 of them: out of reach"
+        assert third == "10 of them: the palm touches wall 0"
+        assert summary.endswith("7 of them: the palm touches wall 3; and 4 other reasons")
+
+
+def test_a_large_covariance_is_named_among_collisions(scene):
+    """Grasps from all sides, most of which the table refuses: two are stopped by the covariance."""
+    plan = grasps_for(placed(200.0**2 * SMALL, BOX), GRIPPER, scene)
+    assert not len(plan)
+    assert "less than 50% chance" in plan.summary.split("; ")[1]
+    far = grasps_for(placed(x=3.0), GRIPPER, dataclasses.replace(scene, obstacles=()))
+    assert {one.checks_passed for one in far.refused} == {1}
+
+
+def test_a_singular_wrist_is_refused(scene):
+    joints = np.array(HOME_JOINTS, dtype=float)
+    # Joints 4 and 6 turn about one axis where joint 5 is straight.
+    joints[4] = 0.0
+    base_from_tool = host_matrices(six_axes().base_from_tool(joints))
+    world_from_gripper = (
+        np.linalg.inv(host_matrices(CALIBRATION.base_from_world))
+        @ base_from_tool
+        @ GRIPPER.tool_from_gripper
+    )
+    pose = world_from_gripper @ np.linalg.inv(TOP.object_from_tool)
+    found = PlacedObject(MODEL, pose, SMALL)
+    free = dataclasses.replace(scene, obstacles=(), near=joints)
+    plan = grasps_for(found, GRIPPER, free)
+    assert not len(plan)
+    assert all("singular wrist" in one.reasons[0] for one in plan.refused)
+    assert all("grasp" in one.reasons[0] for one in plan.refused)
 
 
 def test_joint_limits_are_kept(scene):
