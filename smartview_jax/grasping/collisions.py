@@ -1,18 +1,19 @@
 """Find what a gripper and the links of an arm would touch, with python-fcl.
 
 Everything that moves is taken as convex, and so is what it sweeps along a straight line: the convex
-hull of its two ends. Between the two nothing is missed, as it would be by sampling poses. fcl is
+hull of its two ends. Between the two nothing is missed, as it would be by sampling poses. The links
+of the arm, which turn, are swept so in short steps. fcl is
 asked directly: trimesh's collision manager repairs and checks every mesh it is given, which for
 sweeps that are used once takes twenty times as long.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ..extras import import_extra
 from ..robots import Gripper
@@ -23,6 +24,13 @@ LINK_SIDES = 10
 
 CONVEX_TOLERANCE = 1e-9
 """Largest distance of a vertex outside of a triangle's plane in a convex mesh, over its extent."""
+
+
+RESTING_OVERLAP = 1e-3
+"""Depth to which a held object may be inside of obstacles, m.
+
+It touches what it stands on and what it leans against, and its pose is not exact.
+"""
 
 
 class Contact(NamedTuple):
@@ -60,10 +68,12 @@ class CollisionChecker:
         self._boxes = [(one.vertices.min(axis=0), one.vertices.max(axis=0)) for one in obstacles]
         self._objects = [self._obstacle(one) for one in obstacles]
 
-    def nearest(self, parts: dict[str, Float[np.ndarray, "corners 3"]]) -> Contact | None:
+    def nearest(
+        self, parts: dict[str, Float[np.ndarray, "corners 3"]], within: float = np.inf
+    ) -> Contact | None:
         """Return where convex parts, given by points in the world, come nearest to an obstacle.
 
-        None if there are no obstacles.
+        None if there are no obstacles, or none is within a distance, m: the search is then short.
         """
         best: Contact | None = None
         for part, corners in parts.items():
@@ -74,12 +84,12 @@ class CollisionChecker:
             ):
                 # The boxes about both are no farther apart than these themselves.
                 gap = np.linalg.norm(np.maximum(0.0, np.maximum(low - upper, lower - high)))
-                if best is not None and gap >= best.clearance:
+                if gap >= within:
                     continue
                 moving = moving or self._convex(corners, ConvexHull(corners).simplices)
                 distance = self._distance(moving, obstacle)
-                if best is None or distance < best.clearance:
-                    best = Contact(part, name, distance)
+                if distance < within:
+                    best, within = Contact(part, name, distance), distance
         return best
 
     def _distance(self, moving: Any, obstacle: Any) -> float:
@@ -152,6 +162,61 @@ def closing_fingers(
         before.name: np.concatenate([before.vertices, after.vertices]) @ R.T + t
         for before, after in both
     }
+
+
+def swept_object(
+    vertices: Float[np.ndarray, "vertices 3"], translation: Float[np.ndarray, "3"]
+) -> dict[str, Float[np.ndarray, "corners 3"]]:
+    """Return the corners of what a held object sweeps on a straight line from where it lies.
+
+    It is taken as its convex hull, which is made smaller by `RESTING_OVERLAP` on all sides.
+
+    Args:
+        vertices: of the object where it lies, in the world, m.
+        translation: of the object, m.
+    """
+    corners = _shrunk_hull(vertices, translation)
+    return {"held object": np.concatenate([corners, corners + translation])}
+
+
+def _shrunk_hull(
+    vertices: Float[np.ndarray, "vertices 3"], translation: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "corners 3"]:
+    """Return the corners of a convex hull whose faces are moved inwards by `RESTING_OVERLAP`.
+
+    Flat vertices are moved along a translation instead, and made a little thick.
+    """
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:
+        # A model of one face has no inside: it is lifted off what it lies on.
+        lifted = vertices + RESTING_OVERLAP * translation / np.linalg.norm(translation)
+        normal = np.linalg.svd(vertices - vertices.mean(axis=0))[2][2]
+        # What is flat may stay so when it is swept, and has no hull for Qhull.
+        thickness = 0.1 * RESTING_OVERLAP * normal
+        return np.concatenate([lifted - thickness, lifted + thickness])
+    middle = vertices[hull.vertices].mean(axis=0)
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    # Of a thin object something has to be left.
+    inset = min(RESTING_OVERLAP, -0.5 * float((normals @ middle + offsets).max()))
+    faces = np.column_stack([normals, offsets + inset])
+    return HalfspaceIntersection(faces, middle).intersections
+
+
+def swept_links(
+    origins: Float[np.ndarray, "steps frames 3"], radius: float
+) -> Iterator[dict[str, Float[np.ndarray, "corners 3"]]]:
+    """Yield the corners of what the links of an arm sweep from each step of a motion to the next.
+
+    Args:
+        origins: of the frames along the arm at each step, in the world, m.
+        radius: of the cylinders about the links, m.
+    """
+    for before, after in pairwise(arm_links(one, radius) for one in origins):
+        # A sliding joint may begin at no length, where its link has no direction.
+        yield {
+            name: np.concatenate([before[name], after[name]]) for name in before if name in after
+        }
 
 
 def arm_links(

@@ -18,6 +18,10 @@ class LocalizedObject(Protocol):
         world_from_object: its pose, 4x4, m.
         covariance: of the pose's tangent at the object, translation first, m^2 and rad^2:
             `true = world_from_object @ exp(xi)`.
+        calibration_jacobian: derivatives of xi by the numbers of the calibration, `(6, numbers)`,
+            one for each shared number of `CalibrationUncertainty`; their part of the covariance
+            is what the object has in common with the gripper. None if nothing is in common, or
+            nothing is known of it.
     """
 
     @property
@@ -29,6 +33,9 @@ class LocalizedObject(Protocol):
     @property
     def covariance(self) -> np.ndarray: ...
 
+    @property
+    def calibration_jacobian(self) -> np.ndarray | None: ...
+
 
 class PlacedObject(NamedTuple):
     """An object whose pose is known from elsewhere, such as a fixture or a drawing.
@@ -37,11 +44,14 @@ class PlacedObject(NamedTuple):
         model: of the object.
         world_from_object: its pose, m.
         covariance: of the pose's tangent at the object, translation first; zero if it is exact.
+        calibration_jacobian: as in `LocalizedObject`; None for a pose that owes nothing to the
+            calibration, or of which that is not known.
     """
 
     model: ObjectModel
     world_from_object: Float[np.ndarray, "4 4"]
     covariance: Float[np.ndarray, "6 6"] = np.zeros((6, 6))
+    calibration_jacobian: Float[np.ndarray, "6 numbers"] | None = None
 
 
 def checked_object(

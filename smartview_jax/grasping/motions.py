@@ -1,5 +1,6 @@
 """Compute the arm's motions through the poses of grasps, and check that it can make them."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float
 from ..geometry import host_matrices
 from ..robots import Gripper
 from ..viewpoints import ViewpointCommands
-from .collisions import CollisionChecker, arm_links
+from .collisions import CollisionChecker, Contact, swept_links
 from .commands import MOTION_CHECKS, gripper_commands
 from .planned import PHASES
 from .scene import GraspScene
@@ -18,6 +19,9 @@ MAX_JOINT_STEP = float(np.deg2rad(60.0))
 
 They are centimetres apart: a wrist that turns over between them leaves the straight line.
 """
+
+LINK_STEPS = 4
+"""Number of steps in which the links of the arm are swept between two poses of a grasp."""
 
 
 class Motions(NamedTuple):
@@ -105,12 +109,31 @@ def _joint_reasons(
             f"{PHASES[step]} and {PHASES[step + 1]}"
         )
     if scene.link_radius is not None:
-        world_from_base = np.linalg.inv(host_matrices(scene.calibration.base_from_world))
-        for phase, origins in zip(PHASES, np.asarray(scene.arm.frame_origins(joints)), strict=True):
-            # In the world, where the obstacles are.
-            in_world = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
-            # The first link is the column that the arm stands on, which does not move.
-            contact = links.nearest(arm_links(in_world[1:], scene.link_radius))
-            if contact is not None and contact.clearance < scene.margin:
-                reasons.append(f"{contact} ({phase})")
+        for k, way in enumerate(pairwise(joints)):
+            contact = _link_contact(scene, np.array(way), links)
+            if contact is not None:
+                reasons.append(f"{contact} ({PHASES[k]} to {PHASES[k + 1]})")
     return reasons
+
+
+def _link_contact(
+    scene: GraspScene, joints: Float[np.ndarray, "2 joints"], links: CollisionChecker
+) -> Contact | None:
+    """Return where the arm's links come too close to an obstacle between two joint readings.
+
+    The joints are taken to turn evenly, which takes the tool off its straight line by less than
+    3 mm where they turn by 10 degrees, as over the 0.12 m of a usual retreat; the links, by less.
+    """
+    assert scene.arm is not None
+    assert scene.link_radius is not None
+    shares = np.linspace(0.0, 1.0, LINK_STEPS + 1)[:, None]
+    origins = np.asarray(scene.arm.frame_origins(joints[0] + shares * (joints[1] - joints[0])))
+    # In the world, where the obstacles are.
+    world_from_base = np.linalg.inv(host_matrices(scene.calibration.base_from_world))
+    in_world = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
+    # The first link is the column that the arm stands on, which does not move.
+    for parts in swept_links(in_world[:, 1:], scene.link_radius):
+        contact = links.nearest(parts, within=scene.margin)
+        if contact is not None:
+            return contact
+    return None

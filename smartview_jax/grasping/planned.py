@@ -10,11 +10,17 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..geometry import host_transforms, xyzoat
-from ..io import write_viewpoints
+from ..io import HandSteps, write_viewpoints
 from ..modeling import Grasp
 
 PHASES = ("pre_grasp", "grasp", "lift", "retreat")
 """The poses of a grasp in the order in which the robot takes them; it closes at the second."""
+
+STRAIGHT = (False, True, True, True)
+"""Whether the tool goes to each of the `PHASES` in a straight line, on which it was checked."""
+
+LISTED_REASONS = 6
+"""Largest number of reasons in the summary of a plan without a safe grasp: more help nobody."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,6 +58,16 @@ class PlannedGrasp:
         return not self.reasons
 
     @property
+    def checks_passed(self) -> int:
+        """The number of checks it came through: of collisions, of the arm, of the probability."""
+        if self.is_safe:
+            return 3
+        # Each is computed only for what passed the one before.
+        if np.isfinite(self.success_probability):
+            return 2
+        return int(np.isfinite(self.base_from_tool).any())
+
+    @property
     def poses(self) -> SE3:
         """The commands `base_from_tool` as transforms, `(4)`."""
         return host_transforms(self.base_from_tool)
@@ -61,8 +77,19 @@ class PlannedGrasp:
         """The commands in VAL's form: x, y, z in m and O, A, T in rad (Eq. 18)."""
         return np.asarray(xyzoat(self.poses))
 
+    @property
+    def hand(self) -> HandSteps:
+        """The ways to the poses, and the distance of the fingers on each of them."""
+        closed_after = PHASES.index("grasp")
+        openings = (self.opening if k <= closed_after else 0.0 for k in range(len(PHASES)))
+        return HandSteps(STRAIGHT, tuple(openings))
+
     def write(self, path: str | Path, pose_format: str = "val_oat") -> None:
         """Write the commands for a robot: VAL, CSV or JSON, as `io.write_viewpoints` does.
+
+        The fingers open before the tool sets out, and close at the grasp. From there on it moves in
+        straight lines, as it does from the pre-grasp: these ways were checked for collisions. The
+        way to the pre-grasp was not.
 
         Args:
             path: a file ending in .val, .csv or .json.
@@ -74,7 +101,7 @@ class PlannedGrasp:
         # A file of a refused grasp would be executed by whoever finds it.
         if not self.is_safe:
             raise ValueError(f"the grasp is not written: {'; '.join(self.reasons)}")
-        write_viewpoints(path, self.poses, PHASES, self.joints, pose_format)
+        write_viewpoints(path, self.poses, PHASES, self.joints, pose_format, self.hand)
 
 
 class NoSafeGraspError(ValueError):
@@ -116,7 +143,10 @@ class GraspPlan:
 
     @property
     def summary(self) -> str:
-        """The best grasp in words, or why there is none, with the number of grasps per reason."""
+        """The best grasp in words, or why there is none.
+
+        Each reason comes with its number of grasps, that of the grasps that came furthest first.
+        """
         subject = self.object_name or "the object"
         if self.safe:
             best = self.safe[0]
@@ -127,10 +157,16 @@ class GraspPlan:
             )
         if not self.refused:
             return f"no safe grasp: the model of {subject} has no place for this gripper"
+        return f"no safe grasp of {subject}: {len(self.refused)} looked at; {self._reasons()}"
+
+    def _reasons(self) -> str:
+        """Return why grasps were refused, each reason with its number of grasps."""
         # The same reason stops many grasps: it is said once, with its number.
         counts = Counter(reason for one in self.refused for reason in one.reasons)
-        listed = "; ".join(f"{count} of them: {text}" for text, count in counts.most_common(6))
-        # A long list helps nobody.
-        others = len(counts) - 6
-        more = f"; and {others} other reasons" if others > 0 else ""
-        return f"no safe grasp of {subject}: {len(self.refused)} looked at; {listed}{more}"
+        # A reason belongs to one check: all grasps that have it came equally far.
+        furthest = {r: one.checks_passed for one in self.refused for r in one.reasons}
+        # What stopped the grasps that came furthest decides, however many were stopped before.
+        ranked = sorted(counts, key=lambda reason: (-furthest[reason], -counts[reason]))
+        listed = "; ".join(f"{counts[r]} of them: {r}" for r in ranked[:LISTED_REASONS])
+        others = len(counts) - LISTED_REASONS
+        return listed + (f"; and {others} other reasons" if others > 0 else "")

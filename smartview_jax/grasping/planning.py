@@ -10,7 +10,13 @@ from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..robots import Command, Gripper
 from .candidates import Candidate, candidate_grasps
-from .collisions import CollisionChecker, closing_fingers, swept_gripper
+from .collisions import (
+    CollisionChecker,
+    Contact,
+    closing_fingers,
+    swept_gripper,
+    swept_object,
+)
 from .localized import LocalizedObject, checked_object
 from .motions import Motions, plan_motions
 from .planned import PHASES, GraspPlan, NoSafeGraspError, PlannedGrasp
@@ -60,9 +66,15 @@ def grasps_for(
 
     Every grasp of the model, or without any those of `suggested_grasps`, is repeated by the model's
     symmetry and by half a turn of the gripper, moved to the object's pose by Eq. 20, and checked:
-    reach, joint limits, singularity; collisions of gripper and arm with the scene's obstacles; and
-    the probability of success by `success_probability`. A grasp that fails a check is among
-    `GraspPlan.refused` with its reasons.
+    reach, joint limits, singularity; collisions with the scene's obstacles; and the probability of
+    success by `success_probability`. A grasp that fails a check is among `GraspPlan.refused` with
+    its reasons.
+
+    Collisions are checked on the straight lines from the pre-grasp to the retreat: of the gripper,
+    of the held object's convex hull on its way up, and, with `GraspScene.link_radius`, of the arm's
+    links. Not checked are the way from the last view to the pre-grasp, the links without that
+    radius, the camera and whatever else is on the hand, and what a held object does that slips or
+    turns between the fingers.
 
     Args:
         localization: the object, with its pose and covariance.
@@ -85,7 +97,8 @@ def grasps_for(
     # A grasp near the object's middle does not let it turn; of those, wide openings forgive more.
     candidates.sort(key=lambda one: (_offset(one, middle), -one.opening))
     drafts = _without_collisions(candidates, localization, pose, gripper, scene, motion)
-    promising = [draft for draft in drafts if draft.is_safe]
+    # A draft goes on with the candidate that it was made of.
+    promising = [pair for pair in zip(drafts, candidates, strict=True) if pair[0].is_safe]
     refused = [draft for draft in drafts if not draft.is_safe]
     safe: list[PlannedGrasp] = []
     # The motions are computed in lots: the first with a safe grasp is the last.
@@ -93,8 +106,7 @@ def grasps_for(
         if safe:
             break
         lot = promising[start : start + GRASPS_AT_ONCE]
-        chosen = [candidates[drafts.index(draft)] for draft in lot]
-        for grasp in _with_motions(lot, chosen, localization, gripper, scene, motion):
+        for grasp in _with_motions(lot, localization, gripper, scene, motion):
             (safe if grasp.is_safe else refused).append(grasp)
     # In whole per cents: what is as likely is ordered by the room around it.
     safe.sort(key=lambda one: (-round(one.success_probability, 2), -one.clearance))
@@ -119,6 +131,8 @@ def _without_collisions(
     # The object itself is in the way of the open fingers, until they close.
     faces = [Obstacle.of_object(localization)] if localization.model.faces else []
     itself = CollisionChecker([one._replace(name="the object itself") for one in faces])
+    # However it is held, it goes straight up.
+    held = _contact_of_held(localization, world_from_object, around, scene, motion)
     drafts = []
     for one in candidates:
         # Eq. 20 in the world: world_from_object @ object_from_gripper.
@@ -147,6 +161,8 @@ def _without_collisions(
             touched = itself.nearest(approach)
             if touched is not None and touched.clearance <= 0.0:
                 reasons.append(str(touched))
+            if held is not None:
+                reasons.append(str(held))
         drafts.append(
             PlannedGrasp(
                 one.grasp,
@@ -164,9 +180,22 @@ def _without_collisions(
     return drafts
 
 
+def _contact_of_held(
+    localization: LocalizedObject,
+    world_from_object: Float[np.ndarray, "4 4"],
+    around: CollisionChecker,
+    scene: GraspScene,
+    motion: Motion,
+) -> Contact | None:
+    """Return what an object touches on its way up, or None if there is nothing."""
+    R, t = world_from_object[:3, :3], world_from_object[:3, 3]
+    swept = swept_object(localization.model.vertices @ R.T + t, motion.retreat * scene.up_direction)
+    contact = around.nearest(swept)
+    return contact if contact is not None and contact.clearance <= 0.0 else None
+
+
 def _with_motions(
-    drafts: Sequence[PlannedGrasp],
-    candidates: Sequence[Candidate],
+    lot: Sequence[tuple[PlannedGrasp, Candidate]],
     localization: LocalizedObject,
     gripper: Gripper,
     scene: GraspScene,
@@ -174,10 +203,10 @@ def _with_motions(
 ) -> list[PlannedGrasp]:
     """Return grasps with their commands and probabilities, refused where the arm cannot go."""
     # All grasps of the lot at once: programs are compiled for one size.
-    motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one in drafts]))
+    motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one, _ in lot]))
     errors = _errors_of_reached(motions, gripper, scene)
     finished = []
-    for k, (draft, one) in enumerate(zip(drafts, candidates, strict=True)):
+    for k, (draft, one) in enumerate(lot):
         reasons, probability, risks = motions.reasons[k], float("nan"), {}
         if not reasons:
             covariance = error_covariance(

@@ -67,8 +67,8 @@ class GraspScene:
         near: joint readings from which the arm sets out; needed with an arm.
         estimate: fit with the calibration's covariance; None takes the calibration as exact.
         margin: distance that gripper and arm keep from obstacles, m.
-        link_radius: radius of the cylinders about the arm's links, which obstacles may not touch,
-            m; None leaves the links unchecked.
+        link_radius: radius of the cylinders about the arm's links, which obstacles may not touch
+            between pre-grasp and retreat, m; None leaves the links unchecked.
         up: direction against gravity, in the world's frame.
     """
 

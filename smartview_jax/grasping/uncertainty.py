@@ -89,7 +89,7 @@ def error_covariance(
     """
     _, covariance = checked_object(found)
     to_gripper = host_adjoints(gripper_from_object)
-    jacobian = getattr(found, "calibration_jacobian", None)
+    jacobian = found.calibration_jacobian
     shared = np.zeros_like(errors.shared)
     if jacobian is not None and len(errors.root):
         if jacobian.shape != (6, len(errors.root)):

@@ -15,6 +15,7 @@ from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
 from .folder_description import FolderDescription as FolderDescription
 from .folder_description import read_folder_description as read_folder_description
+from .hand_steps import HandSteps as HandSteps
 from .known_camera import read_camera as read_camera
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log

@@ -3,6 +3,8 @@
 VAL uses mm and degrees; CSV states its units in the header, JSON in an entry `units`. CSV and JSON
 contain the poses in the format and the units of the robot's manufacturer (`POSE_CODECS`). A command
 that no robot can execute is refused when it is written, before any robot moves.
+
+A grasp is written likewise, with the `HandSteps` that its poses alone do not say.
 """
 
 import json
@@ -20,6 +22,7 @@ from ..files import read_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
 from .csv_tables import duplicates, parse_numbers, read_table, write_table
+from .hand_steps import HandSteps, hand_columns, val_hand
 from .pose_format import FORMAT_COLUMN, codec_of_rows, pose_columns
 
 FORMAT_VERSION = 1
@@ -54,6 +57,7 @@ def write_viewpoints(
     names: Sequence[str] | None = None,
     joints: np.ndarray | None = None,
     pose_format: str = VAL_CODEC,
+    hand: HandSteps | None = None,
 ) -> None:
     """Write commands in the format given by the file's ending, completely or not at all.
 
@@ -64,6 +68,8 @@ def write_viewpoints(
         joints: `(views, joints)` rad (m for a prismatic joint); VAL's `TRANS` has no joints.
         pose_format: pose format of CSV and JSON, in the manufacturer's units: one of
             `POSE_CODECS`, such as `"kuka_abc"`, `"ur"`, `"fanuc_wpr"`, `"abb"`.
+        hand: what the tool does on its way to each pose, of a grasp; CSV and JSON then have
+            `motion` and `opening_m` for each pose. None for a camera's viewpoints.
 
     Raises:
         ValueError: an unknown ending or format, or a command that no robot can execute; the
@@ -79,22 +85,27 @@ def write_viewpoints(
         )
         joint_columns = (f"joint_{1 + k}" for k in range(readings.shape[1]))
         header = ["view", FORMAT_COLUMN, *pose_columns(codec), *joint_columns]
+        header += [] if hand is None else ["motion", "opening_m"]
         rows = np.concatenate([_encoded_poses(viewpoints, codec), readings], axis=1).tolist()
+        steps = hand_columns(hand, len(rows))
         write_table(
             path,
             header,
-            [[n, codec.name, *row] for n, row in zip(viewpoints.names, rows, strict=True)],
+            [
+                [name, codec.name, *row, *step]
+                for name, row, step in zip(viewpoints.names, rows, steps, strict=True)
+            ],
         )
     elif path.suffix == ".json":
         write_atomically(
-            path, _json_text(_validated_viewpoints(base_from_tool, names, joints), codec)
+            path, _json_text(_validated_viewpoints(base_from_tool, names, joints), codec, hand)
         )
     elif pose_format != VAL_CODEC:
         raise ValueError(
             f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: .csv or .json"
         )
     else:
-        write_atomically(path, val_program(base_from_tool, names))
+        write_atomically(path, val_program(base_from_tool, names, hand))
 
 
 def read_viewpoints(path: str | Path) -> Viewpoints:
@@ -112,17 +123,26 @@ def read_viewpoints(path: str | Path) -> Viewpoints:
     raise ValueError(f"{path}: expected a file ending in .csv or .json")
 
 
-def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
+def val_program(
+    base_from_tool: SE3, names: Sequence[str] | None = None, hand: HandSteps | None = None
+) -> str:
     """Return a VAL II program that moves to the viewpoints in order; mm and degrees.
+
+    The number after OPENI, mm, is for a hand with a servo. V+ takes none, and a hand that only
+    knows open and closed opens as far as it goes: its grasps must be checked for that opening.
 
     Raises:
         ValueError: as in `write_viewpoints`; also a name that VAL does not accept.
     """
     viewpoints = _validated_viewpoints(base_from_tool, names, None)
+    count = len(viewpoints.names)
+    before, moves = [()] * count, ["MOVE"] * count
+    if hand is not None:
+        before = val_hand(hand, count)
+        moves = ["MOVES" if straight else "MOVE" for straight in hand.straight]
     lines = []
-    for name, row in zip(
-        viewpoints.names, _encoded_poses(viewpoints, pose_codec(VAL_CODEC)), strict=True
-    ):
+    rows = _encoded_poses(viewpoints, pose_codec(VAL_CODEC))
+    for name, row, actions, move in zip(viewpoints.names, rows, before, moves, strict=True):
         if not _VAL_NAME.fullmatch(name):
             raise ValueError(
                 f"view {name!r}: VAL names a location by a letter and up to 14 letters, digits, "
@@ -131,7 +151,7 @@ def val_program(base_from_tool: SE3, names: Sequence[str] | None = None) -> str:
         # Four decimals are 0.1 micrometre and 0.0001 degree, finer than a controller resolves.
         # Adding 0.0 turns a rounded -0.0 into 0.0.
         components = ", ".join(f"{value + 0.0:.4f}" for value in np.round(row, 4))
-        lines += [f"SET {name} = TRANS({components})", f"MOVE {name}"]
+        lines += [*actions, f"SET {name} = TRANS({components})", f"{move} {name}"]
     return "\n".join(lines) + "\n"
 
 
@@ -191,16 +211,22 @@ def _pose_key(codec: PoseCodec) -> str:
     return "xyzoat" if codec.name == VAL_CODEC else "pose"
 
 
-def _json_text(viewpoints: Viewpoints, codec: PoseCodec) -> str:
+def _json_text(viewpoints: Viewpoints, codec: PoseCodec, hand: HandSteps | None) -> str:
     """Return the commands as JSON text."""
     entries = [
-        {"name": name, _pose_key(codec): row, **({} if joints is None else {"joints": joints})}
-        for name, row, joints in zip(
+        {
+            "name": name,
+            _pose_key(codec): row,
+            **({} if joints is None else {"joints": joints}),
+            **dict(zip(("motion", "opening_m"), step, strict=False)),
+        }
+        for name, row, joints, step in zip(
             viewpoints.names,
             _encoded_poses(viewpoints, codec).tolist(),
             [None] * len(viewpoints.names)
             if viewpoints.joints is None
             else viewpoints.joints.tolist(),
+            hand_columns(hand, len(viewpoints.names)),
             strict=True,
         )
     ]

@@ -83,6 +83,17 @@ class Localization(NamedTuple):
         return self.refined.covariance
 
     @property
+    def calibration_jacobian(self) -> Float[np.ndarray, "6 shared"] | None:
+        """The derivatives of the pose's tangent by the numbers of the calibration.
+
+        Whatever else goes by the same calibration, as a gripper does, errs together with the
+        object. None if the calibration was taken as exact.
+        """
+        # The robot's noise in these views is that of no other motion.
+        shared = self.refined.calibration_jacobian[:, : self.refined.shared_count]
+        return shared if shared.size else None
+
+    @property
     def accepted(self) -> bool:
         """Whether the verdict is "accepted"."""
         return self.verdict.decision == "accepted"

@@ -52,6 +52,8 @@ class RefinedPose(NamedTuple):
             translation first: `world_from_object @ SE3.exp(tangent)`; m and rad.
         calibration_jacobian: derivatives of that tangent by the numbers of the
             `CalibrationUncertainty` of the views; what else depends on them errs together with it.
+        shared_count: how many of these numbers, the first ones, are the calibration's own and so
+            common to all views; the others are the robot's noise in these views.
         calibration_error: likeliest errors of these numbers, as the object's edges show them.
         absorbed: how many of the edges' numbers these errors explain.
         edge_sigma: standard deviation, estimated, by which whole edges of the pictures differ from
@@ -66,6 +68,7 @@ class RefinedPose(NamedTuple):
     calibration: Float[np.ndarray, "6 6"]
     model: Float[np.ndarray, "6 6"]
     calibration_jacobian: Float[np.ndarray, "6 numbers"]
+    shared_count: int
     calibration_error: Float[np.ndarray, "numbers"]
     absorbed: float
     edge_sigma: float
@@ -169,7 +172,7 @@ def refine_pose(
             consistent[lines.measured] = squared <= CONSISTENT_SQUARE
             at_pose = solved._replace(residuals=solved.residuals - solved.by_pose @ step.tangent)
             parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
-            parts = *parts, step.calibration_error, step.absorbed
+            parts = *parts, uncertainty.shared_count, step.calibration_error, step.absorbed
             return RefinedPose(pose, *parts, edge_sigma, lines, consistent, at_pose)
     raise AssertionError("the last step returns")
 

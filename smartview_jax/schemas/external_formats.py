@@ -160,12 +160,17 @@ _FormatNumbers = Annotated[
 
 
 class ViewpointEntry(Entry):
-    """A command: a pose in a manufacturer's format, and joint readings in rad or m."""
+    """A command: a pose in a manufacturer's format, and joint readings in rad or m.
+
+    A pose of a grasp also has the way to it, and the distance between the fingers on that way.
+    """
 
     name: Name
     xyzoat: _XyzOat | None = None
     pose: _FormatNumbers | None = None
     joints: Annotated[list[Angle], Field(min_length=1, max_length=20)] | None = None
+    motion: Literal["free", "straight"] | None = None
+    opening_m: Annotated[FiniteNumber, Field(ge=0.0)] | None = None
 
     @model_validator(mode="after")
     def _check_single_pose(self) -> "ViewpointEntry":

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from smartview_jax.grasping import Obstacle
 from smartview_jax.grasping.collisions import (
@@ -7,9 +8,11 @@ from smartview_jax.grasping.collisions import (
     arm_links,
     closing_fingers,
     swept_gripper,
+    swept_links,
+    swept_object,
 )
 from smartview_jax.robots import Gripper
-from smartview_jax.simulation import stepped_block
+from smartview_jax.simulation import box, stepped_block
 
 pytest.importorskip("fcl")
 trimesh = pytest.importorskip("trimesh")
@@ -112,6 +115,74 @@ def test_links_are_cylinders_about_the_lines_between_the_frames():
     )
     # From 0.4 m + 0.05 m up to 0.55 m; the prism about the cylinder has up to 5 % more.
     assert 0.0970 <= contact.clearance <= 0.1001
+
+
+def held_contact(obstacle, vertices, up=0.1):
+    swept = swept_object(vertices, np.array([0.0, 0.0, up]))
+    contact = CollisionChecker([obstacle]).nearest(swept)
+    assert contact.part == "held object"
+    return contact.clearance
+
+
+def beside(gap, size=(0.1, 0.1, 0.3)):
+    """A block whose side is a gap away from that of a box of 60 mm x 40 mm x 30 mm."""
+    return Obstacle.box("block", size, at(x=0.03 + gap + 0.5 * size[0]))
+
+
+def above(gap):
+    """A plate of 1 mm over the box's end."""
+    return Obstacle.box("shelf", (0.02, 0.2, 1e-3), at(x=0.025, z=0.03 + gap + 5e-4))
+
+
+def test_a_held_object_may_touch_what_it_stands_on_and_leans_against():
+    vertices = box(0.06, 0.04, 0.03).vertices
+    # It lies on the table, and errors of its pose put it half a millimetre into what is beside it.
+    assert np.isclose(held_contact(Obstacle.table(), vertices), 1e-3, atol=1e-6)
+    assert np.isclose(held_contact(beside(0.0), vertices), 1e-3, atol=1e-6)
+    assert np.isclose(held_contact(beside(-5e-4), vertices), 5e-4, atol=1e-6)
+    assert held_contact(beside(-1.5e-3), vertices) == 0.0
+
+
+def test_a_held_object_meets_what_is_above_it():
+    vertices = box(0.06, 0.04, 0.03).vertices
+    # Something that lies on it, too, would be lifted with it.
+    for gap in (0.0, 5e-3, 0.09):
+        assert held_contact(above(gap), vertices) == 0.0
+    assert held_contact(above(0.11), vertices) > 0.0
+
+
+def test_objects_that_are_thin_or_flat_are_swept_as_well():
+    thin, flat = box(0.06, 0.04, 1e-3).vertices, box(0.06, 0.04, 0.03).vertices
+    for vertices in (thin, flat[flat[:, 2] > 0.0], flat[flat[:, 0] > 0.0]):
+        assert held_contact(Obstacle.table(), vertices) > 0.0
+        assert held_contact(above(0.02), vertices) == 0.0
+        # Beside it all the same there is room.
+        assert held_contact(beside(0.01), vertices) > 9e-3
+
+
+def test_links_are_swept_between_the_steps_of_a_motion():
+    """A link that swings by its own length past a post between the two ends."""
+    ends = np.array([[[0.0, 0.0, 0.0], [0.4, 0.0, 0.1 * k]] for k in (0.0, 1.0)])
+    post = CollisionChecker([Obstacle.box("post", (5e-3, 5e-3, 5e-3), at(x=0.38, z=0.05))])
+    for origins in ends:
+        assert post.nearest(arm_links(origins, 0.01)).clearance > 0.02
+    (swept,) = swept_links(ends, 0.01)
+    assert post.nearest(swept).clearance == 0.0
+    assert str(post.nearest(swept)) == "the arm's link 1 touches post"
+
+
+def test_obstacles_beyond_a_distance_are_not_looked_at():
+    checker = CollisionChecker([Obstacle.table()])
+    fingers = swept_gripper(Gripper(), 0.04, at(z=0.0123, rotation=DOWN), np.zeros(3))
+    assert checker.nearest(fingers, within=0.0122) is None
+    assert checker.nearest(fingers, within=0.0124).obstacle == "table"
+    # Of one that stands askew, the box about it may be within the distance: that is not enough.
+    askew = np.eye(4)
+    askew[:3, :3] = Rotation.from_euler("y", 45.0, degrees=True).as_matrix()
+    askew[:3, 3] = [0.07, 0.0, -0.06]
+    checker = CollisionChecker([Obstacle.box("block", (0.1, 0.1, 0.1), askew)])
+    assert 0.01 < checker.nearest(fingers).clearance < 0.05
+    assert checker.nearest(fingers, within=0.01) is None
 
 
 def test_without_obstacles_there_is_no_contact():

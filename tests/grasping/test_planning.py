@@ -1,5 +1,6 @@
 """Whole grasps: their commands by Eq. 20, what refuses them, and how they are ranked."""
 
+import csv
 import dataclasses
 import json
 
@@ -12,6 +13,7 @@ import smartview_jax as sv
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.grasping import (
     PHASES,
+    GraspPlan,
     GraspScene,
     Motion,
     NoSafeGraspError,
@@ -19,6 +21,8 @@ from smartview_jax.grasping import (
     PlacedObject,
     grasps_for,
 )
+from smartview_jax.grasping.collisions import CollisionChecker, arm_links
+from smartview_jax.grasping.motions import _joint_reasons
 from smartview_jax.io import read_viewpoints
 from smartview_jax.modeling import find_symmetry, grasp_on_face
 from smartview_jax.robot_errors import DHErrors, RobotError
@@ -105,13 +109,35 @@ def test_it_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
         assert read.names == PHASES
         assert np.allclose(host_matrices(read.base_from_tool), best.base_from_tool)
         assert np.allclose(read.joints, best.joints)
-    best.write(tmp_path / "grasp.val")
-    assert (tmp_path / "grasp.val").read_text().count("MOVE ") == 4
     units = json.loads((tmp_path / "grasp.json").read_text())["units"]
     assert units["length"] == "mm"
     # And Eq. 18's numbers, in m and rad.
     again = host_matrices(sv.se3_from_xyzoat(jnp.asarray(best.xyzoat)))
     assert np.allclose(again, best.base_from_tool)
+
+
+def test_what_is_written_opens_and_closes_the_gripper(plan, tmp_path):
+    best = plan.best
+    best.write(tmp_path / "grasp.val")
+    lines = (tmp_path / "grasp.val").read_text().splitlines()
+    # Open, go there, and from then on as straight as the way was checked.
+    assert [line for line in lines if not line.startswith("SET")] == [
+        f"OPENI {1e3 * best.opening:.2f}",
+        "MOVE pre_grasp",
+        "BREAK",
+        "MOVES grasp",
+        "CLOSEI",
+        "MOVES lift",
+        "MOVES retreat",
+    ]
+    best.write(tmp_path / "grasp.csv")
+    rows = list(csv.DictReader((tmp_path / "grasp.csv").read_text().splitlines()))
+    best.write(tmp_path / "grasp.json")
+    entries = json.loads((tmp_path / "grasp.json").read_text())["viewpoints"]
+    for found in (rows, entries):
+        assert [one["motion"] for one in found] == ["free", "straight", "straight", "straight"]
+        openings = [float(one["opening_m"]) for one in found]
+        assert openings == [best.opening, best.opening, 0.0, 0.0]
 
 
 def test_the_probability_falls_with_the_covariance(scene):
@@ -150,6 +176,60 @@ def test_out_of_reach_is_said_with_the_phases(scene):
     assert "out of reach (pre_grasp)" in plan.summary
 
 
+def test_the_reason_that_decided_comes_first(plan):
+    """Of many grasps against walls, and one that only the covariance stopped."""
+    best, nothing = plan.best, np.full((4, 4, 4), np.nan)
+    against = [
+        dataclasses.replace(
+            best,
+            reasons=(f"the palm touches wall {k}",),
+            base_from_tool=nothing,
+            success_probability=float("nan"),
+        )
+        for k in range(8)
+        for _ in range(10 - k)
+    ]
+    late = dataclasses.replace(
+        against[0], reasons=("out of reach",), base_from_tool=np.ones((4, 4, 4))
+    )
+    last = dataclasses.replace(best, reasons=("less than 50% chance",), success_probability=0.2)
+    for refused in ([*against, late, last], [last, late, *against]):
+        summary = GraspPlan((), tuple(refused), "box").summary
+        first, second, third = summary.split("; ")[1:4]
+        assert first == "1 of them: less than 50% chance"
+        assert second == "1 of them: out of reach"
+        assert third == "10 of them: the palm touches wall 0"
+        assert summary.endswith("7 of them: the palm touches wall 3; and 4 other reasons")
+
+
+def test_a_large_covariance_is_named_among_collisions(scene):
+    """Grasps from all sides, most of which the table refuses: two are stopped by the covariance."""
+    plan = grasps_for(placed(200.0**2 * SMALL, BOX), GRIPPER, scene)
+    assert not len(plan)
+    assert "less than 50% chance" in plan.summary.split("; ")[1]
+    far = grasps_for(placed(x=3.0), GRIPPER, dataclasses.replace(scene, obstacles=()))
+    assert {one.checks_passed for one in far.refused} == {1}
+
+
+def test_a_singular_wrist_is_refused(scene):
+    joints = np.array(HOME_JOINTS, dtype=float)
+    # Joints 4 and 6 turn about one axis where joint 5 is straight.
+    joints[4] = 0.0
+    base_from_tool = host_matrices(six_axes().base_from_tool(joints))
+    world_from_gripper = (
+        np.linalg.inv(host_matrices(CALIBRATION.base_from_world))
+        @ base_from_tool
+        @ GRIPPER.tool_from_gripper
+    )
+    pose = world_from_gripper @ np.linalg.inv(TOP.object_from_tool)
+    found = PlacedObject(MODEL, pose, SMALL)
+    free = dataclasses.replace(scene, obstacles=(), near=joints)
+    plan = grasps_for(found, GRIPPER, free)
+    assert not len(plan)
+    assert all("singular wrist" in one.reasons[0] for one in plan.refused)
+    assert all("grasp" in one.reasons[0] for one in plan.refused)
+
+
 def test_joint_limits_are_kept(scene):
     narrow = np.tile([-np.pi, np.pi], (6, 1))
     # The last joint as on a robot that turns its hand by 5 degrees only.
@@ -169,6 +249,53 @@ def test_the_links_of_the_arm_are_kept_clear(scene):
     assert "arm's link" in plan.summary
     assert "tower" in plan.summary
     assert len(grasps_for(placed(), GRIPPER, dataclasses.replace(blocked, link_radius=None)))
+
+
+def test_links_are_kept_clear_between_the_poses_too(scene, plan):
+    """A ball bearing in the air that a link passes between the lift and the retreat."""
+    joints = plan.best.joints[PHASES.index("lift") :]
+    origins = np.asarray(six_axes().frame_origins(np.stack([joints[0], joints.mean(0), joints[1]])))
+    world_from_base = np.linalg.inv(host_matrices(CALIBRATION.base_from_world))
+    ends = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
+    thin = dataclasses.replace(scene, obstacles=(), link_radius=0.01)
+
+    def bearing(spot):
+        pose = np.eye(4)
+        pose[:3, 3] = spot
+        return thin.with_obstacles([Obstacle.box("bearing", (5e-3,) * 3, pose)])
+
+    def gap(spot):
+        checker = CollisionChecker(bearing(spot).obstacles)
+        contacts = [checker.nearest(arm_links(one[1:], 0.01)) for one in (ends[0], ends[2])]
+        return min(contact.clearance for contact in contacts)
+
+    # Of the links' middles, half on the way, the one that is farthest from both ends.
+    spot = max(0.5 * (ends[1, 1:-1] + ends[1, 2:]), key=gap)
+    assert gap(spot) > 0.01
+    blocked = bearing(spot)
+    checker = CollisionChecker(blocked.obstacles)
+    reasons = _joint_reasons(blocked, plan.best.joints, checker)
+    assert [("touches bearing" in one, "lift to retreat" in one) for one in reasons] == [
+        (True,) * 2
+    ]
+    assert _joint_reasons(thin, plan.best.joints, CollisionChecker(())) == []
+
+
+def test_a_long_bar_under_a_shelf_is_not_lifted(scene):
+    """Far from the fingers: the gripper passes, what it holds does not."""
+    bar = box(0.3, 0.02, 0.02, name="bar")
+    grasp = grasp_on_face(bar, 1, opening_direction=np.array([0.0, 1.0, 0.0]), depth=0.01)
+    found = placed(model=dataclasses.replace(bar, grasps=(grasp,)), turn=0.0)
+    assert len(grasps_for(found, GRIPPER, scene))
+    shelf = np.eye(4)
+    # 5 mm above the last 20 mm of the bar, whose frame is at a corner.
+    shelf[:3, 3] = [0.1 + 0.29, -0.1 + 0.01, 0.02 + 5e-3 + 1e-3]
+    covered = scene.with_obstacles([Obstacle.box("shelf", (0.02, 0.1, 2e-3), shelf)])
+    plan = grasps_for(found, GRIPPER, covered)
+    assert not len(plan)
+    assert "the held object touches shelf" in plan.summary
+    # The gripper alone would pass.
+    assert all(one.reasons == ("the held object touches shelf",) for one in plan.refused)
 
 
 def test_symmetry_finds_a_grasp_where_one_side_is_blocked(scene):

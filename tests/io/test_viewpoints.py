@@ -7,7 +7,7 @@ from jaxlie import SE3
 
 from smartview_jax import se3_from_xyzoat
 from smartview_jax.geometry import POSE_CODECS
-from smartview_jax.io import read_viewpoints, val_program, write_viewpoints
+from smartview_jax.io import HandSteps, read_viewpoints, val_program, write_viewpoints
 from smartview_jax.simulation import paper_calibration
 from smartview_jax.viewpoints import five_viewpoints, look_at
 
@@ -173,3 +173,39 @@ def test_a_file_without_a_format_has_vals(tmp_path):
     (tmp_path / "v.json").write_text(json.dumps(content))
     found = read_viewpoints(tmp_path / "v.json").base_from_tool
     np.testing.assert_allclose(found.as_matrix(), POSES.as_matrix(), atol=1e-12)
+
+
+def test_a_hand_acts_where_its_opening_changes_and_corners_are_not_cut(tmp_path):
+    hand = HandSteps((True, False, True, True, False), (0.0, 0.05, 0.05, 0.02, 0.0))
+    words = [line for line in val_program(POSES, hand=hand).splitlines() if "SET" not in line]
+    assert words == [
+        "CLOSEI", "MOVES v1",
+        "OPENI 50.00", "MOVE v2",
+        "BREAK", "MOVES v3",
+        "OPENI 20.00", "MOVES v4",
+        "CLOSEI", "MOVE v5",
+    ]  # fmt: skip
+    # Of viewpoints, which have no hand, nothing of it is written.
+    assert not {"OPENI", "CLOSEI", "BREAK", "MOVES"} & set(val_program(POSES).split())
+    for ending in ("csv", "json"):
+        path = tmp_path / f"views.{ending}"
+        write_viewpoints(path, POSES)
+        assert "opening" not in path.read_text()
+        assert "motion" not in path.read_text()
+
+
+@pytest.mark.parametrize("ending", ["val", "csv", "json"])
+@pytest.mark.parametrize(
+    ("hand", "named"),
+    [
+        (HandSteps((True,) * 4, (0.05,) * 5), "each of 5 poses, found 4 in straight and 5 in"),
+        (HandSteps((True,) * 5, (0.05,) * 4), "found 5 in straight and 4 in opening"),
+        (HandSteps((True,) * 5, (np.nan,) * 5), "opening: expected metres, 0 or more, found nan"),
+        (HandSteps((True,) * 5, (-0.01,) * 5), r"found -0\.01"),
+    ],
+)
+def test_a_hand_that_does_not_fit_is_refused(tmp_path, ending, hand, named):
+    path = tmp_path / f"views.{ending}"
+    with pytest.raises(ValueError, match=named):
+        write_viewpoints(path, POSES, hand=hand)
+    assert not path.exists()

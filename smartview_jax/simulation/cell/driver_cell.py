@@ -18,15 +18,18 @@ from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from ...array_namespace import to_device
-from ...geometry import as_se3, host_matrices, host_transforms, pose_codec
+from ...geometry import as_se3, host_logarithms, host_matrices, host_transforms, pose_codec
 from ...robots import Command, CommandLike, JointsLike
 from .interface import CellError
 
 MAX_POSITION_ERROR = 5e-3
 """Largest distance from the commanded position to the reported one after a motion, m."""
+
+MAX_ORIENTATION_ERROR = float(np.deg2rad(0.5))
+"""Largest turn from the commanded orientation to the reported one after a motion, rad."""
 
 
 class DriverCell:
@@ -69,31 +72,37 @@ class DriverCell:
     def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
         """Move the tool as `Cell.move` does.
 
+        Of a `Command` the joint readings count if the robot takes them, otherwise the pose.
+
         Raises:
-            CellError: the robot reports another position than it was sent to, or it takes no
-                joint readings.
+            CellError: joint readings or a pose that are not finite; joint readings alone, which the
+                robot does not take; or another pose is reported than the commanded one.
         """
         if isinstance(target, Command):
-            target = target.base_from_tool if target.joints is None else target.joints
+            # A robot that takes poses only is sent the pose of the same command.
+            by_joints = target.joints is not None and self._send_joints is not None
+            target = target.joints if by_joints else target.base_from_tool  # pyright: ignore
         if not hasattr(target, "wxyz_xyz") and np.ndim(target) == 1:  # pyright: ignore
-            if self._send_joints is None:
-                raise CellError("this robot takes poses, not joint readings")
-            # What is sent as joints is not compared: the controller's own pose is what counts.
-            self._send_joints([float(x) for x in np.asarray(target)])
-            return self.where()
+            return self._move_joints(np.asarray(target, dtype=float))
         pose = as_se3(target)  # pyright: ignore[reportArgumentType]
         row = np.asarray(self._codec.encode(pose, *self._codec.units)).ravel()
+        if not np.isfinite(row).all():
+            raise CellError(f"a pose that is not finite: {row.tolist()}")
         self._send_pose([float(x) for x in row])
         reached = self.where()
-        # A controller that stopped on the way, or counts in other units, is found out here.
-        error = np.linalg.norm(
-            host_matrices(reached.base_from_tool)[:3, 3] - host_matrices(pose)[:3, 3]
-        )
-        if not error < MAX_POSITION_ERROR:
-            raise CellError(
-                f"the robot reports a position {1e3 * error:.3g} mm from the commanded one"
-            )
+        _check_arrival(host_matrices(pose), host_matrices(reached.base_from_tool))
         return reached
+
+    def _move_joints(self, joints: Float[np.ndarray, "joints"]) -> Command:
+        """Move to joint readings, and return where the robot is."""
+        if self._send_joints is None:
+            raise CellError("this robot takes poses, not joint readings")
+        # A controller may take NaN for any number.
+        if not np.isfinite(joints).all():
+            raise CellError(f"joint readings that are not finite: {joints.tolist()}")
+        # What is sent as joints is not compared: the controller's own pose is what counts.
+        self._send_joints([float(x) for x in joints])
+        return self.where()
 
     def picture(self) -> UInt8[np.ndarray, "rows columns"]:
         """Return a grey picture.
@@ -112,7 +121,14 @@ class DriverCell:
         return picture
 
     def set_gripper(self, width: float) -> float:
-        """Move the fingers as `Cell.set_gripper` does."""
+        """Move the fingers as `Cell.set_gripper` does.
+
+        Raises:
+            ValueError: the width is negative or not finite.
+        """
+        # How far it opens, the gripper's own controller knows.
+        if not 0.0 <= width < np.inf:
+            raise ValueError(f"width {width!r} m; expected a finite number of metres, 0 or more")
         self._send_width(float(width) / self._unit)
         return float(self._read_width()) * self._unit
 
@@ -129,3 +145,23 @@ class DriverCell:
         if self._read_joints is None:
             return Command(host_transforms(pose))
         return Command(host_transforms(pose), to_device(np.array(self._read_joints(), dtype=float)))
+
+
+def _check_arrival(commanded: Float[np.ndarray, "4 4"], reached: Float[np.ndarray, "4 4"]) -> None:
+    """Raise a CellError if a robot reports another pose than the commanded one.
+
+    A controller that stopped on the way, or counts in other units, is found out here.
+    """
+    tangent = host_logarithms(np.linalg.inv(commanded) @ reached)
+    distance = float(np.linalg.norm(reached[:3, 3] - commanded[:3, 3]))
+    turn = float(np.linalg.norm(tangent[3:]))
+    # NaN, of a report that is not finite, compares as false.
+    if not distance < MAX_POSITION_ERROR:
+        raise CellError(
+            f"the robot reports a position {1e3 * distance:.3g} mm from the commanded one"
+        )
+    if not turn < MAX_ORIENTATION_ERROR:
+        raise CellError(
+            f"the robot reports an orientation {np.rad2deg(turn):.3g} degrees from the commanded "
+            "one"
+        )

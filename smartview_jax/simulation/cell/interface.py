@@ -27,10 +27,11 @@ class Cell(Protocol):
 
         Args:
             target: `base_from_tool` as a 4x4 matrix or a transform, or joint readings, or a
-                `Command` with both; where there are joints, these count.
+                `Command` with both; where there are joints, these count, unless the robot takes
+                poses only.
 
         Raises:
-            CellError: the arm does not get there, with the reason.
+            CellError: the arm does not get there, or the target is not finite; with the reason.
         """
         ...
 
@@ -42,6 +43,10 @@ class Cell(Protocol):
         """Move the fingers to a distance from each other, and return the distance reached, m.
 
         They stop where they meet something: zero closes the gripper on an object.
+
+        Raises:
+            ValueError: the width is negative, not finite, or more than the gripper opens, if that
+                is known.
         """
         ...
 

@@ -181,16 +181,15 @@ class SimulatedCell:
         """Take the board away, put objects at poses and let them come to rest.
 
         Raises:
-            ValueError: two objects have one name, or a pose is not rigid.
+            ValueError: two objects have one name, there are not as many poses as objects, or a
+                pose is not rigid; the cell is then as it was.
             CellError: they do not come to rest.
         """
+        # Everything is checked first: else objects would be seen of which the physics has none.
+        poses = _checked_poses(world_from_object, [one.name for one in objects])
         self._set_objects(objects)
-        poses = np.array(world_from_object, dtype=float).reshape(-1, 4, 4)
-        problems = check_rigid(poses, tuple(one.name for one in objects))
-        if problems:
-            raise ValueError("; ".join(f"object {k}: {text}" for k, text in problems.items()))
         self._physics = self._new_physics(objects)
-        for k, pose in enumerate(world_from_object):
+        for k, pose in enumerate(poses):
             self._physics.place(k, pose)
         self._physics.settle()
 
@@ -314,7 +313,7 @@ class SimulatedCell:
         }
         touched = self._physics.touched_by_fingers()
         # Without a bin an object counts as soon as it is off the table.
-        floor = max((float(box.size[2]) for box in self.fixtures), default=0.0)
+        floor = 0.0 if self._bin is None or self.board_shown else self._bin.rim
         lifted = [one.vertices[:, 2].min() > floor + HELD_HEIGHT for one in self._solids()]
         held = tuple(
             self._objects[k].name for k in sorted(touched["left"] & touched["right"]) if lifted[k]
@@ -373,6 +372,25 @@ class SimulatedCell:
                 Surface.of_polyhedron(one.solid.moved(pose), _moved_texture(one.texture, pose))
             )
         return tuple(surfaces)
+
+
+def _checked_poses(
+    world_from_object: Sequence[Float[np.ndarray, "4 4"]], names: Sequence[str]
+) -> Float[np.ndarray, "objects 4 4"]:
+    """Return a pose for each named object; raise a ValueError if there is another number of them.
+
+    A pose that is not rigid is an error too, whose message names the object.
+    """
+    if len(world_from_object) != len(names):
+        raise ValueError(
+            f"world_from_object: expected a pose for each of {len(names)} objects, "
+            f"found {len(world_from_object)}"
+        )
+    poses = np.array(world_from_object, dtype=float).reshape(-1, 4, 4)
+    problems = check_rigid(poses, tuple(names))
+    if problems:
+        raise ValueError("; ".join(f"object {name}: {text}" for name, text in problems.items()))
+    return poses
 
 
 def _moved_texture(texture: Texture, world_from_object: Float[np.ndarray, "4 4"]) -> Texture:

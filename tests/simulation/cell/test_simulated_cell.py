@@ -129,7 +129,7 @@ def test_an_object_is_held_only_between_the_fingers_and_above_the_bin():
     assert cell.judge().held == ()
     cell.set_gripper(0.07)
     poses = {}
-    for name, height in (("above", 0.1), ("at", 0.015), ("lifted", 0.15)):
+    for name, height in (("above", 0.1), ("at", 0.015), ("inside", 0.04), ("lifted", 0.15)):
         gripper = np.diag([1.0, -1.0, -1.0, 1.0])
         gripper[:3, :3] = [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
         gripper[:3, 3] = [*cell.centre[:2], height]
@@ -144,6 +144,9 @@ def test_an_object_is_held_only_between_the_fingers_and_above_the_bin():
     # The joints that the truth asks for put the gripper within its repeatability.
     assert np.allclose(cell.judge().world_from_gripper[:3, 3], gripper_at(cell, 0.015), atol=2e-4)
     assert abs(cell.set_gripper(0.0) - 0.04) < 1e-3
+    assert cell.judge().held == ()
+    # Off the table, but lower than the walls of 40 mm.
+    cell.move(poses["inside"])
     assert cell.judge().held == ()
     cell.move(poses["lifted"])
     assert cell.judge().held == ("block",)
@@ -162,6 +165,29 @@ def test_bad_input_is_named(cell):
         cell.set_gripper(80.0)
     with pytest.raises(ValueError, match="object block"):
         cell.place([BLOCK], [2.0 * np.eye(4)])
+
+
+@pytest.mark.parametrize(
+    ("objects", "poses", "named"),
+    [
+        ([STEP, BLOCK], [np.eye(4)], "a pose for each of 2 objects, found 1"),
+        ([STEP], [np.eye(4), np.eye(4)], "a pose for each of 1 objects, found 2"),
+        ([STEP], [2.0 * np.eye(4)], "object step: "),
+        ([STEP, STEP], [np.eye(4), np.eye(4)], "given more than once"),
+    ],
+)
+def test_a_cell_that_refused_objects_is_as_it_was(objects, poses, named):
+    cell = SimulatedCell(7)
+    corner = np.eye(4)
+    corner[:3, 3] = cell.centre
+    for before in ((), (BLOCK,)):
+        if before:
+            cell.place([BLOCK], [corner])
+        shown = cell.board_shown
+        with pytest.raises(ValueError, match=named):
+            cell.place(objects, poses)
+        assert cell.board_shown == shown
+        assert list(cell.judge().world_from_object) == [one.name for one in before]
 
 
 def test_errors_of_the_arm_can_be_switched_off():
