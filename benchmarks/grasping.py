@@ -253,7 +253,7 @@ def picking(rigs: list[dict[str, Rig]], drops: int, objects: int) -> bool:
                     cell, rig[kind].calibration, models, cell.gripper, region,
                     scene_of(rig[kind]), arm=cell.arm, estimate=rig[kind].estimate,
                 )  # fmt: skip
-                accepted += len(result.look.found.accepted) > 0
+                accepted += result.look is not None and len(result.look.found.accepted) > 0
                 executed += result.grasp is not None
                 good = result.target is not None and result.target.model.name in cell.judge().held
                 held += good

@@ -130,13 +130,11 @@ def run_demo(
     error = _position_error(attempt.target, before, cell.centre)
     page = out / "demo.html"
     say("writing the page")
-    sections = [
-        localised_section(attempt, calibrated, region, strip),
-        grasp_section(attempt, strip),
-        numbers_section(attempt, calibrated, model, error, held, times),
-    ]
-    if model_pictures:
-        sections.insert(0, model_section(model, model_pictures, model_poses, calibrated))
+    sections = [model_section(model, model_pictures, model_poses, calibrated)]
+    if attempt.look is not None:
+        sections.append(localised_section(attempt.look, calibrated, region, strip))
+    sections.append(grasp_section(attempt, strip))
+    sections.append(numbers_section(attempt, calibrated, model, error, held, times))
     write_story(
         page, "From a board to an object in the hand", verdict_sentence(attempt, held), sections
     )

@@ -8,8 +8,10 @@ from jaxtyping import Float, UInt8
 
 from ..array_namespace import to_device
 from ..calibration import Calibration
+from ..cameras import Camera
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
+from ..features import PictureEvidence, picture_evidence
 from ..geometry import host_transforms, look_at, viewing_direction
 from ..localization import Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
@@ -40,6 +42,10 @@ class Region(NamedTuple):
     def corners(self) -> Float[np.ndarray, "8 3"]:
         """The corners of the box, m."""
         return self.centre + (BOX_CORNERS + np.array([0.0, 0.0, 0.5])) * np.array(self.size)
+
+
+class BadPictureError(ValueError):
+    """The error that nothing can be found in one of the first pictures; its text names the view."""
 
 
 class Look(NamedTuple):
@@ -89,48 +95,101 @@ def look_for(
         verify: whether what two views accept is verified from a third one too.
         progress: called with a line of text for each step.
 
+    Returns:
+        What was found in all views. A later view that cannot be taken, or whose picture shows
+        nothing, is left out, with a note.
+
     Raises:
         CellError: the robot does not get to the first views.
-        ValueError: a picture in which nothing can be found, such as a blank one.
+        BadPictureError: one of the first two pictures is not taken, or nothing can be found in it,
+            such as a blank one; the message names the view, from 1.
+        ValueError: as `localize`, of what was given: models, estimate, noise or known triangles.
     """
     say = progress or (lambda _: None)
-    pictures, commands, notes = [], [], []
-    # Aimed above the floor, where objects are.
-    middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
-    for azimuth in AZIMUTHS:
-        say(f"looking: view {len(pictures) + 1}")
-        direction = np.asarray(viewing_direction(TILT, azimuth))
-        commands.append(cell.move(_command(cell, calibration, middle, direction, arm)))
-        pictures.append(cell.picture())
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
     options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
+    views = _first_views(cell, calibration, region, arm, say)
     say("localising")
-    first = stacked_commands(commands)
-    found = localize(pictures, first, calibration, models, **options)
-    verification = None
+    first = stacked_commands([one.command for one in views])
+    found = localize([one.evidence for one in views], first, calibration, models, **options)
+    verification, notes = None, []
     # A further view only while it may change the verdict.
-    while len(pictures) < max_views:
+    while len(views) < max_views:
         enough = found.accepted and (not verify or verification is not None)
         if enough or not (found.accepted or found.open):
             break
+        number = len(views) + 1
         reachable = Reachable(distance=DISTANCE, arm=arm, near=_start_joints(cell, arm))
         try:
             # What is accepted is verified first, or else what is open is told apart.
             looked_at = found.accepted[:1] or found.open
-            view = next_view(
+            chosen = next_view(
                 looked_at, calibration, reachable, models=models, neighbours=found, known=known
             )
-            commands.append(cell.move(_view_command(view)))
+            say(f"verifying: view {number}: {chosen.reason}")
+            view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
+            latest = stacked_commands([view.command])
+            found = localize(
+                [view.evidence], latest, calibration, models, previous=found, **options
+            )
         except (CellError, ValueError) as error:
-            notes.append(f"no further view: {error}")
+            # What the earlier views found is worth more than an error.
+            notes.append(f"no further view: view {number}: {error}")
             break
-        say(f"verifying: view {len(pictures) + 1}: {view.reason}")
-        notes.append(f"view {len(pictures) + 1}: {view.reason}")
-        verification = view
-        pictures.append(cell.picture())
-        latest = stacked_commands(commands[-1:])
-        found = localize(pictures[-1:], latest, calibration, models, previous=found, **options)
-    return Look(found, tuple(pictures), stacked_commands(commands), verification, tuple(notes))
+        notes.append(f"view {number}: {chosen.reason}")
+        views.append(view)
+        verification = chosen
+    pictures = tuple(one.picture for one in views)
+    commands = stacked_commands([one.command for one in views])
+    return Look(found, pictures, commands, verification, tuple(notes))
+
+
+class _View(NamedTuple):
+    """A view that was taken.
+
+    Attributes:
+        picture: grey levels.
+        evidence: what was found in it.
+        command: what the robot reported there.
+    """
+
+    picture: UInt8[np.ndarray, "rows columns"]
+    evidence: PictureEvidence
+    command: Command
+
+
+def _first_views(
+    cell: Cell,
+    calibration: Calibration,
+    region: Region,
+    arm: SerialArm | None,
+    say: Callable[[str], None],
+) -> list[_View]:
+    """Return the views that are taken before anything is known."""
+    # Aimed above the floor, where objects are.
+    middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
+    views = []
+    for azimuth in AZIMUTHS:
+        number = len(views) + 1
+        say(f"looking: view {number}")
+        direction = np.asarray(viewing_direction(TILT, azimuth))
+        command = cell.move(_command(cell, calibration, middle, direction, arm))
+        try:
+            views.append(_seen(cell, command, calibration.camera))
+        except (CellError, ValueError) as error:
+            raise BadPictureError(f"view {number}: {error}") from error
+    return views
+
+
+def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
+    """Take a picture from where the robot stands.
+
+    Raises:
+        CellError: no picture is taken.
+        ValueError: nothing can be found in it.
+    """
+    picture = cell.picture()
+    return _View(picture, picture_evidence(picture, camera), command)
 
 
 def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:

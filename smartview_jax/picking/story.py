@@ -8,7 +8,7 @@ from ..plots import cropped, edge_map, with_wireframes
 from ..report import Section, StoryFigure
 from ..robots import Command
 from .calibrating import CellCalibration
-from .looking import Region
+from .looking import Look, Region
 from .pick import Pick
 
 BORDER = 25.0
@@ -44,7 +44,7 @@ def model_section(
 
 
 def localised_section(
-    attempt: Pick,
+    look: Look,
     calibrated: CellCalibration,
     region: Region,
     strip: list[tuple[str, np.ndarray]],
@@ -52,12 +52,12 @@ def localised_section(
     """Return the part of the page with Fig. 8 (a) to (f) of this run.
 
     Args:
-        attempt: with its pictures.
+        look: pictures, and what was found in them.
         calibrated: the calibration.
         region: the part of the pictures that is shown.
         strip: pictures of a bystander by phase; the last one is Fig. 8 (f).
     """
-    look, calibration = attempt.look, calibrated.fit.calibration
+    calibration = calibrated.fit.calibration
     camera, views = (
         calibration.camera,
         host_matrices(calibration.camera_from_world(look.commands)),
@@ -110,11 +110,11 @@ def numbers_section(
     times: list[tuple[str, float]],
 ) -> Section:
     """Return the part of the page on what happened, in numbers."""
-    fit, target = calibrated.fit, attempt.target
+    fit, target, look = calibrated.fit, attempt.target, attempt.look
     rows = [
         ("board pictures", str(len(calibrated.pictures))),
         ("pixel sigma of the calibration", f"{fit.pixel_sigma:.3f} px"),
-        ("views of the bin", str(len(attempt.look.pictures))),
+        ("views of the bin", str(0 if look is None else len(look.pictures))),
         ("model", f"{len(model.vertices)} vertices, {len(model.faces)} faces"),
     ]
     if target is not None:
@@ -136,7 +136,8 @@ def numbers_section(
         ]  # fmt: skip
     rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
     rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
-    rows += [("note", text) for text in (*attempt.look.notes, *attempt.look.found.messages)]
+    notes = (attempt.outcome,) if look is None else (*look.notes, *look.found.messages)
+    rows += [("note", text) for text in notes]
     return Section("What happened", "", (), (), rows)
 
 

@@ -1,11 +1,63 @@
-"""The region in which objects are looked for."""
+"""Which views are taken of a region, when it is enough, and what a bad picture costs."""
 
 import numpy as np
+import pytest
+from fake_cell import BLANK, CALIBRATION, REGION, STRIPED, FakeCell, localizations, seen, view_of
+from solids import box
 
-from smartview_jax.picking import Region
+from smartview_jax.geometry import host_matrices
+from smartview_jax.picking import BadPictureError, Region, look_for
+from smartview_jax.simulation import CellError
+
+MODEL = box(name="box")
+ACCEPTED, OPEN = seen(MODEL), seen(MODEL, "open", "ambiguous")
+
+
+@pytest.fixture
+def look(monkeypatch):
+    """Look by a cell whose pictures show, one call after the other, what is given."""
+
+    def run(cell, *found, **options):
+        answers = list(found)
+        run.looked_at, run.noises = [], []
+
+        def localize(evidence, command, *_, previous=None, **__):
+            assert len(evidence) == (1 if previous else 2)
+            return localizations(*answers.pop(0))
+
+        def next_view(objects, *_, noise=None, **__):
+            run.looked_at.append([one.verdict.decision for one in objects])
+            run.noises.append(noise)
+            return view_of()
+
+        monkeypatch.setattr("smartview_jax.picking.looking.localize", localize)
+        monkeypatch.setattr("smartview_jax.picking.looking.next_view", next_view)
+        return look_for(cell, CALIBRATION, [MODEL], REGION, **options)
+
+    return run
 
 
 def test_its_corners_are_those_of_a_box_on_its_floor():
     corners = Region(np.array([0.1, -0.1, 0.0]), (0.24, 0.18, 0.08)).corners
     assert np.allclose(corners.min(axis=0), [-0.02, -0.19, 0.0])
     assert np.allclose(corners.max(axis=0), [0.22, -0.01, 0.08])
+
+
+@pytest.mark.parametrize(
+    ("bad", "why"), [(BLANK, "picture: blank"), (CellError("no light"), "no light")]
+)
+def test_a_bad_later_picture_leaves_what_two_views_found(look, bad, why):
+    cell = FakeCell(STRIPED, STRIPED, bad)
+    result = look(cell, [ACCEPTED])
+    assert result.found.accepted
+    assert len(result.pictures) == len(host_matrices(result.commands.base_from_tool)) == 2
+    assert result.verification is None
+    (note,) = result.notes
+    assert note.startswith(f"no further view: view 3: {why}")
+
+
+def test_a_bad_first_picture_is_an_error_that_names_the_view(look):
+    with pytest.raises(BadPictureError, match="view 2: picture: blank"):
+        look(FakeCell(STRIPED, BLANK))
+    with pytest.raises(BadPictureError, match="view 1: no light"):
+        look(FakeCell(CellError("no light")))
