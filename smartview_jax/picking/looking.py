@@ -13,7 +13,8 @@ from ..engine import Noise
 from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..geometry import host_transforms, look_at, viewing_direction
-from ..localization import Localizations, NextView, Reachable, localize, next_view
+from ..joint import JointFit, SavedEstimate
+from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
 from ..robots import BOX_CORNERS, Command, SerialArm
 from ..simulation import Cell, CellError
@@ -55,7 +56,8 @@ class Look(NamedTuple):
         found: in all views together.
         pictures: of all views in their order.
         commands: what the robot reported in these views.
-        verification: the view that was chosen to verify, the last one; None if there was none.
+        verification: the last view, if it was chosen to verify or to decide what was open; None if
+            the first two were enough.
         notes: what happened, in words.
     """
 
@@ -82,6 +84,9 @@ def look_for(
 ) -> Look:
     """Look for objects in a region, from two views and then from chosen ones.
 
+    What two views accept is verified from a third one. Further views are taken while the verdict on
+    an object is open, each where it tells most about those that are.
+
     Args:
         cell: the cell.
         calibration: of its camera and arm.
@@ -92,7 +97,7 @@ def look_for(
         noise: of the robot in these views; by default that of the estimate.
         known: triangles of what is known to stand there, as for `localize`.
         max_views: largest number of views; two are always taken.
-        verify: whether what two views accept is verified from a third one too.
+        verify: whether what two views accept is verified.
         progress: called with a line of text for each step.
 
     Returns:
@@ -107,26 +112,30 @@ def look_for(
     """
     say = progress or (lambda _: None)
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
+    # As in `localize`: these views are taken by the robot that was calibrated.
+    if noise is None and isinstance(estimate, JointFit | SavedEstimate):
+        noise = estimate.noise
     options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
     views = _first_views(cell, calibration, region, arm, say)
     say("localising")
     first = stacked_commands([one.command for one in views])
     found = localize([one.evidence for one in views], first, calibration, models, **options)
     verification, notes = None, []
-    # A further view only while it may change the verdict.
     while len(views) < max_views:
-        enough = found.accepted and (not verify or verification is not None)
-        if enough or not (found.accepted or found.open):
+        looked_at = _undecided(found, verify and len(views) == len(AZIMUTHS))
+        if not looked_at:
             break
         number = len(views) + 1
         reachable = Reachable(distance=DISTANCE, arm=arm, near=_start_joints(cell, arm))
         try:
-            # What is accepted is verified first, or else what is open is told apart.
-            looked_at = found.accepted[:1] or found.open
             chosen = next_view(
-                looked_at, calibration, reachable, models=models, neighbours=found, known=known
+                looked_at, calibration, reachable,
+                noise=noise, models=models, neighbours=found, known=known,
+            )  # fmt: skip
+            say(
+                f"{'verifying' if looked_at[0].accepted else 'deciding'}: view {number}: "
+                f"{chosen.reason}"
             )
-            say(f"verifying: view {number}: {chosen.reason}")
             view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
             latest = stacked_commands([view.command])
             found = localize(
@@ -190,6 +199,12 @@ def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
     """
     picture = cell.picture()
     return _View(picture, picture_evidence(picture, camera), command)
+
+
+def _undecided(found: Localizations, unverified: bool) -> Sequence[Localization]:
+    """Return the objects that a further view is for; none where nothing is left to decide."""
+    # One view verifies what was accepted; what stays open may need several.
+    return found.accepted[:1] if found.accepted and unverified else found.open
 
 
 def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:

@@ -54,8 +54,8 @@ def seen(model, decision="accepted", *reasons):
 def localizations(*found, pictures=(), command=None):
     """What was found, with messages as `localize` has them."""
     at = Command(host_transforms(np.eye(4)[None])) if command is None else command
-    messages = tuple(one.message for one in found if not one.accepted)
-    return Localizations(found, messages, pictures, at)
+    messages = [one.message.replace("rejected", "not found") for one in found if not one.accepted]
+    return Localizations(found, tuple(messages), pictures, at)
 
 
 def view_of(reason="it tells 1 remaining rival apart"):

@@ -5,7 +5,9 @@ import pytest
 from fake_cell import BLANK, CALIBRATION, REGION, STRIPED, FakeCell, localizations, seen, view_of
 from solids import box
 
+from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_matrices
+from smartview_jax.joint import SavedEstimate
 from smartview_jax.picking import BadPictureError, Region, look_for
 from smartview_jax.simulation import CellError
 
@@ -61,3 +63,52 @@ def test_a_bad_first_picture_is_an_error_that_names_the_view(look):
         look(FakeCell(STRIPED, BLANK))
     with pytest.raises(BadPictureError, match="view 1: no light"):
         look(FakeCell(CellError("no light")))
+
+
+def test_two_views_are_enough_where_nothing_is_verified(look):
+    result = look(FakeCell(), [ACCEPTED], verify=False)
+    assert len(result.pictures) == 2
+    assert result.verification is None
+    assert result.notes == ()
+
+
+def test_what_is_accepted_is_verified_from_one_view(look):
+    cell = FakeCell()
+    result = look(cell, [ACCEPTED, ACCEPTED], [ACCEPTED, ACCEPTED])
+    assert look.looked_at == [["accepted"]]
+    assert len(result.pictures) == len(cell.moves) == 3
+    assert result.verification is not None
+    assert result.notes == ("view 3: it tells 1 remaining rival apart",)
+
+
+def test_what_is_open_is_looked_at_after_what_is_accepted(look):
+    result = look(FakeCell(), [ACCEPTED, OPEN], [ACCEPTED, OPEN], [ACCEPTED, ACCEPTED])
+    assert look.looked_at == [["accepted"], ["open"]]
+    assert len(result.found.accepted) == 2
+
+
+def test_what_stays_open_is_looked_at_until_no_view_is_left(look):
+    result = look(FakeCell(), *[[OPEN, ACCEPTED]] * 4, max_views=5, verify=False)
+    assert look.looked_at == [["open"]] * 3
+    assert len(result.pictures) == 5
+
+
+def test_the_view_that_decided_has_verified(look):
+    look(FakeCell(), [OPEN], [ACCEPTED])
+    assert look.looked_at == [["open"]]
+
+
+def test_nothing_found_needs_no_further_view(look):
+    result = look(FakeCell(), [seen(MODEL, "rejected", "too few edges")])
+    assert look.looked_at == []
+    assert result.found.messages == ("box: not found: too few edges",)
+
+
+def test_the_noise_is_given_or_that_of_the_estimate(look):
+    own, given = Noise(0.1, 1e-3, 1e-3), Noise(0.1, 2e-3, 1e-3)
+    estimate = SavedEstimate(CALIBRATION, np.eye(2), ("a", "b"), own, 0.1, None)
+    for noise in (None, given):
+        look(FakeCell(), [ACCEPTED], [ACCEPTED], estimate=estimate, noise=noise)
+        assert look.noises == [noise or own]
+    look(FakeCell(), [ACCEPTED], [ACCEPTED])
+    assert look.noises == [None]
