@@ -121,9 +121,8 @@ def run_demo(
     # The judge looks before the grasp moves the object.
     before = cell.judge().world_from_object[block.name]
     attempt = pick(
-        cell, fit.calibration, [model], cell.gripper, region, scene,
-        arm=cell.arm, estimate=fit.joint, progress=progress,
-        after=lambda phase: strip.append((phase, _watched(cell))),
+        cell, [model], cell.gripper, region, scene,
+        progress=progress, after=lambda phase: strip.append((phase, _watched(cell))),
     )  # fmt: skip
     done("looking, verifying, planning and grasping")
     held = block.name in cell.judge().held

@@ -3,12 +3,10 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..calibration import Calibration
-from ..evaluation import CalibrationEstimate
 from ..grasping import GraspPlan, GraspScene, Motion, PlannedGrasp, grasps_for
 from ..localization import Localization, Localizations
 from ..modeling import ObjectModel
-from ..robots import Gripper, SerialArm
+from ..robots import Gripper
 from ..simulation import Cell, CellError
 from .execution import execute
 from .looking import BadPictureError, Look, Region, look_for
@@ -37,14 +35,11 @@ class Pick(NamedTuple):
 
 def pick(
     cell: Cell,
-    calibration: Calibration,
     models: Sequence[ObjectModel],
     gripper: Gripper,
     region: Region,
     scene: GraspScene,
     *,
-    arm: SerialArm | None = None,
-    estimate: CalibrationEstimate | None = None,
     motion: Motion | None = None,
     verify: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -52,42 +47,41 @@ def pick(
 ) -> Pick:
     """Look for objects, choose the one with the safest grasp, and execute it.
 
-    What was found but not chosen is an obstacle, unless its model has no faces: the outcome says
-    so. What was not found is not known, and not avoided.
+    What was found but not chosen is an obstacle, even where its verdict is open, unless its model
+    has no faces: the outcome says so. What was not found is not known, and not avoided.
 
     Args:
         cell: with an empty gripper.
-        calibration: as for `look_for`.
         models: of the objects that may be there.
         gripper: on the hand.
         region: where objects are looked for.
-        scene: the robot and what stands around.
-        arm, estimate, verify, progress: as for `look_for`.
+        scene: the calibrated robot, with which the cell looks too, and what stands around.
         motion: as for `grasps_for`.
+        verify, progress: as for `look_for`.
         after: as for `execute`.
 
     Raises:
         CellError: the robot does not get to the first views.
+        ValueError: as `look_for`, of what was given, and as `grasps_for`.
     """
     say, nothing = progress or (lambda _: None), float("nan")
     try:
         look = look_for(
-            cell, calibration, models, region,
-            arm=arm, estimate=estimate, known=scene.triangles, verify=verify, progress=progress,
+            cell, scene.calibration, models, region, arm=scene.arm, estimate=scene.estimate,
+            known=scene.triangles, verify=verify, progress=progress,
         )  # fmt: skip
     except BadPictureError as error:
         return Pick(None, None, None, None, nothing, f"not found: {error}")
     # Nothing is grasped that the verdict did not accept.
     if not look.found.accepted:
-        reasons = "; ".join(look.found.messages) or "nothing was found"
-        return Pick(look, None, None, None, nothing, f"not found: {reasons}")
+        return Pick(look, None, None, None, nothing, "; ".join(look.found.messages))
     say("planning grasps")
     target, plan, reasons = _safest(look.found, gripper, scene, motion)
     if target is None or plan is None:
         return Pick(look, None, plan, None, nothing, "; ".join(reasons))
     say(plan.summary)
     # The gripper may touch what is no obstacle: whoever reads the outcome should know.
-    bare = [_name(one) for one in look.found.accepted if not one.model.faces]
+    bare = [_name(one) for one in _standing(look.found) if not one.model.faces]
     note = f"; not avoided, because their models have no faces: {', '.join(bare)}" if bare else ""
     try:
         width, outcome = execute(cell, plan.best, after)
@@ -111,13 +105,18 @@ def _safest(
             reasons.append(f"no safe grasp of {_name(one)}: its model has no faces")
             continue
         # Objects are told apart by identity: two may be of one model.
-        others = [other for other in found.accepted if other is not one and other.model.faces]
+        others = [other for other in _standing(found) if other is not one and other.model.faces]
         plan = grasps_for(one, gripper, scene.with_objects(others), motion)
         if not len(plan):
             reasons.append(plan.summary)
         elif best is None or _chance(plan) > _chance(best[1]):
             best = one, plan
     return (None, plan, reasons) if best is None else (*best, reasons)
+
+
+def _standing(found: Localizations) -> tuple[Localization, ...]:
+    """Return the objects that may be where they were found, the open ones too."""
+    return (*found.accepted, *found.open)
 
 
 def _name(one: Localization) -> str:
