@@ -56,7 +56,7 @@ class NextView(NamedTuple):
         discrimination: expected log-likelihood of the objects over their rivals.
         position_std: of the objects' middles before and after the view, the largest, m.
         gain: of both kinds, natural units of information.
-        reason: in words.
+        reason: in words, as a clause that begins with a small letter.
         paper: the paper's view, along the normal of the top surface, likewise; None where the robot
             does not reach it, or for the paper's view itself.
     """
@@ -134,12 +134,12 @@ def next_view(
         )
 
     normals = [k for k in range(len(top)) if ok[k]]
-    paper = None
-    if normals:
-        # Of the turns about the normal the one of the largest gain.
-        k = max(normals, key=lambda one: gains.total[one])
-        paper = view(k, "along the normal of the localised top surface (the paper's view)", None)
-    return view(best, gains.reason(best, None if paper is None else paper.gain), paper)
+    if not normals:
+        return view(best, gains.reason(best, None), None)
+    # Of the turns about the normal the one of the largest gain.
+    k = max(normals, key=lambda one: gains.total[one])
+    paper = view(k, "it looks along the normal of the localised top surface", None)
+    return view(best, gains.reason(best, k), paper)
 
 
 def _distance(reachable: Reachable) -> float:

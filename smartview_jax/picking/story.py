@@ -85,20 +85,31 @@ def localised_section(
         StoryFigure(f"({letter})", text, cropped(picture, corners[last], BORDER))
         for letter, (text, picture) in zip("cde", shown.items(), strict=True)
     ]
-    figures.append(StoryFigure("(f)", f"the grasp: {strip[-1][0]}", strip[-1][1]))
-    text = "Two views are searched for the model; a further one verifies what was found in them."
+    phase, picture = strip[-1]
+    figures.append(StoryFigure("(f)", f"the bin, last seen: {_phase_name(phase)}", picture))
+    text = "Two views are searched for the model."
     if look.verification is not None:
-        text += f" Why it was chosen: {look.verification.reason}."
+        text += f" A further one verifies it. Why it was chosen: {look.verification.reason}."
     return Section("Localised, verified, grasped (Fig. 8)", text, figures)
 
 
 def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section:
     """Return the part of the page with the grasp as a strip of pictures."""
     figures = [
-        StoryFigure(f"{1 + k}", phase.replace("_", "-"), picture)
+        StoryFigure(f"{1 + k}", _phase_name(phase), picture)
         for k, (phase, picture) in enumerate(strip)
     ]
-    return Section("The grasp, step by step", f"{attempt.outcome.capitalize()}.", figures)
+    return Section("The grasp, step by step", _sentence(attempt.outcome), figures)
+
+
+def _phase_name(phase: str) -> str:
+    """Return the name of a phase as it is printed."""
+    return phase.replace("_", "-")
+
+
+def _sentence(text: str) -> str:
+    """Return a clause as a sentence; names in it keep their capital letters."""
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def numbers_section(
