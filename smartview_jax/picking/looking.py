@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
 from ..array_namespace import to_device
@@ -21,11 +22,29 @@ from ..simulation import Cell, CellError
 from ..viewpoints import viewpoint_commands
 from .calibrating import stacked_commands
 
-TILT, AZIMUTHS = float(np.deg2rad(22.0)), (0.6, 2.3)
-"""Tilt of the first views from the vertical, and their directions about it, rad."""
+FIRST_VIEWS = 2
+"""Number of views that are taken before anything is known; from one, the scale is uncertain."""
 
-DISTANCE = 0.45
-"""Distance of the camera from the middle of the region, m."""
+
+class FirstViews(NamedTuple):
+    """The directions and the distance from which a region is looked at first.
+
+    Attributes:
+        distance: of the camera from the middle of the region, m; of chosen views from their object,
+            too.
+        tilt: of the directions from the vertical, rad.
+        azimuths: of the directions about the vertical, rad, in the order in which they are tried;
+            the first two that the robot reaches are taken. By default each is 1.7 rad from the one
+            before, so that any two see the region from different sides.
+    """
+
+    distance: float = 0.45
+    tilt: float = float(np.deg2rad(22.0))
+    azimuths: tuple[float, ...] = (0.6, 2.3, 4.0, 5.7)
+
+
+STANDARD_VIEWS = FirstViews()
+"""The first views by default, as a camera of 1280 x 800 px with a lens of 50 degrees takes them."""
 
 
 class Region(NamedTuple):
@@ -78,6 +97,7 @@ def look_for(
     estimate: CalibrationEstimate | None = None,
     noise: Noise | None = None,
     known: Float[np.ndarray, "triangles 3 3"] | None = None,
+    first: FirstViews = STANDARD_VIEWS,
     max_views: int = 4,
     verify: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -96,6 +116,7 @@ def look_for(
         estimate: fit with the calibration's covariance.
         noise: of the robot in these views; by default that of the estimate.
         known: triangles of what is known to stand there, as for `localize`.
+        first: from where the region is looked at first.
         max_views: largest number of views; two are always taken.
         verify: whether what two views accept is verified.
         progress: called with a line of text for each step.
@@ -105,7 +126,7 @@ def look_for(
         nothing, is left out, with a note.
 
     Raises:
-        CellError: the robot does not get to the first views.
+        CellError: the robot reaches fewer than two of the first views; the message says why.
         BadPictureError: one of the first two pictures is not taken, or nothing can be found in it,
             such as a blank one; the message names the view, from 1.
         ValueError: as `localize`, of what was given: models, estimate, noise or known triangles.
@@ -116,17 +137,17 @@ def look_for(
     if noise is None and isinstance(estimate, JointFit | SavedEstimate):
         noise = estimate.noise
     options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
-    views = _first_views(cell, calibration, region, arm, say)
+    views = _first_views(cell, calibration, region, first, arm, say)
     say("localising")
-    first = stacked_commands([one.command for one in views])
-    found = localize([one.evidence for one in views], first, calibration, models, **options)
+    taken = stacked_commands([one.command for one in views])
+    found = localize([one.evidence for one in views], taken, calibration, models, **options)
     verification, notes = None, []
     while len(views) < max_views:
-        looked_at = _undecided(found, verify and len(views) == len(AZIMUTHS))
+        looked_at = _undecided(found, verify and len(views) == FIRST_VIEWS)
         if not looked_at:
             break
         number = len(views) + 1
-        reachable = Reachable(distance=DISTANCE, arm=arm, near=_start_joints(cell, arm))
+        reachable = Reachable(distance=first.distance, arm=arm, near=_start_joints(cell, arm))
         try:
             chosen = next_view(
                 looked_at, calibration, reachable,
@@ -171,22 +192,36 @@ def _first_views(
     cell: Cell,
     calibration: Calibration,
     region: Region,
+    first: FirstViews,
     arm: SerialArm | None,
     say: Callable[[str], None],
 ) -> list[_View]:
     """Return the views that are taken before anything is known."""
     # Aimed above the floor, where objects are.
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
-    views = []
-    for azimuth in AZIMUTHS:
+    views, reasons = [], []
+    for azimuth in first.azimuths:
         number = len(views) + 1
+        if number > FIRST_VIEWS:
+            break
         say(f"looking: view {number}")
-        direction = np.asarray(viewing_direction(TILT, azimuth))
-        command = cell.move(_command(cell, calibration, middle, direction, arm))
+        direction = np.asarray(viewing_direction(first.tilt, azimuth))
+        view = look_at(middle, direction[None], first.distance)
+        try:
+            command = cell.move(_command(cell, calibration, view, arm))
+        except CellError as error:
+            # A bin's wall or a joint's limit on one side leaves the other sides.
+            reasons.append(f"azimuth {azimuth:.2g} rad: {error}")
+            continue
         try:
             views.append(_seen(cell, command, calibration.camera))
         except (CellError, ValueError) as error:
             raise BadPictureError(f"view {number}: {error}") from error
+    if len(views) < FIRST_VIEWS:
+        raise CellError(
+            f"first: {len(views)} of {len(first.azimuths)} views are reached; expected "
+            f"{FIRST_VIEWS}: {'; '.join(reasons)}"
+        )
     return views
 
 
@@ -220,20 +255,17 @@ def _view_command(view: NextView) -> Command:
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 
 
-def _command(
-    cell: Cell,
-    calibration: Calibration,
-    point: Float[np.ndarray, "3"],
-    direction: Float[np.ndarray, "3"],
-    arm: SerialArm | None,
-) -> Command:
-    """Return the command by which the camera looks at a point along a direction."""
-    views = look_at(point, direction[None], DISTANCE)
+def _command(cell: Cell, calibration: Calibration, view: SE3, arm: SerialArm | None) -> Command:
+    """Return the command for one view, given as a batch of one.
+
+    Raises:
+        CellError: the arm does not reach it.
+    """
     near = _start_joints(cell, arm)
-    commands = viewpoint_commands(calibration, views, arm=None if near is None else arm, near=near)
+    commands = viewpoint_commands(calibration, view, arm=None if near is None else arm, near=near)
     problem = commands.checks.reasons(("reach", "tool_distance"))[0]
     if problem:
-        raise CellError(f"the first view: {problem}")
+        raise CellError(problem)
     pose = commands.base_from_tool
     joints = None if commands.joints is None else commands.joints[0]
     return Command(type(pose)(pose.wxyz_xyz[0]), joints)

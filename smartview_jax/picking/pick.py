@@ -9,7 +9,7 @@ from ..modeling import ObjectModel
 from ..robots import Gripper
 from ..simulation import Cell, CellError
 from .execution import execute
-from .looking import BadPictureError, Look, Region, look_for
+from .looking import STANDARD_VIEWS, BadPictureError, FirstViews, Look, Region, look_for
 
 
 class Pick(NamedTuple):
@@ -41,6 +41,7 @@ def pick(
     scene: GraspScene,
     *,
     motion: Motion | None = None,
+    first: FirstViews = STANDARD_VIEWS,
     verify: bool = True,
     progress: Callable[[str], None] | None = None,
     after: Callable[[str], None] | None = None,
@@ -57,18 +58,18 @@ def pick(
         region: where objects are looked for.
         scene: the calibrated robot, with which the cell looks too, and what stands around.
         motion: as for `grasps_for`.
-        verify, progress: as for `look_for`.
+        first, verify, progress: as for `look_for`.
         after: as for `execute`.
 
     Raises:
-        CellError: the robot does not get to the first views.
+        CellError: the robot reaches fewer than two of the first views.
         ValueError: as `look_for`, of what was given, and as `grasps_for`.
     """
     say, nothing = progress or (lambda _: None), float("nan")
     try:
         look = look_for(
             cell, scene.calibration, models, region, arm=scene.arm, estimate=scene.estimate,
-            known=scene.triangles, verify=verify, progress=progress,
+            known=scene.triangles, first=first, verify=verify, progress=progress,
         )  # fmt: skip
     except BadPictureError as error:
         return Pick(None, None, None, None, nothing, f"not found: {error}")

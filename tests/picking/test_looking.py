@@ -6,9 +6,9 @@ from fake_cell import BLANK, CALIBRATION, REGION, STRIPED, FakeCell, localizatio
 from solids import box
 
 from smartview_jax.engine import Noise
-from smartview_jax.geometry import host_matrices
+from smartview_jax.geometry import host_matrices, viewing_direction
 from smartview_jax.joint import SavedEstimate
-from smartview_jax.picking import BadPictureError, Region, look_for
+from smartview_jax.picking import BadPictureError, FirstViews, Region, look_for
 from smartview_jax.simulation import CellError
 
 MODEL = box(name="box")
@@ -112,3 +112,29 @@ def test_the_noise_is_given_or_that_of_the_estimate(look):
         assert look.noises == [noise or own]
     look(FakeCell(), [ACCEPTED], [ACCEPTED])
     assert look.noises == [None]
+
+
+def directions(moves):
+    """Viewing directions of the commands that were reached; base and world are one frame."""
+    poses = [host_matrices(one.base_from_tool) for one in moves if one is not None]
+    return np.stack([pose[:3, 2] for pose in poses])
+
+
+def test_another_azimuth_is_tried_where_one_is_not_reached(look):
+    cell, first = FakeCell(), FirstViews(0.3, 0.2, (0.0, 1.0, 2.0))
+    cell.unreachable = (1,)
+    result = look(cell, [ACCEPTED], first=first, verify=False)
+    expected = viewing_direction(0.2, np.array([0.0, 2.0]))
+    np.testing.assert_allclose(directions(cell.moves), expected, atol=1e-6)
+    assert len(result.pictures) == 2
+    # Aimed a quarter of the region's height above its floor.
+    at = host_matrices(cell.moves[0].base_from_tool)[:3, 3] + 0.3 * directions(cell.moves)[0]
+    np.testing.assert_allclose(at, REGION.centre + np.array([0.0, 0.0, 0.02]), atol=1e-6)
+
+
+def test_too_few_reached_views_say_why(look):
+    cell = FakeCell()
+    cell.unreachable = (0, 2, 3)
+    with pytest.raises(CellError, match=r"1 of 4 views are reached; expected 2: azimuth 0.6 rad: "):
+        look(cell)
+    assert len(cell.moves) == 4
