@@ -144,8 +144,10 @@ def _planned_views(
     tilt = max_tilt * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
     above = board.y_up
     directions = np.asarray(viewing_direction(tilt, azimuth, above))
-    # Steps of a quarter turn leave the picture's longer side along the board's.
-    rolls = 0.5 * np.pi * np.floor(4.0 * roll / (2.0 * np.pi)) * 2.0 + rng.uniform(-0.4, 0.4, count)
+    # Half turns leave the picture's longer side along the board's; two and three of them are none
+    # and one.
+    half_turns = np.floor(4.0 * roll / (2.0 * np.pi))
+    rolls = np.pi * half_turns + rng.uniform(-0.4, 0.4, count)
     return host_matrices(look_at(aims, directions, rng.uniform(*distances, count), rolls))
 
 

@@ -7,18 +7,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from ..cameras import Camera, Pinhole
 from ..files import write_atomically
 from ..geometry import host_matrices, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
-from ..modeling import ObjectModel
+from ..modeling import Face, ObjectModel, face_plane
 from ..report import write_story
 from ..robots import Command
 from ..simulation import (
     CellObject,
+    Polyhedron,
     SimulatedCell,
     box,
     drawn_calibration,
@@ -186,12 +187,14 @@ def _modelled(
     return model, pictures, stacked
 
 
-def _visible_vertices(solid, centre: Float[np.ndarray, "3"]) -> np.ndarray:
+def _visible_vertices(
+    solid: Polyhedron, centre: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "vertices"]:
     """Return which vertices belong to a face that looks towards a camera."""
     visible = np.zeros(len(solid.vertices), bool)
     for loop in solid.faces:
-        a, b, c = solid.vertices[list(loop[:3])]
-        if np.cross(b - a, c - a) @ (centre - a) > 0.0:
+        plane = face_plane(solid.vertices, Face(tuple(loop)))
+        if plane.normal @ (centre - plane.origin) > 0.0:
             visible[list(loop)] = True
     return visible
 
