@@ -101,13 +101,13 @@ def run_demo(
     # In a folder of its own: a session goes on with the clicks of an earlier one, of another run.
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.json"
-        model, model_pictures, model_poses = _modelled(cell, calibrated, block, path)
+        model, model_pictures, model_poses = modelled(cell, calibrated, block, path)
         write_atomically(out / path.name, path.read_bytes())
     done(f"model from {len(model_pictures)} pictures by scripted clicks")
     say("three objects fall into the bin")
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
     cell.drop([block, *others], seed)
-    strip = [("before", _watched(cell))]
+    strip = [("before", watched(cell))]
     region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
     walls = [Obstacle.box(one.name, one.size, one.world_from_box) for one in cell.fixtures]
@@ -123,11 +123,11 @@ def run_demo(
     before = cell.judge().world_from_object[block.name]
     attempt = pick(
         cell, [model], cell.gripper, region, scene,
-        progress=progress, after=lambda phase: strip.append((phase, _watched(cell))),
+        progress=progress, after=lambda phase: strip.append((phase, watched(cell))),
     )  # fmt: skip
     done("looking, verifying, planning and grasping")
     held = block.name in cell.judge().held
-    error = _position_error(attempt.target, before, cell.centre)
+    error = position_error(attempt.target, before, cell.centre)
     page = out / "demo.html"
     say("writing the page")
     sections = [model_section(model, model_pictures, model_poses, calibrated)]
@@ -141,10 +141,20 @@ def run_demo(
     return DemoResult(page, held, attempt, calibrated, model, error)
 
 
-def _modelled(
+def modelled(
     cell: SimulatedCell, calibrated: CellCalibration, block: CellObject, path: Path
 ) -> tuple[ObjectModel, list[np.ndarray], Command]:
-    """Return the model of an object that stands alone, with the pictures it was clicked in."""
+    """Return the model of an object that stands alone, with the pictures it was clicked in.
+
+    Args:
+        cell: in which the object is put, in the place of everything else.
+        calibrated: its calibration.
+        block: the object.
+        path: of the model's file, in a folder without an earlier session.
+
+    Returns:
+        The model, the pictures, and what the robot reported in them.
+    """
     world_from_object = np.eye(4)
     world_from_object[:3, 3] = cell.centre
     cell.place([block], [world_from_object])
@@ -199,7 +209,7 @@ def _visible_vertices(
     return visible
 
 
-def _watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
+def watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
     """Return what a bystander sees of the bin."""
     width, height = BYSTANDER_SIZE
     camera = Camera(
@@ -210,13 +220,18 @@ def _watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
     return cell.watch(pose, camera)
 
 
-def _position_error(
+def position_error(
     target: Localization | None, truth: Float[np.ndarray, "4 4"], origin: np.ndarray
 ) -> float:
     """Return how far the middle of the localised object is from the true one, m.
 
     The clicked model has its own frame, the world's while it was modelled; the object stood at a
     known place then.
+
+    Args:
+        target: the localised object; without one the distance is NaN.
+        truth: the object's true pose.
+        origin: where it stood while it was modelled, m.
     """
     if target is None:
         return float("nan")

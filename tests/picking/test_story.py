@@ -47,11 +47,14 @@ def test_figure_8_has_its_parts_and_a_reason_in_a_sentence(reason):
     assert texts[0] == "edges and features of view 1"
     assert texts[2] == "the verification view"
     assert texts[5] == "the bin, last seen: pre-grasp"
-    # Cropped to the region; the wireframe's colours are in (e) only.
-    plain, drawn = (section.figures[k].picture for k in (2, 4))
+    # Cropped to the region; the wireframe alone in (d), and over the picture in (e).
+    plain, alone, both = (section.figures[k].picture for k in (2, 3, 4))
     assert plain.shape[0] < STRIPED.shape[0]
-    assert plain.ndim == 2
-    assert np.ptp(drawn, axis=2).any()
+    coloured = np.ptp(both, axis=2) > 0
+    assert coloured.any()
+    assert np.array_equal(np.ptp(alone, axis=2) > 0, coloured)
+    assert np.mean(both[..., 0] == plain) > 0.9
+    assert np.ptp(alone[~coloured]) == 0
     sentences = re.split(r"(?<=\.) ", section.text)
     assert sentences[-1] == f"Why it was chosen: {reason}."
     assert all(re.fullmatch(r"[A-Z].*[^.]\.", one) for one in sentences)
