@@ -107,6 +107,7 @@ def next_view(
         raise ValueError("localizations: nothing was found that a further view could verify")
     vertices = np.concatenate([_in_world(one.model, one.world_from_object) for one in objects])
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    # One pose is a batch of one.
     given = _checked_candidates(reachable)
     distance = _distance(reachable, given, middle)
     top = _top_surface_views(objects[0], calibration, distance)

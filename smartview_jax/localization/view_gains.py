@@ -149,6 +149,7 @@ class ViewGains:
         """Return in words what the paper's view would tell instead."""
         if paper is None:
             return "the view along the normal of the top surface is not reached"
+        # Beside itself it would tell "100% as much".
         if paper == best:
             return "it is the paper's view, along the normal of the top surface"
         # Gains are information; their ratio says enough.

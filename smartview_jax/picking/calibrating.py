@@ -119,6 +119,7 @@ def calibrate_cell(
         joints=stacked.joints if with_joints else None,
         arm=arm if with_joints else None,
     )
+    # Other targets have corners, which perspective leaves where they are.
     corrected = data
     if isinstance(flat, CircleGrid) and flat.has_known_radii:
         # A rough calibration is enough for it; a tenth of a pixel is far more than the noise.
@@ -162,6 +163,7 @@ def _command(
     joints = cell.where().joints
     if arm is None or joints is None:
         return Command(wanted)
+    # Near where it stands, so that it does not turn over between two views.
     solution = joints_for_pose(arm, wanted, joints)
     return Command(wanted, solution.joints) if bool(solution.is_solved) else None
 

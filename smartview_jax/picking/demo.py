@@ -131,6 +131,7 @@ def run_demo(
     page = out / "demo.html"
     say("writing the page")
     sections = [model_section(model, model_pictures, model_poses, calibrated)]
+    # A run that ended at its first pictures has no Fig. 8.
     if attempt.look is not None:
         sections.append(localised_section(attempt.look, calibrated, region, strip))
     sections.append(grasp_section(attempt, strip))
@@ -156,6 +157,7 @@ def modelled(
         The model, the pictures, and what the robot reported in them.
     """
     world_from_object = np.eye(4)
+    # Where the board lay: there the calibration is best.
     world_from_object[:3, 3] = cell.centre
     cell.place([block], [world_from_object])
     calibration = calibrated.fit.calibration
@@ -215,6 +217,7 @@ def watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
     camera = Camera(
         BYSTANDER_FOCAL, BYSTANDER_FOCAL, 0.5 * width, 0.5 * height, Pinhole(), (width, height)
     )
+    # Above the bin, so that the lifted object is in the picture too.
     aim = cell.centre + np.array([0.0, 0.0, 0.09])
     pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75))
     return cell.watch(pose, camera)

@@ -147,6 +147,7 @@ def look_for(
         if not looked_at:
             break
         number = len(views) + 1
+        # From where the arm stands now, so that it keeps its branch.
         reachable = Reachable(distance=first.distance, arm=arm, near=_start_joints(cell, arm))
         try:
             chosen = next_view(
@@ -158,6 +159,7 @@ def look_for(
                 f"{chosen.reason}"
             )
             view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
+            # All views together are judged anew; the search is not begun anew.
             latest = stacked_commands([view.command])
             found = localize(
                 [view.evidence], latest, calibration, models, previous=found, **options
@@ -201,6 +203,7 @@ def _first_views(
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
     views, reasons = [], []
     for azimuth in first.azimuths:
+        # Counted by what was taken: a view that is not reached has no number.
         number = len(views) + 1
         if number > FIRST_VIEWS:
             break
@@ -216,6 +219,7 @@ def _first_views(
         try:
             views.append(_seen(cell, command, calibration.camera))
         except (CellError, ValueError) as error:
+            # With one view less the scale would not be known: nothing is found without it.
             raise BadPictureError(f"view {number}: {error}") from error
     if len(views) < FIRST_VIEWS:
         raise CellError(

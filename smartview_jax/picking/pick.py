@@ -72,6 +72,7 @@ def pick(
             known=scene.triangles, first=first, verify=verify, progress=progress,
         )  # fmt: skip
     except BadPictureError as error:
+        # No fault of the program: a lamp that is off, a cover on the lens.
         return Pick(None, None, None, None, nothing, f"not found: {error}")
     # Nothing is grasped that the verdict did not accept.
     if not look.found.accepted:
@@ -87,6 +88,7 @@ def pick(
     try:
         width, outcome = execute(cell, plan.best, after)
     except CellError as error:
+        # What the fingers hold then is not known.
         width, outcome = nothing, f"not executed to the end: {error}"
     return Pick(look, target, plan, plan.best, width, outcome + note)
 
@@ -108,6 +110,7 @@ def _safest(
         # Objects are told apart by identity: two may be of one model.
         others = [other for other in _standing(found) if other is not one and other.model.faces]
         plan = grasps_for(one, gripper, scene.with_objects(others), motion)
+        # Each object that cannot be grasped has its own reason.
         if not len(plan):
             reasons.append(plan.summary)
         elif best is None or _chance(plan) > _chance(best[1]):

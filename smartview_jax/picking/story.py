@@ -85,6 +85,7 @@ def localised_section(
         StoryFigure(f"({letter})", text, cropped(picture, corners[last], BORDER))
         for letter, (text, picture) in zip("cde", shown.items(), strict=True)
     ]
+    # The last phase that was reached, wherever the run ended.
     phase, picture = strip[-1]
     figures.append(StoryFigure("(f)", f"the bin, last seen: {_phase_name(phase)}", picture))
     text = "Two views are searched for the model."
@@ -147,6 +148,7 @@ def numbers_section(
         ]  # fmt: skip
     rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
     rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
+    # Without a look the outcome is all there is to tell.
     notes = (attempt.outcome,) if look is None else (*look.notes, *look.found.messages)
     rows += [("note", text) for text in notes]
     return Section("What happened", "", (), (), rows)
