@@ -249,11 +249,8 @@ def picking(rigs: list[dict[str, Rig]], drops: int, objects: int) -> bool:
                 cell.set_gripper(cell.gripper.max_opening)
                 cell.drop([CellObject(name, solids()[name]) for name in chosen], 2000 * r + d)
                 models = [model_of(name) for name in chosen]
-                result = pick(
-                    cell, rig[kind].calibration, models, cell.gripper, region,
-                    scene_of(rig[kind]), arm=cell.arm, estimate=rig[kind].estimate,
-                )  # fmt: skip
-                accepted += len(result.look.found.accepted) > 0
+                result = pick(cell, models, cell.gripper, region, scene_of(rig[kind]))
+                accepted += result.look is not None and len(result.look.found.accepted) > 0
                 executed += result.grasp is not None
                 good = result.target is not None and result.target.model.name in cell.judge().held
                 held += good

@@ -31,15 +31,16 @@ class Reachable(NamedTuple):
     """The views that a robot may take.
 
     Attributes:
-        camera_from_world: candidates, `(n, 4, 4)`; None for directions over the object, at the
-            distance of `distance`.
-        distance: from the camera to the object, m; needed where there are no candidates.
+        camera_from_world: candidates, `(n, 4, 4)`, or one, `(4, 4)`; None for directions over the
+            object, at the distance of `distance`.
+        distance: from the camera to the object, m; needed where there are no candidates. By
+            default the paper's view is at the median of their distances along the optical axis.
         arm: the arm, with `near`; None where every pose within the limits is reached.
         near: joint readings near which the arm takes its views.
         limits: of viewpoints, as in `viewpoint_commands`.
     """
 
-    camera_from_world: Float[np.ndarray, "n 4 4"] | None = None
+    camera_from_world: Float[np.ndarray, "*n 4 4"] | None = None
     distance: float | None = None
     arm: SerialArm | None = None
     near: JointsLike | None = None
@@ -56,7 +57,7 @@ class NextView(NamedTuple):
         discrimination: expected log-likelihood of the objects over their rivals.
         position_std: of the objects' middles before and after the view, the largest, m.
         gain: of both kinds, natural units of information.
-        reason: in words.
+        reason: in words, as a clause that begins with a small letter.
         paper: the paper's view, along the normal of the top surface, likewise; None where the robot
             does not reach it, or for the paper's view itself.
     """
@@ -91,21 +92,27 @@ def next_view(
             robot.
         models: that were looked for, in which rivals of other models are found; by default rivals
             of the objects' own models only.
+        neighbours: what else was found, such as all of `localize`, and may hide the objects;
+            rejected ones hide nothing.
+        known: triangles in the world, m, of what is known to stand there and may hide the objects,
+            as for `localize`.
 
     Raises:
-        ValueError: no object is left to look at, neither candidates nor a distance are given, or
-            no candidate is reached or shows an object; the message says why.
+        ValueError: no object is left to look at, neither candidates nor a distance are given,
+            candidates are not 4x4 or there are none of them, or no candidate is reached or shows an
+            object; the message says why.
     """
     objects = [one for one in localizations if one.verdict.decision != "rejected"]
     if not objects:
         raise ValueError("localizations: nothing was found that a further view could verify")
-    top = _top_surface_views(objects[0], calibration, _distance(reachable))
-    given = reachable.camera_from_world
-    candidates = (
-        _over_objects(objects, calibration, _distance(reachable)) if given is None else given
-    )
-    candidates = np.concatenate([top, np.asarray(candidates, dtype=float).reshape(-1, 4, 4)])
     vertices = np.concatenate([_in_world(one.model, one.world_from_object) for one in objects])
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    # One pose is a batch of one.
+    given = _checked_candidates(reachable)
+    distance = _distance(reachable, given, middle)
+    top = _top_surface_views(objects[0], calibration, distance)
+    around = _around(middle, calibration, distance) if given is None else given
+    candidates = np.concatenate([top, around])
     commands = viewpoint_commands(
         calibration, candidates, vertices, reachable.arm, reachable.near, reachable.limits
     )
@@ -134,22 +141,46 @@ def next_view(
         )
 
     normals = [k for k in range(len(top)) if ok[k]]
-    paper = None
-    if normals:
-        # Of the turns about the normal the one of the largest gain.
-        k = max(normals, key=lambda one: gains.total[one])
-        paper = view(k, "along the normal of the localised top surface (the paper's view)", None)
-    return view(best, gains.reason(best, None if paper is None else paper.gain), paper)
+    if not normals:
+        return view(best, gains.reason(best, None), None)
+    # Of the turns about the normal the one of the largest gain.
+    k = max(normals, key=lambda one: gains.total[one])
+    paper = view(k, "it looks along the normal of the localised top surface", None)
+    return view(best, gains.reason(best, k), paper)
 
 
-def _distance(reachable: Reachable) -> float:
-    """Return the distance at which views are made up, m."""
+def _checked_candidates(reachable: Reachable) -> Float[np.ndarray, "n 4 4"] | None:
+    """Return the candidates that are given, one or many, as a batch; None without any."""
+    if reachable.camera_from_world is None:
+        return None
+    given = np.asarray(reachable.camera_from_world, dtype=float)
+    if given.shape[-2:] != (4, 4) or given.ndim > 3 or not given.size:
+        raise ValueError(
+            "reachable: camera_from_world: expected one pose or more, (n, 4, 4); found shape "
+            f"{given.shape}"
+        )
+    return given.reshape(-1, 4, 4)
+
+
+def _distance(
+    reachable: Reachable,
+    candidates: Float[np.ndarray, "n 4 4"] | None,
+    middle: Float[np.ndarray, "3"],
+) -> float:
+    """Return the distance at which views of the objects' middle are made up, m."""
     if reachable.distance is not None:
         return float(reachable.distance)
-    if reachable.camera_from_world is None:
+    if candidates is None:
         raise ValueError("reachable: give candidates, camera_from_world, or a distance")
-    # The cameras' centres are at the mean distance of their optical axes' nearest points.
-    return float(np.median(np.asarray(reachable.camera_from_world)[:, 2, 3]))
+    depths = candidates[:, 2, :3] @ middle + candidates[:, 2, 3]
+    # A view that has the objects behind it says nothing of how near the robot may come.
+    before = depths[depths > 0.0]
+    if not len(before):
+        raise ValueError(
+            f"reachable: camera_from_world: the objects are behind the camera in all "
+            f"{len(depths)} views; is it world_from_camera?"
+        )
+    return float(np.median(before))
 
 
 def _in_world(model: ObjectModel, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "V 3"]:
@@ -181,11 +212,10 @@ def _top_surface_views(
     return host_matrices(look_at(origin, -normal, distance, turns))
 
 
-def _over_objects(
-    objects: Sequence[Localization], calibration: Calibration, distance: float
+def _around(
+    middle: Float[np.ndarray, "3"], calibration: Calibration, distance: float
 ) -> Float[np.ndarray, "n 4 4"]:
     """Return views of the objects' middle from directions spread over a hemisphere."""
-    vertices = np.concatenate([_in_world(one.model, one.world_from_object) for one in objects])
     up = _upwards(calibration)
     # A spiral of equal areas between its turns, from the zenith to the lowest elevation.
     height = np.linspace(1.0, np.sin(LOWEST_ELEVATION), DIRECTIONS)
@@ -195,5 +225,4 @@ def _over_objects(
     # Any two axes at right angles to the vertical complete it to a frame.
     across = np.linalg.svd(up[None])[2][1:]
     directions = local @ np.stack([across[0], np.cross(up, across[0]), up])
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return host_matrices(look_at(middle, -directions, distance))

@@ -90,7 +90,8 @@ class ViewGains:
         self.discrimination, shrinkage = np.zeros(count), np.zeros(count)
         self.std_before, self.std_after = 0.0, np.zeros(count)
         self.visible = np.zeros(count, dtype=bool)
-        self.rivals = 0
+        self.rivals, self.count = 0, len(objects)
+        self.is_open = any(one.verdict.decision == "open" for one in objects)
         there = leading([*neighbours, *objects])
         for one in objects:
             views = _Candidates(calibration, candidates, standing_beside(one, there, known))
@@ -114,27 +115,44 @@ class ViewGains:
             self.discrimination += np.sum(gains, axis=0)
         self.total = np.where(self.visible, self.discrimination + shrinkage, -np.inf)
 
-    def reason(self, best: int, paper_gain: float | None) -> str:
-        """Return why a view was chosen, in words; beside the gain of the paper's view, if any."""
+    def reason(self, best: int, paper: int | None) -> str:
+        """Return what a view is expected to tell, as a clause; beside the paper's view, if any."""
+        after = 1e3 * self.std_after[best]
+        narrowed = (
+            f"the position is known to {after:.3g} mm after it, {1e3 * self.std_before:.3g} mm now"
+        )
+        return f"{self._told(best)}; {narrowed}; {self._beside_paper(best, paper)}"
+
+    def _told(self, best: int) -> str:
+        """Return in words what a view tells of whether the objects are there."""
         # A difference of log-likelihoods is easier read as odds: 2.3 makes ten to one.
         odds = 10.0 ** round(float(self.discrimination[best]) / np.log(10.0), 1)
+        expected = f"at expected odds of {odds:.2g} : 1"
+        is_one = self.count == 1
+        object_is = "the object is" if is_one else "the objects are"
         if self.rivals:
-            told = f"tells {self.rivals} remaining rivals apart, at expected odds of {odds:.2g} : 1"
-        elif odds > 1.0:
-            told = f"makes the objects more certain, at expected odds of {odds:.2g} : 1"
-        else:
-            told = "the objects are certain already"
-        after = 1e3 * self.std_after[best]
-        narrowed = f"position known to {after:.3g} mm after it, {1e3 * self.std_before:.3g} mm now"
-        if paper_gain is None:
-            return (
-                f"{told}; {narrowed}; the view along the normal of the top surface is not reached"
-            )
+            rivals = "rival" if self.rivals == 1 else "rivals"
+            return f"it tells {self.rivals} remaining {rivals} apart, {expected}"
+        if odds > 1.0 and self.is_open:
+            return f"it tells whether {object_is} there, {expected}"
+        if odds > 1.0:
+            return f"it makes the object{'' if is_one else 's'} more certain, {expected}"
+        # Open for want of edges or views, where no odds are left to gain.
+        if self.is_open:
+            return f"{object_is} still open, and shown once more"
+        return f"{object_is} certain already"
+
+    def _beside_paper(self, best: int, paper: int | None) -> str:
+        """Return in words what the paper's view would tell instead."""
+        if paper is None:
+            return "the view along the normal of the top surface is not reached"
+        # Beside itself it would tell "100% as much".
+        if paper == best:
+            return "it is the paper's view, along the normal of the top surface"
         # Gains are information; their ratio says enough.
-        part = paper_gain / max(float(self.total[best]), 1e-12)
+        part = max(float(self.total[paper] / max(self.total[best], 1e-12)), 0.0)
         return (
-            f"{told}; {narrowed}; the paper's view, along the normal of the top surface, would "
-            f"tell {max(part, 0.0):.0%} as much"
+            f"the paper's view, along the normal of the top surface, would tell {part:.0%} as much"
         )
 
 

@@ -23,9 +23,12 @@ VIEWS = 20
 MIN_VIEWS = 6
 """Smallest number of views in which the board has to be found."""
 
-DISTANCES, MAX_TILT, AIM_SPREAD = (0.36, 0.6), float(np.deg2rad(35.0)), 0.25
-"""Distances of the camera from the board, m, its largest tilt, and how far it aims beside the
-board's middle, over the board's size."""
+DISTANCES = (0.36, 0.6)
+"""Smallest and largest distance of the camera from the board by default, m."""
+
+MAX_TILT, AIM_SPREAD = float(np.deg2rad(35.0)), 0.25
+"""Largest tilt of the camera by default, rad, and how far it aims beside the board's middle, over
+the board's size."""
 
 
 class CellCalibration(NamedTuple):
@@ -50,6 +53,9 @@ def calibrate_cell(
     views: int = VIEWS,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
+    *,
+    distances: tuple[float, float] = DISTANCES,
+    max_tilt: float = MAX_TILT,
 ) -> CellCalibration:
     """Take pictures of a board that lies in a cell, and fit the calibration to them.
 
@@ -64,15 +70,24 @@ def calibrate_cell(
         views: number of views.
         seed: of the views, which are tilted and rolled at random.
         progress: called with a line of text for each step.
+        distances: smallest and largest distance of the camera from the board, m; at the smallest,
+            most of the board should be in the picture, and be sharp.
+        max_tilt: largest angle of the camera's axis from the board's normal, rad.
 
     Raises:
-        ValueError: the board was found in fewer than `MIN_VIEWS` views.
+        ValueError: the distances are not positive or out of order, the tilt is not below a right
+            angle, or the board was found in fewer than `MIN_VIEWS` views.
         CellError: the robot does not get to a view.
     """
+    if not 0.0 < distances[0] <= distances[1]:
+        raise ValueError(f"distances: expected 0 < smallest <= largest, found {distances} m")
+    if not 0.0 <= max_tilt < 0.5 * np.pi:
+        raise ValueError(f"max_tilt: expected 0 to below {0.5 * np.pi:.3f} rad, found {max_tilt}")
     say = progress or (lambda _: None)
     flat = board.board if isinstance(board, StackedTarget) else board
     pictures, found, commands = [], [], []
-    for k, pose in enumerate(_planned_views(board, drawing, views, seed)):
+    planned = _planned_views(board, views, seed, distances, max_tilt)
+    for k, pose in enumerate(planned):
         # Counted as planned, whether or not the board is found there.
         say(f"calibrating: view {k + 1} of {views}")
         command = _command(cell, drawing, pose, arm)
@@ -104,6 +119,7 @@ def calibrate_cell(
         joints=stacked.joints if with_joints else None,
         arm=arm if with_joints else None,
     )
+    # Other targets have corners, which perspective leaves where they are.
     corrected = data
     if isinstance(flat, CircleGrid) and flat.has_known_radii:
         # A rough calibration is enough for it; a tenth of a pixel is far more than the noise.
@@ -112,7 +128,11 @@ def calibrate_cell(
 
 
 def _planned_views(
-    board: AbstractTarget, drawing: Calibration, count: int, seed: int
+    board: AbstractTarget,
+    count: int,
+    seed: int,
+    distances: tuple[float, float],
+    max_tilt: float,
 ) -> Float[np.ndarray, "views 4 4"]:
     """Return `camera_from_world` of views of the board, tilted and rolled at random."""
     rng = np.random.default_rng((seed, 21))
@@ -122,12 +142,14 @@ def _planned_views(
     aims = middle + AIM_SPREAD * size * rng.uniform(-1.0, 1.0, (count, 3))
     azimuth, roll = rng.uniform(0.0, 2.0 * np.pi, (2, count))
     # The tilts alternate, so that few views are enough to have steep ones among them.
-    tilt = MAX_TILT * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
+    tilt = max_tilt * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
     above = board.y_up
     directions = np.asarray(viewing_direction(tilt, azimuth, above))
-    # Steps of a quarter turn leave the picture's longer side along the board's.
-    rolls = 0.5 * np.pi * np.floor(4.0 * roll / (2.0 * np.pi)) * 2.0 + rng.uniform(-0.4, 0.4, count)
-    return host_matrices(look_at(aims, directions, rng.uniform(*DISTANCES, count), rolls))
+    # Half turns leave the picture's longer side along the board's; two and three of them are none
+    # and one.
+    half_turns = np.floor(4.0 * roll / (2.0 * np.pi))
+    rolls = np.pi * half_turns + rng.uniform(-0.4, 0.4, count)
+    return host_matrices(look_at(aims, directions, rng.uniform(*distances, count), rolls))
 
 
 def _command(
@@ -141,6 +163,7 @@ def _command(
     joints = cell.where().joints
     if arm is None or joints is None:
         return Command(wanted)
+    # Near where it stands, so that it does not turn over between two views.
     solution = joints_for_pose(arm, wanted, joints)
     return Command(wanted, solution.joints) if bool(solution.is_solved) else None
 

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from ..calibration import Calibration
 from ..editor import ModelSession
 from ..evaluation import CalibrationEstimate
-from ..io import load_object_model
+from ..io import load_object_model, save_object_model
 from ..modeling import ObjectModel, find_symmetry
 from ..robots import Command
 
@@ -31,7 +31,7 @@ def model_by_clicks(
     command: Command,
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     seen_pixels: Float[np.ndarray, "views vertices 2"],
-    visible: Float[np.ndarray, "views vertices"] | np.ndarray,
+    visible: Bool[np.ndarray, "views vertices"],
     faces: Sequence[Sequence[int]],
     path: Path,
     name: str,
@@ -46,7 +46,7 @@ def model_by_clicks(
         seen_pixels: where a person sees each vertex, px.
         visible: whether a person sees it.
         faces: loops of vertices, of which those are added that all can be clicked.
-        path: of the model's file.
+        path: of the model's file, which has the symmetry too.
         name: of the model.
 
     Raises:
@@ -92,4 +92,7 @@ def model_by_clicks(
         session.change({"do": "rename", "name": name})
         saved = session.save()
     model = load_object_model(saved)
-    return dataclasses.replace(model, symmetry=find_symmetry(model))
+    model = dataclasses.replace(model, symmetry=find_symmetry(model))
+    # The session writes a symmetry only if a person confirmed it; the file is what is used.
+    save_object_model(model, saved)
+    return model

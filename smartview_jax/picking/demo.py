@@ -7,18 +7,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from ..cameras import Camera, Pinhole
 from ..files import write_atomically
 from ..geometry import host_matrices, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
-from ..modeling import ObjectModel
+from ..modeling import Face, ObjectModel, face_plane
 from ..report import write_story
 from ..robots import Command
 from ..simulation import (
     CellObject,
+    Polyhedron,
     SimulatedCell,
     box,
     drawn_calibration,
@@ -100,13 +101,13 @@ def run_demo(
     # In a folder of its own: a session goes on with the clicks of an earlier one, of another run.
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.json"
-        model, model_pictures, model_poses = _modelled(cell, calibrated, block, path)
+        model, model_pictures, model_poses = modelled(cell, calibrated, block, path)
         write_atomically(out / path.name, path.read_bytes())
     done(f"model from {len(model_pictures)} pictures by scripted clicks")
     say("three objects fall into the bin")
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
     cell.drop([block, *others], seed)
-    strip = [("before", _watched(cell))]
+    strip = [("before", watched(cell))]
     region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
     walls = [Obstacle.box(one.name, one.size, one.world_from_box) for one in cell.fixtures]
@@ -121,33 +122,42 @@ def run_demo(
     # The judge looks before the grasp moves the object.
     before = cell.judge().world_from_object[block.name]
     attempt = pick(
-        cell, fit.calibration, [model], cell.gripper, region, scene,
-        arm=cell.arm, estimate=fit.joint, progress=progress,
-        after=lambda phase: strip.append((phase, _watched(cell))),
+        cell, [model], cell.gripper, region, scene,
+        progress=progress, after=lambda phase: strip.append((phase, watched(cell))),
     )  # fmt: skip
     done("looking, verifying, planning and grasping")
     held = block.name in cell.judge().held
-    error = _position_error(attempt.target, before, cell.centre)
+    error = position_error(attempt.target, before, cell.centre)
     page = out / "demo.html"
     say("writing the page")
-    sections = [
-        localised_section(attempt, calibrated, region, strip),
-        grasp_section(attempt, strip),
-        numbers_section(attempt, calibrated, model, error, held, times),
-    ]
-    if model_pictures:
-        sections.insert(0, model_section(model, model_pictures, model_poses, calibrated))
+    sections = [model_section(model, model_pictures, model_poses, calibrated)]
+    # A run that ended at its first pictures has no Fig. 8.
+    if attempt.look is not None:
+        sections.append(localised_section(attempt.look, calibrated, region, strip))
+    sections.append(grasp_section(attempt, strip))
+    sections.append(numbers_section(attempt, calibrated, model, error, held, times))
     write_story(
         page, "From a board to an object in the hand", verdict_sentence(attempt, held), sections
     )
     return DemoResult(page, held, attempt, calibrated, model, error)
 
 
-def _modelled(
+def modelled(
     cell: SimulatedCell, calibrated: CellCalibration, block: CellObject, path: Path
 ) -> tuple[ObjectModel, list[np.ndarray], Command]:
-    """Return the model of an object that stands alone, with the pictures it was clicked in."""
+    """Return the model of an object that stands alone, with the pictures it was clicked in.
+
+    Args:
+        cell: in which the object is put, in the place of everything else.
+        calibrated: its calibration.
+        block: the object.
+        path: of the model's file, in a folder without an earlier session.
+
+    Returns:
+        The model, the pictures, and what the robot reported in them.
+    """
     world_from_object = np.eye(4)
+    # Where the board lay: there the calibration is best.
     world_from_object[:3, 3] = cell.centre
     cell.place([block], [world_from_object])
     calibration = calibrated.fit.calibration
@@ -189,34 +199,42 @@ def _modelled(
     return model, pictures, stacked
 
 
-def _visible_vertices(solid, centre: Float[np.ndarray, "3"]) -> np.ndarray:
+def _visible_vertices(
+    solid: Polyhedron, centre: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "vertices"]:
     """Return which vertices belong to a face that looks towards a camera."""
     visible = np.zeros(len(solid.vertices), bool)
     for loop in solid.faces:
-        a, b, c = solid.vertices[list(loop[:3])]
-        if np.cross(b - a, c - a) @ (centre - a) > 0.0:
+        plane = face_plane(solid.vertices, Face(tuple(loop)))
+        if plane.normal @ (centre - plane.origin) > 0.0:
             visible[list(loop)] = True
     return visible
 
 
-def _watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
+def watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
     """Return what a bystander sees of the bin."""
     width, height = BYSTANDER_SIZE
     camera = Camera(
         BYSTANDER_FOCAL, BYSTANDER_FOCAL, 0.5 * width, 0.5 * height, Pinhole(), (width, height)
     )
+    # Above the bin, so that the lifted object is in the picture too.
     aim = cell.centre + np.array([0.0, 0.0, 0.09])
     pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75))
     return cell.watch(pose, camera)
 
 
-def _position_error(
+def position_error(
     target: Localization | None, truth: Float[np.ndarray, "4 4"], origin: np.ndarray
 ) -> float:
     """Return how far the middle of the localised object is from the true one, m.
 
     The clicked model has its own frame, the world's while it was modelled; the object stood at a
     known place then.
+
+    Args:
+        target: the localised object; without one the distance is NaN.
+        truth: the object's true pose.
+        origin: where it stood while it was modelled, m.
     """
     if target is None:
         return float("nan")

@@ -4,25 +4,47 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
 from ..array_namespace import to_device
 from ..calibration import Calibration
+from ..cameras import Camera
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
+from ..features import PictureEvidence, picture_evidence
 from ..geometry import host_transforms, look_at, viewing_direction
-from ..localization import Localizations, NextView, Reachable, localize, next_view
+from ..joint import JointFit, SavedEstimate
+from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
 from ..robots import BOX_CORNERS, Command, SerialArm
 from ..simulation import Cell, CellError
 from ..viewpoints import viewpoint_commands
 from .calibrating import stacked_commands
 
-TILT, AZIMUTHS = float(np.deg2rad(22.0)), (0.6, 2.3)
-"""Tilt of the first views from the vertical, and their directions about it, rad."""
+FIRST_VIEWS = 2
+"""Number of views that are taken before anything is known; from one, the scale is uncertain."""
 
-DISTANCE = 0.45
-"""Distance of the camera from the middle of the region, m."""
+
+class FirstViews(NamedTuple):
+    """The directions and the distance from which a region is looked at first.
+
+    Attributes:
+        distance: of the camera from the middle of the region, m; of chosen views from their object,
+            too.
+        tilt: of the directions from the vertical, rad.
+        azimuths: of the directions about the vertical, rad, in the order in which they are tried;
+            the first two that the robot reaches are taken. By default each is 1.7 rad from the one
+            before, so that any two see the region from different sides.
+    """
+
+    distance: float = 0.45
+    tilt: float = float(np.deg2rad(22.0))
+    azimuths: tuple[float, ...] = (0.6, 2.3, 4.0, 5.7)
+
+
+STANDARD_VIEWS = FirstViews()
+"""The first views by default, as a camera of 1280 x 800 px with a lens of 50 degrees takes them."""
 
 
 class Region(NamedTuple):
@@ -42,6 +64,10 @@ class Region(NamedTuple):
         return self.centre + (BOX_CORNERS + np.array([0.0, 0.0, 0.5])) * np.array(self.size)
 
 
+class BadPictureError(ValueError):
+    """The error that nothing can be found in one of the first pictures; its text names the view."""
+
+
 class Look(NamedTuple):
     """The pictures that were taken, and what was found in them.
 
@@ -49,7 +75,8 @@ class Look(NamedTuple):
         found: in all views together.
         pictures: of all views in their order.
         commands: what the robot reported in these views.
-        verification: the view that was chosen to verify, the last one; None if there was none.
+        verification: the last view, if it was chosen to verify or to decide what was open; None if
+            the first two were enough.
         notes: what happened, in words.
     """
 
@@ -70,11 +97,15 @@ def look_for(
     estimate: CalibrationEstimate | None = None,
     noise: Noise | None = None,
     known: Float[np.ndarray, "triangles 3 3"] | None = None,
+    first: FirstViews = STANDARD_VIEWS,
     max_views: int = 4,
     verify: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Look:
     """Look for objects in a region, from two views and then from chosen ones.
+
+    What two views accept is verified from a third one. Further views are taken while the verdict on
+    an object is open, each where it tells most about those that are.
 
     Args:
         cell: the cell.
@@ -85,52 +116,134 @@ def look_for(
         estimate: fit with the calibration's covariance.
         noise: of the robot in these views; by default that of the estimate.
         known: triangles of what is known to stand there, as for `localize`.
+        first: from where the region is looked at first.
         max_views: largest number of views; two are always taken.
-        verify: whether what two views accept is verified from a third one too.
+        verify: whether what two views accept is verified.
         progress: called with a line of text for each step.
 
+    Returns:
+        What was found in all views. A later view that cannot be taken, or whose picture shows
+        nothing, is left out, with a note.
+
     Raises:
-        CellError: the robot does not get to the first views.
-        ValueError: a picture in which nothing can be found, such as a blank one.
+        CellError: the robot reaches fewer than two of the first views; the message says why.
+        BadPictureError: one of the first two pictures is not taken, or nothing can be found in it,
+            such as a blank one; the message names the view, from 1.
+        ValueError: as `localize`, of what was given: models, estimate, noise or known triangles.
     """
     say = progress or (lambda _: None)
-    pictures, commands, notes = [], [], []
+    workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
+    # As in `localize`: these views are taken by the robot that was calibrated.
+    if noise is None and isinstance(estimate, JointFit | SavedEstimate):
+        noise = estimate.noise
+    options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
+    views = _first_views(cell, calibration, region, first, arm, say)
+    say("localising")
+    taken = stacked_commands([one.command for one in views])
+    found = localize([one.evidence for one in views], taken, calibration, models, **options)
+    verification, notes = None, []
+    while len(views) < max_views:
+        looked_at = _undecided(found, verify and len(views) == FIRST_VIEWS)
+        if not looked_at:
+            break
+        number = len(views) + 1
+        # From where the arm stands now, so that it keeps its branch.
+        reachable = Reachable(distance=first.distance, arm=arm, near=_start_joints(cell, arm))
+        try:
+            chosen = next_view(
+                looked_at, calibration, reachable,
+                noise=noise, models=models, neighbours=found, known=known,
+            )  # fmt: skip
+            say(
+                f"{'verifying' if looked_at[0].accepted else 'deciding'}: view {number}: "
+                f"{chosen.reason}"
+            )
+            view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
+            # All views together are judged anew; the search is not begun anew.
+            latest = stacked_commands([view.command])
+            found = localize(
+                [view.evidence], latest, calibration, models, previous=found, **options
+            )
+        except (CellError, ValueError) as error:
+            # What the earlier views found is worth more than an error.
+            notes.append(f"no further view: view {number}: {error}")
+            break
+        notes.append(f"view {number}: {chosen.reason}")
+        views.append(view)
+        verification = chosen
+    pictures = tuple(one.picture for one in views)
+    commands = stacked_commands([one.command for one in views])
+    return Look(found, pictures, commands, verification, tuple(notes))
+
+
+class _View(NamedTuple):
+    """A view that was taken.
+
+    Attributes:
+        picture: grey levels.
+        evidence: what was found in it.
+        command: what the robot reported there.
+    """
+
+    picture: UInt8[np.ndarray, "rows columns"]
+    evidence: PictureEvidence
+    command: Command
+
+
+def _first_views(
+    cell: Cell,
+    calibration: Calibration,
+    region: Region,
+    first: FirstViews,
+    arm: SerialArm | None,
+    say: Callable[[str], None],
+) -> list[_View]:
+    """Return the views that are taken before anything is known."""
     # Aimed above the floor, where objects are.
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
-    for azimuth in AZIMUTHS:
-        say(f"looking: view {len(pictures) + 1}")
-        direction = np.asarray(viewing_direction(TILT, azimuth))
-        commands.append(cell.move(_command(cell, calibration, middle, direction, arm)))
-        pictures.append(cell.picture())
-    workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
-    options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
-    say("localising")
-    first = stacked_commands(commands)
-    found = localize(pictures, first, calibration, models, **options)
-    verification = None
-    # A further view only while it may change the verdict.
-    while len(pictures) < max_views:
-        enough = found.accepted and (not verify or verification is not None)
-        if enough or not (found.accepted or found.open):
+    views, reasons = [], []
+    for azimuth in first.azimuths:
+        # Counted by what was taken: a view that is not reached has no number.
+        number = len(views) + 1
+        if number > FIRST_VIEWS:
             break
-        reachable = Reachable(distance=DISTANCE, arm=arm, near=_start_joints(cell, arm))
+        say(f"looking: view {number}")
+        direction = np.asarray(viewing_direction(first.tilt, azimuth))
+        view = look_at(middle, direction[None], first.distance)
         try:
-            # What is accepted is verified first, or else what is open is told apart.
-            looked_at = found.accepted[:1] or found.open
-            view = next_view(
-                looked_at, calibration, reachable, models=models, neighbours=found, known=known
-            )
-            commands.append(cell.move(_view_command(view)))
+            command = cell.move(_command(cell, calibration, view, arm))
+        except CellError as error:
+            # A bin's wall or a joint's limit on one side leaves the other sides.
+            reasons.append(f"azimuth {azimuth:.2g} rad: {error}")
+            continue
+        try:
+            views.append(_seen(cell, command, calibration.camera))
         except (CellError, ValueError) as error:
-            notes.append(f"no further view: {error}")
-            break
-        say(f"verifying: view {len(pictures) + 1}: {view.reason}")
-        notes.append(f"view {len(pictures) + 1}: {view.reason}")
-        verification = view
-        pictures.append(cell.picture())
-        latest = stacked_commands(commands[-1:])
-        found = localize(pictures[-1:], latest, calibration, models, previous=found, **options)
-    return Look(found, tuple(pictures), stacked_commands(commands), verification, tuple(notes))
+            # With one view less the scale would not be known: nothing is found without it.
+            raise BadPictureError(f"view {number}: {error}") from error
+    if len(views) < FIRST_VIEWS:
+        raise CellError(
+            f"first: {len(views)} of {len(first.azimuths)} views are reached; expected "
+            f"{FIRST_VIEWS}: {'; '.join(reasons)}"
+        )
+    return views
+
+
+def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
+    """Take a picture from where the robot stands.
+
+    Raises:
+        CellError: no picture is taken.
+        ValueError: nothing can be found in it.
+    """
+    picture = cell.picture()
+    return _View(picture, picture_evidence(picture, camera), command)
+
+
+def _undecided(found: Localizations, unverified: bool) -> Sequence[Localization]:
+    """Return the objects that a further view is for; none where nothing is left to decide."""
+    # One view verifies what was accepted; what stays open may need several.
+    return found.accepted[:1] if found.accepted and unverified else found.open
 
 
 def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
@@ -146,20 +259,17 @@ def _view_command(view: NextView) -> Command:
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 
 
-def _command(
-    cell: Cell,
-    calibration: Calibration,
-    point: Float[np.ndarray, "3"],
-    direction: Float[np.ndarray, "3"],
-    arm: SerialArm | None,
-) -> Command:
-    """Return the command by which the camera looks at a point along a direction."""
-    views = look_at(point, direction[None], DISTANCE)
+def _command(cell: Cell, calibration: Calibration, view: SE3, arm: SerialArm | None) -> Command:
+    """Return the command for one view, given as a batch of one.
+
+    Raises:
+        CellError: the arm does not reach it.
+    """
     near = _start_joints(cell, arm)
-    commands = viewpoint_commands(calibration, views, arm=None if near is None else arm, near=near)
+    commands = viewpoint_commands(calibration, view, arm=None if near is None else arm, near=near)
     problem = commands.checks.reasons(("reach", "tool_distance"))[0]
     if problem:
-        raise CellError(f"the first view: {problem}")
+        raise CellError(problem)
     pose = commands.base_from_tool
     joints = None if commands.joints is None else commands.joints[0]
     return Command(type(pose)(pose.wxyz_xyz[0]), joints)

@@ -3,22 +3,21 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..calibration import Calibration
-from ..evaluation import CalibrationEstimate
-from ..grasping import GraspPlan, GraspScene, Motion, NoSafeGraspError, PlannedGrasp, grasps_for
-from ..localization import Localization
+from ..grasping import GraspPlan, GraspScene, Motion, PlannedGrasp, grasps_for
+from ..localization import Localization, Localizations
 from ..modeling import ObjectModel
-from ..robots import Gripper, SerialArm
+from ..robots import Gripper
 from ..simulation import Cell, CellError
 from .execution import execute
-from .looking import Look, Region, look_for
+from .looking import STANDARD_VIEWS, BadPictureError, FirstViews, Look, Region, look_for
 
 
 class Pick(NamedTuple):
     """An attempt to pick an object.
 
     Attributes:
-        look: pictures, views and what was found.
+        look: pictures, views and what was found; None where one of the first pictures shows
+            nothing.
         target: the object that was chosen; None if none was accepted or none can be grasped.
         plan: its grasps; of the last object tried where no grasp is safe.
         grasp: the one that was executed.
@@ -26,7 +25,7 @@ class Pick(NamedTuple):
         outcome: what happened, in words.
     """
 
-    look: Look
+    look: Look | None
     target: Localization | None
     plan: GraspPlan | None
     grasp: PlannedGrasp | None
@@ -36,71 +35,97 @@ class Pick(NamedTuple):
 
 def pick(
     cell: Cell,
-    calibration: Calibration,
     models: Sequence[ObjectModel],
     gripper: Gripper,
     region: Region,
     scene: GraspScene,
     *,
-    arm: SerialArm | None = None,
-    estimate: CalibrationEstimate | None = None,
     motion: Motion | None = None,
+    first: FirstViews = STANDARD_VIEWS,
     verify: bool = True,
     progress: Callable[[str], None] | None = None,
     after: Callable[[str], None] | None = None,
 ) -> Pick:
     """Look for objects, choose the one with the safest grasp, and execute it.
 
-    What was found but not chosen is an obstacle; what was not found is not known, and not avoided.
+    What was found but not chosen is an obstacle, even where its verdict is open, unless its model
+    has no faces: the outcome says so. What was not found is not known, and not avoided.
 
     Args:
         cell: with an empty gripper.
-        calibration: as for `look_for`.
         models: of the objects that may be there.
         gripper: on the hand.
         region: where objects are looked for.
-        scene: the robot and what stands around.
-        arm, estimate, verify, progress: as for `look_for`.
+        scene: the calibrated robot, with which the cell looks too, and what stands around.
         motion: as for `grasps_for`.
+        first, verify, progress: as for `look_for`.
         after: as for `execute`.
 
     Raises:
-        CellError: the robot does not get to the first views.
+        CellError: the robot reaches fewer than two of the first views.
+        ValueError: as `look_for`, of what was given, and as `grasps_for`.
     """
-    say = progress or (lambda _: None)
-    look = look_for(
-        cell, calibration, models, region,
-        arm=arm, estimate=estimate, known=scene.triangles, verify=verify, progress=progress,
-    )  # fmt: skip
+    say, nothing = progress or (lambda _: None), float("nan")
+    try:
+        look = look_for(
+            cell, scene.calibration, models, region, arm=scene.arm, estimate=scene.estimate,
+            known=scene.triangles, first=first, verify=verify, progress=progress,
+        )  # fmt: skip
+    except BadPictureError as error:
+        # No fault of the program: a lamp that is off, a cover on the lens.
+        return Pick(None, None, None, None, nothing, f"not found: {error}")
     # Nothing is grasped that the verdict did not accept.
     if not look.found.accepted:
-        reasons = "; ".join(look.found.messages) or "nothing was found"
-        return Pick(look, None, None, None, float("nan"), f"not found: {reasons}")
+        return Pick(look, None, None, None, nothing, "; ".join(look.found.messages))
     say("planning grasps")
-    best: tuple[Localization, GraspPlan] | None = None
-    plan: GraspPlan | None = None
-    for one in look.found.accepted:
-        # Objects are told apart by identity: two may be of one model.
-        others = [other for other in look.found.accepted if other is not one]
-        try:
-            plan = grasps_for(one, gripper, scene.with_objects(others), motion)
-        except NoSafeGraspError:
-            continue
-        if len(plan) and (best is None or _chance(plan) > _chance(best[1])):
-            best = one, plan
-    if best is None:
-        outcome = "no safe grasp" if plan is None else plan.summary
-        return Pick(look, None, plan, None, float("nan"), outcome)
-    # The most probable of all objects' best grasps.
-    target, plan = best
+    target, plan, reasons = _safest(look.found, gripper, scene, motion)
+    if target is None or plan is None:
+        return Pick(look, None, plan, None, nothing, "; ".join(reasons))
     say(plan.summary)
+    # The gripper may touch what is no obstacle: whoever reads the outcome should know.
+    bare = [_name(one) for one in _standing(look.found) if not one.model.faces]
+    note = f"; not avoided, because their models have no faces: {', '.join(bare)}" if bare else ""
     try:
         width, outcome = execute(cell, plan.best, after)
     except CellError as error:
-        return Pick(
-            look, target, plan, plan.best, float("nan"), f"not executed to the end: {error}"
-        )
-    return Pick(look, target, plan, plan.best, width, outcome)
+        # What the fingers hold then is not known.
+        width, outcome = nothing, f"not executed to the end: {error}"
+    return Pick(look, target, plan, plan.best, width, outcome + note)
+
+
+def _safest(
+    found: Localizations, gripper: Gripper, scene: GraspScene, motion: Motion | None
+) -> tuple[Localization | None, GraspPlan | None, list[str]]:
+    """Return the object whose best grasp is the most probable of all, with its plan.
+
+    Where no grasp is safe there is no object, the plan is the last one, and the sentences say why.
+    """
+    best: tuple[Localization, GraspPlan] | None = None
+    plan, reasons = None, []
+    for one in found.accepted:
+        # A wireframe has no width that fingers could be opened for.
+        if not one.model.faces:
+            reasons.append(f"no safe grasp of {_name(one)}: its model has no faces")
+            continue
+        # Objects are told apart by identity: two may be of one model.
+        others = [other for other in _standing(found) if other is not one and other.model.faces]
+        plan = grasps_for(one, gripper, scene.with_objects(others), motion)
+        # Each object that cannot be grasped has its own reason.
+        if not len(plan):
+            reasons.append(plan.summary)
+        elif best is None or _chance(plan) > _chance(best[1]):
+            best = one, plan
+    return (None, plan, reasons) if best is None else (*best, reasons)
+
+
+def _standing(found: Localizations) -> tuple[Localization, ...]:
+    """Return the objects that may be where they were found, the open ones too."""
+    return (*found.accepted, *found.open)
+
+
+def _name(one: Localization) -> str:
+    """Return what an object is called in messages."""
+    return one.model.name or f"model {one.model_index}"
 
 
 def _chance(plan: GraspPlan) -> float:

@@ -8,7 +8,7 @@ from ..plots import cropped, edge_map, with_wireframes
 from ..report import Section, StoryFigure
 from ..robots import Command
 from .calibrating import CellCalibration
-from .looking import Region
+from .looking import Look, Region
 from .pick import Pick
 
 BORDER = 25.0
@@ -44,7 +44,7 @@ def model_section(
 
 
 def localised_section(
-    attempt: Pick,
+    look: Look,
     calibrated: CellCalibration,
     region: Region,
     strip: list[tuple[str, np.ndarray]],
@@ -52,12 +52,12 @@ def localised_section(
     """Return the part of the page with Fig. 8 (a) to (f) of this run.
 
     Args:
-        attempt: with its pictures.
+        look: pictures, and what was found in them.
         calibrated: the calibration.
         region: the part of the pictures that is shown.
         strip: pictures of a bystander by phase; the last one is Fig. 8 (f).
     """
-    look, calibration = attempt.look, calibrated.fit.calibration
+    calibration = calibrated.fit.calibration
     camera, views = (
         calibration.camera,
         host_matrices(calibration.camera_from_world(look.commands)),
@@ -85,20 +85,32 @@ def localised_section(
         StoryFigure(f"({letter})", text, cropped(picture, corners[last], BORDER))
         for letter, (text, picture) in zip("cde", shown.items(), strict=True)
     ]
-    figures.append(StoryFigure("(f)", f"the grasp: {strip[-1][0]}", strip[-1][1]))
-    text = "Two views are searched for the model; a further one verifies what was found in them."
+    # The last phase that was reached, wherever the run ended.
+    phase, picture = strip[-1]
+    figures.append(StoryFigure("(f)", f"the bin, last seen: {_phase_name(phase)}", picture))
+    text = "Two views are searched for the model."
     if look.verification is not None:
-        text += f" Why it was chosen: {look.verification.reason}."
+        text += f" A further one verifies it. Why it was chosen: {look.verification.reason}."
     return Section("Localised, verified, grasped (Fig. 8)", text, figures)
 
 
 def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section:
     """Return the part of the page with the grasp as a strip of pictures."""
     figures = [
-        StoryFigure(f"{1 + k}", phase.replace("_", "-"), picture)
+        StoryFigure(f"{1 + k}", _phase_name(phase), picture)
         for k, (phase, picture) in enumerate(strip)
     ]
-    return Section("The grasp, step by step", f"{attempt.outcome.capitalize()}.", figures)
+    return Section("The grasp, step by step", _sentence(attempt.outcome), figures)
+
+
+def _phase_name(phase: str) -> str:
+    """Return the name of a phase as it is printed."""
+    return phase.replace("_", "-")
+
+
+def _sentence(text: str) -> str:
+    """Return a clause as a sentence; names in it keep their capital letters."""
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def numbers_section(
@@ -110,11 +122,11 @@ def numbers_section(
     times: list[tuple[str, float]],
 ) -> Section:
     """Return the part of the page on what happened, in numbers."""
-    fit, target = calibrated.fit, attempt.target
+    fit, target, look = calibrated.fit, attempt.target, attempt.look
     rows = [
         ("board pictures", str(len(calibrated.pictures))),
         ("pixel sigma of the calibration", f"{fit.pixel_sigma:.3f} px"),
-        ("views of the bin", str(len(attempt.look.pictures))),
+        ("views of the bin", str(0 if look is None else len(look.pictures))),
         ("model", f"{len(model.vertices)} vertices, {len(model.faces)} faces"),
     ]
     if target is not None:
@@ -136,7 +148,9 @@ def numbers_section(
         ]  # fmt: skip
     rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
     rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
-    rows += [("note", text) for text in (*attempt.look.notes, *attempt.look.found.messages)]
+    # Without a look the outcome is all there is to tell.
+    notes = (attempt.outcome,) if look is None else (*look.notes, *look.found.messages)
+    rows += [("note", text) for text in notes]
     return Section("What happened", "", (), (), rows)
 
 

@@ -377,7 +377,7 @@ def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
     chosen = next_view([open_one], CALIBRATION, Reachable(candidates), models=[MODEL, lower])
     np.testing.assert_allclose(chosen.camera_from_world, candidates[1])
     assert chosen.discrimination > chosen.paper.discrimination
-    assert "rivals apart" in chosen.reason
+    assert "1 remaining rival apart" in chosen.reason
 
 
 def test_the_predicted_covariance_is_that_of_the_view(pictures):

@@ -6,7 +6,7 @@ import pytest
 
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.picking import calibrate_cell
-from smartview_jax.picking.calibrating import _planned_views, stacked_commands
+from smartview_jax.picking.calibrating import DISTANCES, MAX_TILT, _planned_views, stacked_commands
 from smartview_jax.robots import Command
 from smartview_jax.simulation.cell import BOARD, drawn_calibration
 
@@ -38,7 +38,7 @@ def test_a_board_that_is_not_found_is_said_with_the_number_of_views():
 
 def test_planned_views_show_most_of_the_board_from_many_sides():
     drawing = drawn_calibration()
-    views = _planned_views(BOARD, drawing, 24, seed=0)
+    views = _planned_views(BOARD, 24, 0, DISTANCES, MAX_TILT)
     points = BOARD.points @ views[:, :3, :3].swapaxes(1, 2) + views[:, None, :3, 3]
     pixels, valid = (np.asarray(x) for x in drawing.camera.project(jnp.asarray(points)))
     size = np.array(drawing.camera.image_size)
@@ -48,6 +48,29 @@ def test_planned_views_show_most_of_the_board_from_many_sides():
     tilts = np.arccos(-views[:, 2, 2])
     assert tilts.min() < np.deg2rad(14.0)
     assert tilts.max() > np.deg2rad(25.0)
+
+
+def test_planned_views_keep_to_their_limits():
+    views = _planned_views(BOARD, 24, 0, (1.0, 1.2), 0.1)
+    centres = np.linalg.inv(views)[:, :3, 3]
+    # Aimed beside the board's middle by a quarter of its size, along the axis of the camera.
+    heights = np.abs(centres[:, 2])
+    assert heights.min() > np.cos(0.1) - 1e-9
+    assert heights.max() <= 1.2
+    assert np.arccos(np.abs(views[:, 2, 2])).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"distances": (0.5, 0.4)}, "distances: .*found"),
+        ({"distances": (-0.1, 0.4)}, "distances: .*found"),
+        ({"max_tilt": 1.6}, "max_tilt: .*found 1.6"),
+    ],
+)
+def test_views_that_cannot_be_are_refused(given, said):
+    with pytest.raises(ValueError, match=said):
+        calibrate_cell(Blank(), BOARD, drawn_calibration(), **given)
 
 
 def test_commands_are_stacked_with_joints_only_if_all_have_them():

@@ -1,0 +1,64 @@
+"""How far away the views stand that are made up beside given candidates."""
+
+import numpy as np
+import pytest
+from drawn_edges import TWO_DIRECTIONS, calibration, drawn, evidence, poses_towards, seen_views
+from solids import box
+
+from smartview_jax.geometry import host_exponentials
+from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
+
+MODEL = box(name="box")
+POSE = host_exponentials(np.array([0.8, 0.1, 0.0, 0.1, -0.1, 0.4]))
+MIDDLE = POSE[:3, :3] @ MODEL.vertices.mean(axis=0) + POSE[:3, 3]
+POSES = poses_towards(MIDDLE, TWO_DIRECTIONS)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """A box far from the world's origin."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
+        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
+        pictures = evidence(drawn(MODEL, seen_views(MIDDLE), POSE, 0.1))
+        start = Hypothesis(0, POSE, 0.0, 0.0)
+        yield localize(pictures, POSES, calibration(), MODEL, hypotheses=[start])
+
+
+def next_of(found, candidates, **given):
+    return next_view(found, calibration(), Reachable(candidates, **given))
+
+
+def distance_of(view):
+    centre = np.linalg.inv(view.camera_from_world)[:3, 3]
+    return np.linalg.norm(centre - MIDDLE)
+
+
+def test_the_papers_view_stands_where_candidates_stand_from_the_object(found):
+    # As many look the other way: the median of all would be zero.
+    away = POSES @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    for candidates in (POSES, np.concatenate([POSES, away])):
+        view = next_of(found, np.linalg.inv(candidates))
+        # The candidates look at the box's middle from 0.4 m, the paper's view at its top surface.
+        assert abs(distance_of(view.paper) - 0.4) < 0.02
+    given = next_of(found, np.linalg.inv(POSES), distance=0.3)
+    assert abs(distance_of(given.paper) - 0.3) < 0.02
+
+
+def test_one_candidate_needs_no_batch(found):
+    candidates = np.linalg.inv(POSES[:1])
+    one, batch = next_of(found, candidates[0]), next_of(found, candidates)
+    np.testing.assert_array_equal(one.camera_from_world, batch.camera_from_world)
+    assert one.gain == batch.gain
+
+
+@pytest.mark.parametrize(
+    ("candidates", "said"),
+    [
+        (np.zeros((0, 4, 4)), r"expected one pose or more, \(n, 4, 4\); found shape \(0, 4, 4\)"),
+        (POSES @ np.diag([-1.0, 1.0, -1.0, 1.0]), "behind the camera in all 2 views"),
+    ],
+)
+def test_candidates_that_are_none_are_refused(found, candidates, said):
+    with pytest.raises(ValueError, match=said):
+        next_of(found, np.linalg.inv(candidates) if len(candidates) else candidates)
