@@ -1,5 +1,6 @@
 """Define `smartview demo`, which runs a whole simulated cell and writes one page about it."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -34,10 +35,11 @@ def demo(
             # An extra that is not installed is for the user to install, not a fault to trace.
             raise ValueError(str(error)) from error
         typer.echo(result.pick.outcome)
-        typer.echo(
-            f"in the hand after the lift: {'yes' if result.held else 'no'}; "
-            f"position error {1e3 * result.position_error:.2f} mm"
-        )
+        held = f"in the hand after the lift: {'yes' if result.held else 'no'}"
+        # Where nothing was found there is no error to tell of.
+        if math.isfinite(result.position_error):
+            held += f"; position error {1e3 * result.position_error:.2f} mm"
+        typer.echo(held)
         typer.echo(f"{result.page}: the whole story")
         if not result.held:
             raise typer.Exit(1)
