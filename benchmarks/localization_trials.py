@@ -278,7 +278,7 @@ def _third_views(
     try:
         chosen = next_view(
             looked_at, truth, Reachable(distance=THIRD_DISTANCE), models=models,
-            neighbours=found, known=walls_of(cell, scene.kind),
+            neighbours=found, occluders=walls_of(cell, scene.kind),
         )  # fmt: skip
     except ValueError:
         return {}

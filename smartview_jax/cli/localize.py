@@ -34,7 +34,7 @@ def localize(
             "target's frame; by default they may be anywhere."
         ),
     ] = None,
-    known: Annotated[
+    occluder: Annotated[
         list[Path] | None,
         typer.Option(
             help="A mesh (.stl, .obj, .ply) in m in the target's frame of what stands there, such "
@@ -64,7 +64,7 @@ def localize(
         # All that can be refused is refused before the pictures are searched.
         if out is not None:
             refuse_unwritable(out.parent, "--out")
-        corners, triangles = _corners(workspace), _triangles(known)
+        corners, triangles = _corners(workspace), _triangles(occluder)
         loaded, estimate = load_with_uncertainty(calibration)
         objects = [load_object_model(path) for path in models]
         names, paths, command = load_views(views)
@@ -79,7 +79,7 @@ def localize(
                 objects,
                 covariance=estimate,
                 workspace=corners,
-                known=triangles,
+                occluders=triangles,
             )
         # People see the table before the page is drawn, which takes seconds.
         if not json:

@@ -21,7 +21,7 @@ from ..array_namespace import AnyArray
 from ..cameras import Camera
 from ..compilation import compiled_optimised
 from ..features import CLEARANCE
-from .edge_lookup import KNOWN_CELL_PX, EdgeLookup
+from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
 from .prediction import predict_view, within_picture
 from .wireframe import Wireframe
 
@@ -58,7 +58,7 @@ MIN_SHARE = 0.25
 HIDING_DEPTH = 0.01
 """Part of its depth by which a point is behind a known surface that hides it.
 
-Objects touch, and the surface is known in parts of `KNOWN_CELL_PX` only."""
+Objects touch, and the surface is known in parts of `DEPTH_CELL_PX` only."""
 
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
 """Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
@@ -210,7 +210,7 @@ def _is_behind(
     rows, columns = lookup.nearest.shape
     depth = wireframe.samples @ camera_from_object[2, :3] + camera_from_object[2, 3]
     # Pixel 0 reaches from -0.5 to 0.5.
-    cell = jnp.floor((jnp.nan_to_num(samples) + 0.5) / KNOWN_CELL_PX).astype(jnp.int32)
+    cell = jnp.floor((jnp.nan_to_num(samples) + 0.5) / DEPTH_CELL_PX).astype(jnp.int32)
     nearest = lookup.nearest[
         jnp.clip(cell[:, 1], 0, rows - 1), jnp.clip(cell[:, 0], 0, columns - 1)
     ]

@@ -13,7 +13,7 @@ from ..padding import power_of_two_from, repeat_last
 MIN_EDGE_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""
 
-KNOWN_CELL_PX = 4
+DEPTH_CELL_PX = 4
 """Side of the parts of a picture in which the nearest known surface is kept, px."""
 
 FAR_AWAY = -1e6
@@ -44,7 +44,7 @@ class EdgeLookup(eqx.Module):
     normals: Float[Array, "views points 2"]
     strengths: Float[Array, "views points"]
     lone: Bool[Array, "views points"]
-    nearest: Float[Array, "views known_rows known_columns"]
+    nearest: Float[Array, "views depth_rows depth_columns"]
     valid: Bool[Array, "views"]
 
     @classmethod
@@ -53,7 +53,7 @@ class EdgeLookup(eqx.Module):
         pictures: Sequence[EdgePoints],
         image_size: tuple[int, int],
         usable: Sequence[Bool[np.ndarray, "_"]] | None = None,
-        inverse_depth: Float[np.ndarray, "_ known_rows known_columns"] | None = None,
+        inverse_depth: Float[np.ndarray, "_ depth_rows depth_columns"] | None = None,
         lone: Sequence[Bool[np.ndarray, "_"]] | None = None,
     ) -> "EdgeLookup":
         """Return the lookup of the edge points of some pictures.
@@ -62,7 +62,7 @@ class EdgeLookup(eqx.Module):
             pictures: edge points of each view.
             image_size: width and height, px.
             usable: for each view, which points may be used; all by default.
-            inverse_depth: of the nearest known surfaces (`KnownSurfaces`), 1/m; none by default.
+            inverse_depth: of the nearest known surfaces (`DepthBuffers`), 1/m; none by default.
             lone: for each view, which points no other edge displaces; looked for by default.
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
@@ -79,7 +79,7 @@ class EdgeLookup(eqx.Module):
             pixels[view, own], normals[view, own] = points.pixels, points.normals
             strengths[view, own] = points.strengths
             is_lone[view, own] = lone_points(points) if lone is None else lone[view]
-        nearest = np.zeros((views, *(-(-size // KNOWN_CELL_PX) for size in image_size[::-1])))
+        nearest = np.zeros((views, *(-(-size // DEPTH_CELL_PX) for size in image_size[::-1])))
         if inverse_depth is not None:
             nearest[: len(pictures)] = inverse_depth
         valid = np.arange(views) < len(pictures)

@@ -19,9 +19,9 @@ from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
 from ..robots import Command, CommandLike
 from .candidates import Prepared, converged_candidates
+from .depth_buffers import checked_triangles
 from .hypotheses import Hypothesis, checked_box, find_hypotheses
 from .judging import judged
-from .known_surfaces import checked_triangles
 from .localization import Localization, Localizations
 from .pose_convergence import THREADS
 from .refining_together import refined_together
@@ -39,7 +39,7 @@ def localize(
     previous: Localizations | None = None,
     hypotheses: Sequence[Hypothesis] | None = None,
     workspace: Float[np.ndarray, "2 3"] | None = None,
-    known: Float[np.ndarray, "triangles 3 3"] | None = None,
+    occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
 ) -> Localizations:
     """Find objects of known models in one, two or more calibrated pictures.
 
@@ -57,8 +57,8 @@ def localize(
         hypotheses: poses to begin from instead of those that are searched for.
         workspace: two opposite corners of a box in the world, m, in which objects are, as of a bin;
             what is not there is not found. None for anywhere.
-        known: triangles in the world, m, of what is known to stand there, such as the walls of a
-            bin: what they hide is not held against a pose.
+        occluders: triangles in the world, m, of what is known to stand there, such as the walls of
+            a bin: what they hide is not held against a pose.
 
     Returns:
         What was found, accepted ones first; `messages` says why the others were not.
@@ -66,10 +66,10 @@ def localize(
     Raises:
         ValueError: no views, a number of poses that is not that of the pictures, a model without
             edges, a picture on which nothing can be found, a workspace that is not a box,
-            something else than triangles that is known, or a hypothesis of a model that is not
-            there; the message names the view, model or argument.
+            occluders that are not triangles, or a hypothesis of a model that is not there; the
+            message names the view, model or argument.
     """
-    prepared, standing = _prepared(models), checked_triangles(known)
+    prepared, triangles = _prepared(models), checked_triangles(occluders)
     box = None if workspace is None else checked_box(workspace)
     _check_models(hypotheses, previous, len(prepared))
     views = _checked_views(pictures_or_features, poses, calibration)
@@ -87,7 +87,7 @@ def localize(
     left = _hypotheses_of(previous) if hypotheses is None else list(hypotheses)
     if hypotheses is None:
         left += _searched(pictures, views, prepared, {one.model for one in left}, box)
-    scene = Scene(views, pictures, standing)
+    scene = Scene(views, pictures, triangles)
     candidates = converged_candidates(scene, prepared, left)
     # Checked again after the fit, which may have drawn a pose out of the box. That its middle is
     # inside is enough: its vertices were checked when it was proposed, and a wall may err.

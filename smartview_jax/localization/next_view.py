@@ -16,7 +16,7 @@ from ..geometry import host_matrices, look_at
 from ..modeling import ObjectModel, face_plane
 from ..robots import JointsLike, SerialArm
 from ..viewpoints import Limits, viewpoint_commands
-from .known_surfaces import checked_triangles
+from .depth_buffers import checked_triangles
 from .localization import Localization
 from .view_gains import ViewGains
 
@@ -80,7 +80,7 @@ def next_view(
     noise: Noise | None = None,
     models: Sequence[ObjectModel] = (),
     neighbours: Sequence[Localization] = (),
-    known: Float[np.ndarray, "triangles 3 3"] | None = None,
+    occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
 ) -> NextView:
     """Return the reachable view that tells the remaining hypotheses apart and shrinks the pose.
 
@@ -94,7 +94,7 @@ def next_view(
             of the objects' own models only.
         neighbours: what else was found, such as all of `localize`, and may hide the objects;
             rejected ones hide nothing.
-        known: triangles in the world, m, of what is known to stand there and may hide the objects,
+        occluders: triangles in the world, m, of what stands there and may hide the objects,
             as for `localize`.
 
     Raises:
@@ -120,7 +120,7 @@ def next_view(
     if not ok.any():
         reasons = sorted(set(commands.checks.reasons()))
         raise ValueError(f"reachable: none of {len(candidates)} views: {'; '.join(reasons[:4])}")
-    triangles = checked_triangles(known)
+    triangles = checked_triangles(occluders)
     gains = ViewGains(objects, calibration, candidates, noise, models, neighbours, triangles)
     best = int(np.argmax(np.where(ok, gains.total, -np.inf)))
     if not gains.visible[best]:

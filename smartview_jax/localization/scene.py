@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 
 from ..features import PictureEvidence
 from ..modeling import SeenViews
+from .depth_buffers import DepthBuffers
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
 from .evidence import Evidence, evidence_of
-from .known_surfaces import KnownSurfaces
 from .refinement import explained_edge_points, measured_lines
 from .wireframe import Wireframe
 
@@ -43,11 +43,11 @@ class Scene:
         self,
         views: SeenViews,
         pictures: Sequence[PictureEvidence],
-        known: Float[np.ndarray, "triangles 3 3"],
+        occluders: Float[np.ndarray, "triangles 3 3"],
     ):
         self.views, self.pictures = views, pictures
-        self._surfaces = KnownSurfaces(views)
-        self._surfaces.add_triangles(known)
+        self._surfaces = DepthBuffers(views)
+        self._surfaces.add_triangles(occluders)
         self._claims: list[Claim] = []
         self.lookup: EdgeLookup = self.lookup_among(self._claims)
 

@@ -25,8 +25,8 @@ from ..padding import repeat_last
 from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
+from .occluders import Occluder, hidden_in_views, leading, occluders_beside
 from .prediction import pose_jacobians, predict_view
-from .standing import Standing, hidden_in_views, leading, standing_beside
 from .verdict import MIN_MARGIN
 from .wireframe import Wireframe
 
@@ -65,12 +65,12 @@ class _Candidates(NamedTuple):
     Attributes:
         calibration: with the camera.
         camera_from_world: of the views.
-        standing: what may hide the object.
+        occluders: what may hide the object.
     """
 
     calibration: Calibration
     camera_from_world: Float[np.ndarray, "views 4 4"]
-    standing: list[Standing]
+    occluders: list[Occluder]
 
 
 class ViewGains:
@@ -84,7 +84,7 @@ class ViewGains:
         noise: Noise | None,
         models: Sequence[ObjectModel],
         neighbours: Sequence[Localization],
-        known: Float[np.ndarray, "triangles 3 3"],
+        triangles: Float[np.ndarray, "triangles 3 3"],
     ):
         count = len(candidates)
         self.discrimination, shrinkage = np.zeros(count), np.zeros(count)
@@ -94,7 +94,7 @@ class ViewGains:
         self.is_open = any(one.verdict.decision == "open" for one in objects)
         there = leading([*neighbours, *objects])
         for one in objects:
-            views = _Candidates(calibration, candidates, standing_beside(one, there, known))
+            views = _Candidates(calibration, candidates, occluders_beside(one, there, triangles))
             own = _predicted(one.model, one.world_from_object, views, one)
             self.visible |= own.visible_px.sum(axis=1) > 0.0
             before, after = _grasp_covariances(one, own, candidates, noise)
@@ -268,7 +268,7 @@ def _predicted(
             wireframe,
             views.calibration.camera,
             to_device(padded @ pose),
-            to_device(hidden_in_views(views.standing, centres, in_world)),
+            to_device(hidden_in_views(views.occluders, centres, in_world)),
             to_device(np.array([point_sigma, sigma])),
         )
         parts.append([np.asarray(array)[: len(own)] for array in found])

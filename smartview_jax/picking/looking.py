@@ -96,7 +96,7 @@ def look_for(
     arm: SerialArm | None = None,
     estimate: CalibrationEstimate | None = None,
     noise: Noise | None = None,
-    known: Float[np.ndarray, "triangles 3 3"] | None = None,
+    occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
     first: FirstViews = STANDARD_VIEWS,
     max_views: int = 4,
     verify: bool = True,
@@ -115,7 +115,7 @@ def look_for(
         arm: the nominal arm.
         estimate: fit with the calibration's covariance.
         noise: of the robot in these views; by default that of the estimate.
-        known: triangles of what is known to stand there, as for `localize`.
+        occluders: triangles of what is known to stand there, as for `localize`.
         first: from where the region is looked at first.
         max_views: largest number of views; two are always taken.
         verify: whether what two views accept is verified.
@@ -129,14 +129,19 @@ def look_for(
         CellError: the robot reaches fewer than two of the first views; the message says why.
         BadPictureError: one of the first two pictures is not taken, or nothing can be found in it,
             such as a blank one; the message names the view, from 1.
-        ValueError: as `localize`, of what was given: models, estimate, noise or known triangles.
+        ValueError: as `localize`, of what was given: models, estimate, noise or occluders.
     """
     say = progress or (lambda _: None)
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
     # As in `localize`: these views are taken by the robot that was calibrated.
     if noise is None and isinstance(estimate, JointFit | SavedEstimate):
         noise = estimate.noise
-    options = {"covariance": estimate, "noise": noise, "workspace": workspace, "known": known}
+    options = {
+        "covariance": estimate,
+        "noise": noise,
+        "workspace": workspace,
+        "occluders": occluders,
+    }
     views = _first_views(cell, calibration, region, first, arm, say)
     say("localising")
     taken = stacked_commands([one.command for one in views])
@@ -152,7 +157,7 @@ def look_for(
         try:
             chosen = next_view(
                 looked_at, calibration, reachable,
-                noise=noise, models=models, neighbours=found, known=known,
+                noise=noise, models=models, neighbours=found, occluders=occluders,
             )  # fmt: skip
             say(
                 f"{'verifying' if looked_at[0].accepted else 'deciding'}: view {number}: "

@@ -69,7 +69,7 @@ def pick(
     try:
         look = look_for(
             cell, scene.calibration, models, region, arm=scene.arm, estimate=scene.estimate,
-            known=scene.triangles, first=first, verify=verify, progress=progress,
+            occluders=scene.triangles, first=first, verify=verify, progress=progress,
         )  # fmt: skip
     except BadPictureError as error:
         # No fault of the program: a lamp that is off, a cover on the lens.
@@ -83,7 +83,7 @@ def pick(
         return Pick(look, None, plan, None, nothing, "; ".join(reasons))
     say(plan.summary)
     # The gripper may touch what is no obstacle: whoever reads the outcome should know.
-    bare = [_name(one) for one in _standing(look.found) if not one.model.faces]
+    bare = [_name(one) for one in _obstacles(look.found) if not one.model.faces]
     note = f"; not avoided, because their models have no faces: {', '.join(bare)}" if bare else ""
     try:
         width, outcome = execute(cell, plan.best, after)
@@ -108,7 +108,7 @@ def _safest(
             reasons.append(f"no safe grasp of {_name(one)}: its model has no faces")
             continue
         # Objects are told apart by identity: two may be of one model.
-        others = [other for other in _standing(found) if other is not one and other.model.faces]
+        others = [other for other in _obstacles(found) if other is not one and other.model.faces]
         plan = grasps_for(one, gripper, scene.with_objects(others), motion)
         # Each object that cannot be grasped has its own reason.
         if not len(plan):
@@ -118,7 +118,7 @@ def _safest(
     return (None, plan, reasons) if best is None else (*best, reasons)
 
 
-def _standing(found: Localizations) -> tuple[Localization, ...]:
+def _obstacles(found: Localizations) -> tuple[Localization, ...]:
     """Return the objects that may be where they were found, the open ones too."""
     return (*found.accepted, *found.open)
 

@@ -65,7 +65,7 @@ def words(folder, *more, models=("block.json",)):
 
 def test_a_found_object_is_said_shown_and_can_be_grasped(folder, tmp_path):
     page = tmp_path / "found.html"
-    done = run(*words(folder, "--out", page, "--known", folder / "far.stl"))
+    done = run(*words(folder, "--out", page, "--occluder", folder / "far.stl"))
     assert done.exit_code == 0, done.output
     said = done.stdout.splitlines()
     assert said[1].startswith("block   accepted  ")
@@ -113,7 +113,7 @@ def test_what_is_not_in_the_box_is_not_found(folder, tmp_path):
     [
         (["--workspace", "0,0,0,1,1"], ("block.json",), "--workspace: expected six numbers"),
         (["--workspace", "0,0,0,1,1,nan"], ("block.json",), "--workspace: expected six numbers"),
-        (["--known", "nowhere.stl"], ("block.json",), "nowhere.stl: no such file"),
+        (["--occluder", "nowhere.stl"], ("block.json",), "nowhere.stl: no such file"),
         ([], ("nowhere.json",), "nowhere.json"),
         (["--out", "{folder}/block.json/found.html"], ("block.json",), "--out"),
     ],

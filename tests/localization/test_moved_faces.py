@@ -16,13 +16,12 @@ from smartview_jax.localization.moved_faces import (
     MOVED_SAMPLES,
     _found_lengths,
     _moved,
-    _places,
     _rates,
     likeliest_moved_face,
-    movements_of_face,
 )
 from smartview_jax.localization.prediction import faces_before
 from smartview_jax.localization.refinement import measured_lines
+from smartview_jax.localization.sliding_faces import face_places, movements_of_face
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
 SIDES = np.ptp(MODEL.vertices, axis=0)
@@ -131,7 +130,7 @@ def test_what_is_found_is_that_of_a_model_with_the_face_there(views, name):
     lookup = lookup_of(drawn(MODEL, views, POSE, 0.05), views)
     for face in range(len(model.faces)):
         movements = movements_of_face(model, face)
-        places = _places(model, movements, POSE, views)
+        places = face_places(model, movements, POSE, views)
         distances = places[:: max(len(places) // 4, 1)]
         found = _found_lengths(
             Wireframe.of(model, MOVED_SAMPLES),
@@ -155,7 +154,7 @@ def test_no_edge_vanishes_where_a_face_is_moved(views, name):
     a, b = model.edges.T
     for face in range(len(model.faces)):
         movements = movements_of_face(model, face)
-        places = _places(model, movements, POSE, views)
+        places = face_places(model, movements, POSE, views)
         assert len(places) > 10
         for distance in (places[0], places[-1]):
             moved = model.vertices + distance * movements
@@ -196,7 +195,7 @@ def test_a_view_that_looks_away_changes_nothing(views):
     more = views._replace(camera_from_world=np.concatenate([views.camera_from_world, away]))
     movements = movements_of_face(MODEL, 0)
     np.testing.assert_allclose(
-        _places(MODEL, movements, POSE, more), _places(MODEL, movements, POSE, views)
+        face_places(MODEL, movements, POSE, more), face_places(MODEL, movements, POSE, views)
     )
 
 

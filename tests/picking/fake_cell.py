@@ -5,7 +5,13 @@ import numpy as np
 import smartview_jax as sv
 from smartview_jax.cameras import Pinhole
 from smartview_jax.geometry import host_transforms
-from smartview_jax.localization import Localization, Localizations, NextView, Verdict
+from smartview_jax.localization import (
+    Localization,
+    Localizations,
+    NextView,
+    RefinedPose,
+    Verdict,
+)
 from smartview_jax.robots import Command
 
 CAMERA = sv.Camera(300.0, 300.0, 160.0, 120.0, Pinhole(), (320, 240))
@@ -47,7 +53,8 @@ class FakeCell:
 
 def seen(model, decision="accepted", *reasons):
     """A model as it was found at its own place, by a verdict without numbers."""
-    refined = sv.localization.RefinedPose(np.eye(4), *[np.eye(6)] * 3, *[None] * 7)
+    unused = dict.fromkeys(RefinedPose._fields[6:])
+    refined = RefinedPose(np.eye(4), *[np.eye(6)] * 3, np.zeros((6, 0)), 0, **unused)
     return Localization(model, 0, refined, Verdict(decision, reasons, None, -20.0, np.inf), ())
 
 

@@ -41,7 +41,7 @@ def attempt(monkeypatch):
             assert calibration is scene.calibration
             assert given["arm"] is scene.arm is ARM
             assert given["estimate"] is scene.estimate is ESTIMATE
-            assert given["known"].shape == (12, 3, 3)
+            assert given["occluders"].shape == (12, 3, 3)
             return Look(localizations(*found), (), None, None, ())
 
         # The function hides its module of the same name.

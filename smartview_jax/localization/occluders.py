@@ -22,7 +22,7 @@ from .prediction import faces_before, triangle_crossings
 from .wireframe import MIN_TRIANGLES, Wireframe
 
 
-class Standing(NamedTuple):
+class Occluder(NamedTuple):
     """Faces that stand in the world and hide what is behind them.
 
     Attributes:
@@ -35,7 +35,7 @@ class Standing(NamedTuple):
     triangle_faces: Bool[np.ndarray, "T F"] | None
 
     @classmethod
-    def of_triangles(cls, triangles: Float[np.ndarray, "T 3 3"]) -> "Standing":
+    def of_triangles(cls, triangles: Float[np.ndarray, "T 3 3"]) -> "Occluder":
         """Return triangles, their number rounded up to one that programs are compiled for."""
         size = max(MIN_TRIANGLES, power_of_two_from(len(triangles)))
         # What was added has no area, so that no ray passes through it.
@@ -43,7 +43,7 @@ class Standing(NamedTuple):
         return cls(padded, None)
 
     @classmethod
-    def of_object(cls, one: Localization) -> "Standing":
+    def of_object(cls, one: Localization) -> "Occluder":
         """Return the faces of an object where it was found."""
         wireframe, pose = Wireframe.of(one.model), one.world_from_object
         in_world = np.asarray(wireframe.triangles) @ pose[:3, :3].T + pose[:3, 3]
@@ -59,32 +59,32 @@ def leading(localizations: Sequence[Localization]) -> list[Localization]:
     return kept
 
 
-def standing_beside(
+def occluders_beside(
     one: Localization,
     others: Sequence[Localization],
-    known: Float[np.ndarray, "triangles 3 3"],
-) -> list[Standing]:
+    triangles: Float[np.ndarray, "triangles 3 3"],
+) -> list[Occluder]:
     """Return what may hide an object: known triangles, and objects that are elsewhere."""
-    walls = [Standing.of_triangles(known)] if len(known) else []
+    walls = [Occluder.of_triangles(triangles)] if len(triangles) else []
     beside = [other for other in others if not _one_place(one, other)]
-    return walls + [Standing.of_object(other) for other in beside if other.model.faces]
+    return walls + [Occluder.of_object(other) for other in beside if other.model.faces]
 
 
 def hidden_in_views(
-    standing: Sequence[Standing],
+    occluders: Sequence[Occluder],
     centres: Float[np.ndarray, "views 3"],
     points: Float[np.ndarray, "S 3"],
 ) -> Bool[np.ndarray, "views S"]:
     """Return which points are behind something that stands there, seen from cameras' centres.
 
     Args:
-        standing: in the world.
+        occluders: in the world.
         centres: of the cameras, in the world, m.
         points: in the world, m.
     """
     hidden = np.zeros((len(centres), len(points)), dtype=bool)
     on_device = to_device(centres), to_device(points)
-    for one in standing:
+    for one in occluders:
         owners = None if one.triangle_faces is None else to_device(one.triangle_faces)
         hidden |= np.asarray(_are_behind(to_device(one.triangles), owners, *on_device))
     return hidden

@@ -12,8 +12,8 @@ from solids import box
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Hypothesis, Wireframe, localize
-from smartview_jax.localization.edge_lookup import KNOWN_CELL_PX, EdgeLookup
-from smartview_jax.localization.known_surfaces import KnownSurfaces
+from smartview_jax.localization.depth_buffers import DepthBuffers
+from smartview_jax.localization.edge_lookup import DEPTH_CELL_PX, EdgeLookup
 from smartview_jax.localization.refinement import measured_lines
 from smartview_jax.modeling import Face, ObjectModel
 from smartview_jax.simulation import random_polyhedron, roofed_block, stepped_block
@@ -47,12 +47,12 @@ def test_depths_are_those_that_embree_finds(solid):
     pose = np.eye(4)
     pose[:3, :3] = Rotation.random(random_state=3).as_matrix()
     pose[:3, 3] = MIDDLE
-    known = KnownSurfaces(VIEWS)
+    known = DepthBuffers(VIEWS)
     known.add(Wireframe.of(model), pose)
     moved = solid.moved(pose)
     rays = caster.RayCaster(moved.vertices, moved.triangles)
     rows, columns = known.inverse_depth.shape[1:]
-    v, u = np.mgrid[:rows, :columns] * KNOWN_CELL_PX + 0.5 * (KNOWN_CELL_PX - 1)
+    v, u = np.mgrid[:rows, :columns] * DEPTH_CELL_PX + 0.5 * (DEPTH_CELL_PX - 1)
     directions = np.asarray(camera().unproject(jnp.stack([u, v], axis=-1).reshape(-1, 2))[0])
     for view, camera_from_world in enumerate(VIEWS.camera_from_world):
         hits = rays.first_hits(VIEWS.centres[view], directions @ camera_from_world[:3, :3])
@@ -65,7 +65,7 @@ def test_depths_are_those_that_embree_finds(solid):
 
 
 def test_the_nearer_of_two_surfaces_is_kept():
-    alone, both = KnownSurfaces(VIEWS), KnownSurfaces(VIEWS)
+    alone, both = DepthBuffers(VIEWS), DepthBuffers(VIEWS)
     alone.add(Wireframe.of(FRONT), front_pose())
     for model, pose in ((FRONT, front_pose()), (BACK, POSE)):
         both.add(Wireframe.of(model), pose)
@@ -75,7 +75,7 @@ def test_the_nearer_of_two_surfaces_is_kept():
 
 
 def test_what_reaches_behind_a_camera_hides_nothing():
-    known = KnownSurfaces(VIEWS)
+    known = DepthBuffers(VIEWS)
     pose = np.eye(4)
     pose[:3, 3] = VIEWS.centres[0]
     known.add(Wireframe.of(BACK), pose)
@@ -84,7 +84,7 @@ def test_what_reaches_behind_a_camera_hides_nothing():
 
 def test_edges_behind_a_known_surface_are_not_visible():
     wireframe = Wireframe.of(BACK, 512)
-    known = KnownSurfaces(VIEWS)
+    known = DepthBuffers(VIEWS)
     known.add(Wireframe.of(FRONT), front_pose())
     pictures, size = drawn(BACK, VIEWS, POSE), VIEWS.camera.image_size
     plain, behind = (
@@ -97,7 +97,7 @@ def test_edges_behind_a_known_surface_are_not_visible():
         behind.visible_px.sum(axis=1) + behind.behind_px, plain.visible_px.sum(axis=1)
     )
     # The object itself does not hide its own edges.
-    known = KnownSurfaces(VIEWS)
+    known = DepthBuffers(VIEWS)
     known.add(Wireframe.of(BACK), POSE)
     own = measured_lines(
         wireframe, VIEWS, EdgeLookup.of(pictures, size, None, known.inverse_depth), POSE, 2.0
@@ -109,7 +109,7 @@ def test_known_triangles_hide_as_an_object_does():
     solid = stepped_block(0.06)
     pose = np.eye(4)
     pose[:3, 3] = MIDDLE
-    by_faces, by_triangles = KnownSurfaces(VIEWS), KnownSurfaces(VIEWS)
+    by_faces, by_triangles = DepthBuffers(VIEWS), DepthBuffers(VIEWS)
     model = ObjectModel(solid.vertices, solid.edges, tuple(Face(loop) for loop in solid.faces))
     by_faces.add(Wireframe.of(model), pose)
     moved = solid.moved(pose)
@@ -134,11 +134,11 @@ def test_what_an_accepted_object_hides_is_not_held_against_another(monkeypatch):
     walls = FRONT.vertices @ front_pose()[:3, :3].T + front_pose()[:3, 3]
     triangles = walls[ConvexHull(walls).simplices]
     (told,) = localize(
-        pictures, poses, calibration(), BACK, hypotheses=hypotheses[:1], known=triangles
+        pictures, poses, calibration(), BACK, hypotheses=hypotheses[:1], occluders=triangles
     )
     assert told.accepted
-    with pytest.raises(ValueError, match="known: expected finite triangles"):
-        localize(pictures, poses, calibration(), BACK, known=np.full((1, 3, 3), np.nan))
+    with pytest.raises(ValueError, match="occluders: expected finite triangles"):
+        localize(pictures, poses, calibration(), BACK, occluders=np.full((1, 3, 3), np.nan))
     found = localize(pictures, poses, calibration(), [BACK, FRONT], hypotheses=hypotheses)
     assert {one.model.name for one in found.accepted} == {"back", "front"}
     (back,) = (one for one in found if one.model.name == "back")

@@ -11,7 +11,7 @@ from solids import box
 from smartview_jax.geometry import host_exponentials, host_matrices, look_at
 from smartview_jax.localization import Hypothesis, Reachable, Wireframe, localize, next_view
 from smartview_jax.localization.edge_lines import HIDING_DEPTH
-from smartview_jax.localization.standing import Standing, hidden_in_views
+from smartview_jax.localization.occluders import Occluder, hidden_in_views
 from smartview_jax.modeling import Face, ObjectModel
 from smartview_jax.simulation import random_polyhedron, roofed_block, stepped_block
 
@@ -53,12 +53,12 @@ def test_hidden_points_are_those_that_embree_finds(solid):
     pose[:3, :3] = Rotation.from_euler("xyz", [0.4, 1.1, -0.7]).as_matrix()
     wireframe = Wireframe.of(model)
     in_world = np.asarray(wireframe.triangles) @ pose[:3, :3].T
-    standing = [Standing(in_world, np.asarray(wireframe.triangle_faces))]
+    occluders = [Occluder(in_world, np.asarray(wireframe.triangle_faces))]
     moved = solid.moved(pose)
     rays = caster.RayCaster(moved.vertices, moved.triangles)
     centres = 0.4 * rng.standard_normal((5, 3))
     points = rng.uniform(-0.06, 0.06, (400, 3))
-    hidden = hidden_in_views(standing, centres, points)
+    hidden = hidden_in_views(occluders, centres, points)
     assert 0.1 < hidden.mean() < 0.9
     for centre, own in zip(centres, hidden, strict=True):
         # Those that start or end within a hand's breadth of the margin may differ.
@@ -70,7 +70,7 @@ def test_hidden_points_are_those_that_embree_finds(solid):
 
 
 def test_walls_hide_both_ways_and_only_what_is_behind():
-    wall = Standing.of_triangles(sheet(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.2))
+    wall = Occluder.of_triangles(sheet(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.2))
     points = np.array([[0.0, 0.0, -0.1], [0.0, 0.0, 0.1], [0.3, 0.0, -0.1]])
     centres = np.array([[0.01, 0.02, 0.5], [0.01, 0.02, -0.5]])
     hidden = hidden_in_views([wall], centres, points)
@@ -94,11 +94,11 @@ def test_a_view_behind_a_wall_is_not_chosen(found):
     free, view = chosen(found, candidates)
     towards = np.linalg.inv(candidates[free])[:3, 3] - MIDDLE
     wall = sheet(MIDDLE + 0.4 * towards, towards, 0.15)
-    other, behind = chosen(found, candidates, known=wall)
+    other, behind = chosen(found, candidates, occluders=wall)
     assert other == 1 - free
     assert behind.gain <= view.gain
-    with pytest.raises(ValueError, match="known"):
-        chosen(found, candidates, known=np.full((1, 3, 3), np.nan))
+    with pytest.raises(ValueError, match="occluders"):
+        chosen(found, candidates, occluders=np.full((1, 3, 3), np.nan))
 
 
 def test_a_view_behind_another_object_is_not_chosen(found):

@@ -11,15 +11,15 @@ from jaxtyping import Bool, Float
 
 from ..features import IdealPlane
 from ..modeling import SeenViews
-from .edge_lookup import KNOWN_CELL_PX
+from .edge_lookup import DEPTH_CELL_PX
 from .wireframe import Wireframe
 
 MIN_DEPTH = 1e-3
 """Smallest depth of a drawn face, m: one that reaches behind the camera is left out."""
 
 
-class KnownSurfaces:
-    """The nearest known surface in each part of every picture.
+class DepthBuffers:
+    """The depth of the nearest known surface in each part of every picture.
 
     Attributes:
         inverse_depth: one over the depth along the optical axis, 1/m; zero where nothing is known.
@@ -28,14 +28,14 @@ class KnownSurfaces:
     def __init__(self, views: SeenViews):
         self._views = views
         width, height = views.camera.image_size
-        self._columns, self._rows = (-(-size // KNOWN_CELL_PX) for size in (width, height))
+        self._columns, self._rows = (-(-size // DEPTH_CELL_PX) for size in (width, height))
         count = len(views.camera_from_world)
         self.inverse_depth: Float[np.ndarray, "views rows columns"] = np.zeros(
             (count, self._rows, self._columns)
         )
         self._rays: Float[np.ndarray, "rows columns 2"] | None = None
 
-    def copy(self) -> "KnownSurfaces":
+    def copy(self) -> "DepthBuffers":
         """Return surfaces to which others can be added; the grid of rays is common to both."""
         # Made here, if it was not yet: it takes longer than to draw an object.
         self._ray_grid()
@@ -89,8 +89,8 @@ class KnownSurfaces:
         # The views have one camera; the grid is made when the first object is drawn.
         if self._rays is None:
             plane = IdealPlane(self._views.camera)
-            v, u = np.mgrid[: self._rows, : self._columns] * KNOWN_CELL_PX
-            middles = np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5 * (KNOWN_CELL_PX - 1)
+            v, u = np.mgrid[: self._rows, : self._columns] * DEPTH_CELL_PX
+            middles = np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5 * (DEPTH_CELL_PX - 1)
             ideal = plane.from_pixels(middles) / plane.focal_length
             self._rays = ideal.reshape(self._rows, self._columns, 2)
         return self._rays
@@ -103,7 +103,7 @@ def checked_triangles(
     found = np.zeros((0, 3, 3)) if triangles is None else np.asarray(triangles, dtype=float)
     if found.ndim != 3 or found.shape[1:] != (3, 3) or not np.isfinite(found).all():
         raise ValueError(
-            f"known: expected finite triangles, (triangles, 3, 3); found {found.shape}"
+            f"occluders: expected finite triangles, (triangles, 3, 3); found {found.shape}"
         )
     return found
 
