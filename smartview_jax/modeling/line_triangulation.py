@@ -30,6 +30,11 @@ from .view_poses import SeenViews, padded_count, padded_to
 MIN_SEGMENT_LENGTH = 2.0
 """Shortest segment, px, that has a direction."""
 
+MIN_PLANE_SPREAD = 1e-14
+"""Smallest second eigenvalue of the scatter of the planes' unit normals, over the largest, of
+planes that are not one: below it, at turns of some 1e-7 rad, their intersection is rounding error.
+"""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TriangulatedLines(EstimatedFeatures):
@@ -84,9 +89,9 @@ def triangulate_lines(
     _check_lengths(measured, seen)
     covariances = end_covariances(pixel_sigma, seen.shape)
     rays, seen = world_rays(views, measured, seen)
-    start, enough = _plane_intersections(views, rays, seen)
+    start, enough, in_one_plane = _plane_intersections(views, rays, seen)
     lines, information, failed = _refine(views, start, measured, covariances, seen, enough)
-    status = _status(views, rays, lines, information, seen, enough, failed)
+    status = _status(views, rays, lines, information, seen, enough, in_one_plane, failed)
     ok = status == PointStatus.OK
     kept = Lines(*(np.where(ok[:, None], a, b) for a, b in zip(lines, start, strict=True)))
     ends = _seen_part(views, rays, seen, kept)
@@ -168,8 +173,11 @@ def _plane_intersections(
     views: SeenViews,
     rays: Float[np.ndarray, "views lines 2 3"],
     seen: Bool[np.ndarray, "views lines"],
-) -> tuple[Lines, Bool[np.ndarray, "lines"]]:
-    """Return the lines that are nearest to all planes of their segments, and which have enough."""
+) -> tuple[Lines, Bool[np.ndarray, "lines"], Bool[np.ndarray, "lines"]]:
+    """Return the lines that are nearest to all planes of their segments.
+
+    Also which of them have enough views, and of which all planes are one plane.
+    """
     normals = np.cross(rays[:, :, 0], rays[:, :, 1])
     # Unit normals: a long segment would otherwise count more in the start than it deserves.
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -177,7 +185,8 @@ def _plane_intersections(
     # The direction is perpendicular to all normals: the last right singular vector.
     stacked = np.moveaxis(normals, 0, 1)
     scatter = np.einsum("lvi,lvj->lij", stacked, stacked)
-    directions = np.linalg.eigh(scatter)[1][:, :, 0]
+    values, vectors = np.linalg.eigh(scatter)
+    directions = vectors[:, :, 0]
     # The point: n_i . (p - c_i) = 0 for all planes, and d . (p - m) = 0 for the cameras' middle m.
     offsets = np.einsum("vli,vi->lv", normals, views.centres)
     middle = directions @ views.centres.mean(axis=0)
@@ -187,7 +196,8 @@ def _plane_intersections(
     # Then to the middle of what was seen, where turns and shifts are least correlated.
     lines = Lines(points, directions)
     points = _seen_part(views, rays, seen, lines).mean(axis=1)
-    return Lines(points, directions), seen.sum(axis=0) >= 2
+    in_one_plane = ~(values[:, 1] > MIN_PLANE_SPREAD * values[:, 2])
+    return Lines(points, directions), seen.sum(axis=0) >= 2, in_one_plane
 
 
 def _refine(
@@ -243,6 +253,7 @@ def _status(
     information: Float[np.ndarray, "lines 4 4"],
     seen: Bool[np.ndarray, "views lines"],
     enough: Bool[np.ndarray, "lines"],
+    in_one_plane: Bool[np.ndarray, "lines"],
     failed: Bool[np.ndarray, "lines"],
 ) -> Int[np.ndarray, "lines"]:
     """Return a `PointStatus` for every line."""
@@ -267,7 +278,9 @@ def _status(
     # An eigenvalue at rounding error is a direction that nothing determines.
     roots = vectors / np.sqrt(np.maximum(values, 1e-14))[:, None] / scale[:, :, None]
     variance = np.sum((shift @ roots) ** 2, axis=(1, 2))
-    degenerate = ~(variance < (MAX_RELATIVE_STD * distance) ** 2)
+    # Of one plane the estimate is any line in it, one through a camera's centre included, where
+    # neither the variance nor the depth says anything.
+    degenerate = in_one_plane | ~(variance < (MAX_RELATIVE_STD * distance) ** 2)
     status = np.where(failed, PointStatus.NOT_CONVERGED, PointStatus.OK)
     status = np.where(behind, PointStatus.BEHIND_CAMERA, status)
     status = np.where(degenerate, PointStatus.EPIPOLAR_PLANE, status)
