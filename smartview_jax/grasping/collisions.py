@@ -2,9 +2,9 @@
 
 Everything that moves is taken as convex, and so is what it sweeps along a straight line: the convex
 hull of its two ends. Between the two nothing is missed, as it would be by sampling poses. The links
-of the arm, which turn, are swept so in short steps. fcl is
-asked directly: trimesh's collision manager repairs and checks every mesh it is given, which for
-sweeps that are used once takes twenty times as long.
+of the arm, which turn, are swept so in short steps. fcl is asked directly: trimesh's collision
+manager repairs and checks every mesh it is given, which for sweeps that are used once takes twenty
+times as long.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +24,6 @@ LINK_SIDES = 10
 
 CONVEX_TOLERANCE = 1e-9
 """Largest distance of a vertex outside of a triangle's plane in a convex mesh, over its extent."""
-
 
 RESTING_OVERLAP = 1e-3
 """Depth to which a held object may be inside of obstacles, m.

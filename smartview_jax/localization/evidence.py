@@ -23,8 +23,8 @@ MIN_CHANCE, MAX_CHANCE = 0.02, 0.8
 at which it is measured cannot tell more."""
 
 TYPICAL_CHANCE = 0.25
-"""Share of an edge that clutter is taken to explain where it was not measured: to rank poses before
-they are judged, and in views that were not taken."""
+"""The share of an edge that clutter is taken to explain where that is not measured: to rank poses
+before they are judged, and in views that were not taken."""
 
 INDEPENDENT_LENGTH = 12.0
 """Length of an edge, px, whose being found or not counts as one observation."""

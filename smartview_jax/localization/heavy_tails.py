@@ -79,7 +79,7 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
         errors: what is common to them.
 
     Raises:
-        ValueError: the equations leave the pose undetermined.
+        UndeterminedPoseError: the equations leave the pose undetermined.
     """
     unknowns = _Unknowns.of(equations, errors)
     points = np.diagonal(equations.noise).reshape(-1, NUMBERS)
@@ -115,7 +115,7 @@ class _Unknowns(NamedTuple):
         """Return the equations with the common errors as unknowns.
 
         Raises:
-            ValueError: they leave the pose undetermined.
+            UndeterminedPoseError: they leave the pose undetermined.
         """
         J = equations.by_pose
         # Raises where they do, whatever the weights.

@@ -14,6 +14,11 @@ from .refinement import RefinedPose
 from .verdict import Verdict
 
 
+def model_name(model: ObjectModel, index: int) -> str:
+    """Return what a model is called in messages: its name or, without one, its index."""
+    return model.name or f"model {index}"
+
+
 class EdgeMatch(NamedTuple):
     """An edge of the model that was measured in a view.
 
@@ -123,11 +128,15 @@ class Localization(NamedTuple):
         )
 
     @property
+    def name(self) -> str:
+        """The name of the object in messages: its model's or, without one, the model's index."""
+        return model_name(self.model, self.model_index)
+
+    @property
     def message(self) -> str:
         """The verdict in words."""
-        name = self.model.name or f"model {self.model_index}"
         reasons = "; ".join(self.verdict.reasons)
-        return f"{name}: {self.verdict.decision}" + (f": {reasons}" if reasons else "")
+        return f"{self.name}: {self.verdict.decision}" + (f": {reasons}" if reasons else "")
 
 
 class Localizations(tuple[Localization, ...]):

@@ -22,7 +22,7 @@ from .candidates import Prepared, converged_candidates
 from .depth_buffers import checked_triangles
 from .hypotheses import Hypothesis, checked_box, find_hypotheses
 from .judging import judged
-from .localization import Localization, Localizations
+from .localization import Localization, Localizations, model_name
 from .pose_convergence import THREADS
 from .refining_together import refined_together
 from .scene import Scene
@@ -222,7 +222,7 @@ def _messages(
         own = [each for each in found if each.model_index == index]
         if any(each.accepted for each in own):
             continue
-        name = one.model.name or f"model {index}"
+        name = model_name(one.model, index)
         undecided = [each for each in own if each.verdict.decision == "open"]
         if undecided:
             messages += [each.message for each in undecided]

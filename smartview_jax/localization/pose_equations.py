@@ -134,7 +134,7 @@ def solve_pose(
         prior: mean and covariance of the tangent, known beforehand.
 
     Raises:
-        ValueError: the equations leave the pose undetermined.
+        UndeterminedPoseError: the equations leave the pose undetermined.
     """
     by_calibration, by_model = errors.covariances(equations)
     # C = (J^T W J)^-1, W = (R + B S B^T + V P V^T)^-1; each part X of the sum adds G X G^T with

@@ -102,7 +102,7 @@ def pose_from_matches(
             squares.
 
     Raises:
-        ValueError: the matches leave the pose undetermined.
+        UndeterminedPoseError: the matches leave the pose undetermined.
     """
     uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
     errors, pose = CommonErrors.of(uncertainty, model), start
@@ -157,7 +157,7 @@ def refine_pose(
         radius: largest distance of an edge point from its predicted edge, px.
 
     Raises:
-        ValueError: too few edges are found to determine a pose.
+        UndeterminedPoseError: too few edges are found to determine a pose.
     """
     uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
     errors, pose = CommonErrors.of(uncertainty, model), start

@@ -164,7 +164,7 @@ def look_for(
                 f"{chosen.reason}"
             )
             view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
-            # All views together are judged anew; the search is not begun anew.
+            # All views together are judged anew.
             latest = stacked_commands([view.command])
             found = localize(
                 [view.evidence], latest, calibration, models, previous=found, **options

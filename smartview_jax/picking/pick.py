@@ -83,7 +83,7 @@ def pick(
         return Pick(look, None, plan, None, nothing, "; ".join(reasons))
     say(plan.summary)
     # The gripper may touch what is no obstacle: whoever reads the outcome should know.
-    bare = [_name(one) for one in _obstacles(look.found) if not one.model.faces]
+    bare = [one.name for one in _obstacles(look.found) if not one.model.faces]
     note = f"; not avoided, because their models have no faces: {', '.join(bare)}" if bare else ""
     try:
         width, outcome = execute(cell, plan.best, after)
@@ -105,7 +105,7 @@ def _safest(
     for one in found.accepted:
         # A wireframe has no width that fingers could be opened for.
         if not one.model.faces:
-            reasons.append(f"no safe grasp of {_name(one)}: its model has no faces")
+            reasons.append(f"no safe grasp of {one.name}: its model has no faces")
             continue
         # Objects are told apart by identity: two may be of one model.
         others = [other for other in _obstacles(found) if other is not one and other.model.faces]
@@ -121,11 +121,6 @@ def _safest(
 def _obstacles(found: Localizations) -> tuple[Localization, ...]:
     """Return the objects that may be where they were found, the open ones too."""
     return (*found.accepted, *found.open)
-
-
-def _name(one: Localization) -> str:
-    """Return what an object is called in messages."""
-    return one.model.name or f"model {one.model_index}"
 
 
 def _chance(plan: GraspPlan) -> float:

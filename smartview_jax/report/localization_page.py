@@ -35,7 +35,7 @@ def localization_rows(found: "Sequence[Localization]") -> list[list[str]]:
         # 1.96 standard deviations are 95 % of a Gaussian; of three axes the worst counts.
         rows.append(
             [
-                one.model.name or f"model {one.model_index}",
+                one.name,
                 one.verdict.decision,
                 object_pose_text(one),
                 f"{1.96e3 * std[:3].max():.2f}",
@@ -59,7 +59,7 @@ def localization_verdict(found: "Localizations") -> str:
     """Return the result in a sentence."""
     if not found.accepted:
         return "Nothing was found for certain."
-    names = ", ".join(one.model.name or f"model {one.model_index}" for one in found.accepted)
+    names = ", ".join(one.name for one in found.accepted)
     return f"Found for certain in {len(found.pictures)} pictures: {names}."
 
 

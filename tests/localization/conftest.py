@@ -8,6 +8,15 @@ from smartview_jax.modeling import CalibrationUncertainty
 
 
 @pytest.fixture(scope="module")
+def few_samples():
+    """Enough for wireframes among drawn edges; chance costs most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
+        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
+        yield
+
+
+@pytest.fixture(scope="module")
 def views():
     return seen_views(MIDDLE)
 

@@ -26,6 +26,8 @@ from smartview_jax.localization import Hypothesis, localize
 from smartview_jax.modeling import find_symmetry
 from smartview_jax.robots import Command, Gripper
 
+pytestmark = pytest.mark.usefixtures("few_samples")
+
 CALIBRATION, GRIPPER = calibration(), Gripper()
 NAMES = tuple(f"base_from_world.{part}.{k}" for part in ("translation", "rotation") for k in "xyz")
 SPREAD = np.repeat([2e-3, 2e-3], 3)
@@ -38,14 +40,6 @@ SYMMETRIC = dataclasses.replace(MODEL, name="box", symmetry=find_symmetry(MODEL)
 BESIDE = POSE.copy()
 BESIDE[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
 DOWN = host_exponentials(np.array([0.0, 0.0, 0.0, np.pi, 0.0, 0.0]))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_samples():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
-        yield
 
 
 def world_moved(draw):

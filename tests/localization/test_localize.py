@@ -31,6 +31,8 @@ from smartview_jax.localization.pose_convergence import lengths_of_poses
 from smartview_jax.modeling import ObjectModel, find_symmetry
 from smartview_jax.robots import Command
 
+pytestmark = pytest.mark.usefixtures("few_samples")
+
 PLAIN = box()
 MODEL = dataclasses.replace(PLAIN, name="box", symmetry=find_symmetry(PLAIN))
 POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
@@ -38,15 +40,6 @@ MIDDLE = POSE[:3, :3] @ MODEL.vertices.mean(axis=0) + POSE[:3, 3]
 POSES = poses_towards(MIDDLE, TWO_DIRECTIONS)
 CALIBRATION = calibration()
 BACK = [face.name for face in MODEL.faces].index("back")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_samples():
-    """Enough for wireframes among drawn edges; chance costs most of the time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
-        yield
 
 
 def clutter(rng, count=40):

@@ -15,14 +15,11 @@ POSES = poses_towards(MIDDLE, TWO_DIRECTIONS)
 
 
 @pytest.fixture(scope="module")
-def found():
+def found(few_samples):
     """A box far from the world's origin."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
-        pictures = evidence(drawn(MODEL, seen_views(MIDDLE), POSE, 0.1))
-        start = Hypothesis(0, POSE, 0.0, 0.0)
-        yield localize(pictures, POSES, calibration(), MODEL, hypotheses=[start])
+    pictures = evidence(drawn(MODEL, seen_views(MIDDLE), POSE, 0.1))
+    start = Hypothesis(0, POSE, 0.0, 0.0)
+    return localize(pictures, POSES, calibration(), MODEL, hypotheses=[start])
 
 
 def next_of(found, candidates, **given):

@@ -26,15 +26,11 @@ SOLIDS = (
 
 
 @pytest.fixture(scope="module")
-def found():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
-        pictures = evidence(drawn(MODEL, seen_views(MIDDLE), POSE, 0.1))
-        poses = poses_towards(MIDDLE, TWO_DIRECTIONS)
-        yield localize(
-            pictures, poses, calibration(), MODEL, hypotheses=[Hypothesis(0, POSE, 0.0, 0.0)]
-        )
+def found(few_samples):
+    pictures = evidence(drawn(MODEL, seen_views(MIDDLE), POSE, 0.1))
+    poses = poses_towards(MIDDLE, TWO_DIRECTIONS)
+    start = Hypothesis(0, POSE, 0.0, 0.0)
+    return localize(pictures, poses, calibration(), MODEL, hypotheses=[start])
 
 
 def sheet(middle, normal, size):
