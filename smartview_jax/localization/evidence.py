@@ -11,6 +11,10 @@ from .edge_lines import EdgeLines
 from .moved_faces import MovedFace
 from .wireframe import Wireframe
 
+MIN_PARALLAX = float(np.deg2rad(2.0))
+"""Smallest angle, rad, between the directions in which two pictures show an object, from which they
+are more than one picture taken twice: they tell its distance, and so its size, by themselves."""
+
 MIN_VIEW_PX = 60.0
 """Visible edge length, px, from which a view is judged by its own share."""
 
@@ -37,6 +41,7 @@ class Evidence(NamedTuple):
         explained: share of the visible edge length with an edge point, all views together.
         explained_in_view: likewise in each view; NaN where too little of the object is visible.
         visible_px: visible edge length of all views, px.
+        is_alone: whether one picture shows it, or several in one direction, within `MIN_PARALLAX`.
         edges: number of measured edges, each view for itself.
         has_faces: whether some edges of the model are between two faces; the size of anything else
             cannot be asked for (`moved`).
@@ -52,6 +57,7 @@ class Evidence(NamedTuple):
     explained: float
     explained_in_view: tuple[float, ...]
     visible_px: float
+    is_alone: bool
     edges: int
     has_faces: bool
     edge_rms: float
@@ -61,11 +67,6 @@ class Evidence(NamedTuple):
     log_likelihood: float
     log_exactness: float
     moved: MovedFace | None = None
-
-    @property
-    def is_alone(self) -> bool:
-        """Whether it is of one picture only."""
-        return len(self.explained_in_view) == 1
 
     @property
     def log_odds(self) -> float:
@@ -78,6 +79,7 @@ def evidence_of(
     wireframe: Wireframe,
     strengths: Sequence[Float[np.ndarray, "_"]],
     chance: float,
+    is_alone: bool,
     absorbed: float = 0.0,
 ) -> Evidence:
     """Return what the pictures say for and against a pose.
@@ -87,6 +89,7 @@ def evidence_of(
         wireframe: of the model.
         strengths: gradients of all edge points of each view, grey levels per px.
         chance: share of visible length that clutter explains.
+        is_alone: whether one picture shows it, or several do in one direction.
         absorbed: how many numbers of the edges were explained by errors of the calibration, with
             which the views are corrected.
     """
@@ -99,6 +102,7 @@ def evidence_of(
         share,
         tuple(in_view.tolist()),
         total,
+        is_alone,
         int(lines.measured.sum()),
         bool((np.asarray(wireframe.edge_faces).sum(axis=1) >= 2).any()),
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
@@ -108,6 +112,20 @@ def evidence_of(
         log_likelihood_of(share, total, chance),
         log_chance_of_exact_edges(distances, absorbed),
     )
+
+
+def are_one_direction(
+    camera_from_world: Float[np.ndarray, "views 4 4"], place: Float[np.ndarray, "3"]
+) -> bool:
+    """Return whether all views show a place of the world in one direction, within `MIN_PARALLAX`.
+
+    That is so for a single view.
+    """
+    in_camera = camera_from_world[:, :3, :3] @ place + camera_from_world[:, :3, 3]
+    # The direction from the camera, in the world.
+    rays = np.einsum("vij,vi->vj", camera_from_world[:, :3, :3], in_camera)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return bool((rays @ rays.T).min() > np.cos(MIN_PARALLAX))
 
 
 def log_likelihood_of(share: float, visible_px: float, chance: float) -> float:

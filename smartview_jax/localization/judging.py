@@ -150,9 +150,9 @@ class _Judging:
 
     def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
         """Return whether a pose is rejected, given what other places explain."""
-        wireframe = self._prepared[candidate.model].coarse
-        lines = self.scene.lines(candidate.pose, wireframe)
-        evidence = self.scene.evidence(lines, wireframe, chance.mean)
+        one, pose = self._prepared[candidate.model], candidate.pose
+        lines = self.scene.lines(pose, one.coarse)
+        evidence = self.scene.evidence(lines, one.coarse, one.middle_at(pose), chance.mean)
         return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
 
     def best_explanation(
@@ -185,8 +185,8 @@ class _Judging:
         except UndeterminedPoseError:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
-        lines = scene.lines(pose, one.fine)
-        evidence = scene.evidence(lines, one.fine, chance.mean)
+        lines, middle = scene.lines(pose, one.fine), one.middle_at(pose)
+        evidence = scene.evidence(lines, one.fine, middle, chance.mean)
         rivals = self._rivals(best, pose, others, chance)
         rivals = self._distinct(best, pose, evidence, chance, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
@@ -200,7 +200,7 @@ class _Judging:
         if len(refined.calibration_error):
             views = corrected_views(views, self._uncertainty, refined.calibration_error)
             lines = scene.lines(pose, one.fine, views)
-            evidence = scene.evidence(lines, one.fine, chance.mean, refined.absorbed)
+            evidence = scene.evidence(lines, one.fine, middle, chance.mean, refined.absorbed)
         uncertain = relative_std(one.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         # Moving faces takes time, so that only what would be accepted is asked.
@@ -241,8 +241,9 @@ class _Judging:
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
         """Return a pose as a rival, measured with all samples."""
-        wireframe = self._prepared[model].fine
-        found = self.scene.evidence(self.scene.lines(pose, wireframe), wireframe, chance.mean)
+        one = self._prepared[model]
+        lines = self.scene.lines(pose, one.fine)
+        found = self.scene.evidence(lines, one.fine, one.middle_at(pose), chance.mean)
         return Rival(model, pose, found.log_likelihood, found.log_exactness)
 
     def _distinct(

@@ -65,9 +65,9 @@ def localize(
 
     Raises:
         ValueError: no views, a number of poses that is not that of the pictures, a model without
-            edges, a picture on which nothing can be found, a workspace that is not a box,
-            occluders that are not triangles, or a hypothesis of a model that is not there; the
-            message names the view, model or argument.
+            edges, a picture on which nothing can be found or that is given twice, a workspace that
+            is not a box, occluders that are not triangles, or a hypothesis of a model that is not
+            there; the message names the view, model or argument.
     """
     prepared, triangles = _prepared(models), checked_triangles(occluders)
     box = None if workspace is None else checked_box(workspace)
@@ -82,6 +82,7 @@ def localize(
         command = _joined_commands(previous.command, _own_command(views))
         pictures = (*previous.pictures, *pictures)
         views = SeenViews.of(calibration, command)
+    _check_distinct(pictures)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
     # A further view is asked about the poses that are left: for these nothing is searched anew.
     left = _hypotheses_of(previous) if hypotheses is None else list(hypotheses)
@@ -149,6 +150,15 @@ def _evidence(
         return picture_evidence(picture, calibration.camera)
     except ValueError as error:
         raise ValueError(f"view {view}: {error}") from None
+
+
+def _check_distinct(pictures: Sequence[PictureEvidence]) -> None:
+    """Raise a ValueError where two pictures are one: the second would be counted as a witness."""
+    first: dict[bytes, int] = {}
+    for k, one in enumerate(pictures):
+        points = one.edge_points.pixels.tobytes()
+        if points and first.setdefault(points, k) != k:
+            raise ValueError(f"views {first[points]} and {k}: the same picture, given twice")
 
 
 def _own_command(views: SeenViews) -> Command:

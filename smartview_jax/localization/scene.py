@@ -12,7 +12,7 @@ from ..modeling import SeenViews
 from .depth_buffers import DepthBuffers
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
 from .edge_lookup import EdgeLookup
-from .evidence import Evidence, evidence_of
+from .evidence import Evidence, are_one_direction, evidence_of
 from .refinement import explained_edge_points, measured_lines
 from .wireframe import Wireframe
 
@@ -112,8 +112,14 @@ class Scene:
         return measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
 
     def evidence(
-        self, lines: EdgeLines, wireframe: Wireframe, chance: float, absorbed: float = 0.0
+        self,
+        lines: EdgeLines,
+        wireframe: Wireframe,
+        middle: Float[np.ndarray, "3"],
+        chance: float,
+        absorbed: float = 0.0,
     ) -> Evidence:
-        """Return what `lines` say of their pose."""
+        """Return what `lines` say of their pose, at which the object's middle is in the world."""
         strengths = [picture.edge_points.strengths for picture in self.pictures]
-        return evidence_of(lines, wireframe, strengths, chance, absorbed)
+        is_alone = are_one_direction(self.views.camera_from_world, middle)
+        return evidence_of(lines, wireframe, strengths, chance, is_alone, absorbed)

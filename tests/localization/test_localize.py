@@ -252,6 +252,30 @@ def test_half_outside_the_picture_is_not_certain():
     assert not found.accepted
 
 
+def test_pictures_in_one_direction_count_as_one(pictures):
+    """A second picture from the same place tells of the object's size no more than the first."""
+    first = TWO_DIRECTIONS[0] / np.linalg.norm(TWO_DIRECTIONS[0])
+    across = np.cross(first, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    for degrees, is_alone in ((1.8, True), (2.2, False)):
+        second = first + np.tan(np.deg2rad(degrees)) * across
+        poses = poses_towards(MIDDLE, np.stack([first, second]))
+        seen = sv.modeling.SeenViews.of(CALIBRATION, poses)
+        found = find(drawn(MODEL, seen, POSE, 0.1), poses=poses)
+        assert found[0].verdict.evidence.is_alone == is_alone
+    assert not find(pictures)[0].verdict.evidence.is_alone
+
+
+def test_a_picture_given_twice_is_refused(pictures):
+    """It would be counted as a second witness; a camera that hangs gives the same one again."""
+    given = evidence(pictures)
+    with pytest.raises(ValueError, match=r"^views 0 and 2: the same picture, given twice$"):
+        localize([*given, given[0]], POSES[[0, 1, 0]], CALIBRATION, MODEL)
+    first = localize(given, POSES, CALIBRATION, MODEL, hypotheses=starts())
+    with pytest.raises(ValueError, match=r"^views 1 and 2: the same picture, given twice$"):
+        localize(given[1:], POSES[:1], CALIBRATION, MODEL, previous=first)
+
+
 def test_a_further_view_counts_together_with_the_first(pictures):
     alone = localize(evidence(pictures[:1]), POSES[:1], CALIBRATION, MODEL, hypotheses=starts())
     both = localize(evidence(pictures[1:]), POSES[1:], CALIBRATION, MODEL, previous=alone)

@@ -31,7 +31,8 @@ def alone(scene, start, uncertainty, prepared=PREPARED[0]):
     model = prepared.model
     refined = refine_pose(start, model, prepared.fine, scene.views, scene.lookup, uncertainty)
     lines = scene.lines(refined.world_from_object, prepared.fine)
-    found = scene.evidence(lines, prepared.fine, 0.1)
+    middle = prepared.middle_at(refined.world_from_object)
+    found = scene.evidence(lines, prepared.fine, middle, 0.1)
     verdict = judge(found, Chance(0.1, 0.05), 1, np.inf)._replace(decision="accepted")
     return Localization(model, 0, refined, verdict, ())
 

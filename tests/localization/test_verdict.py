@@ -12,6 +12,7 @@ CLEAR = Evidence(
     explained=0.95,
     explained_in_view=(0.95, 0.95),
     visible_px=2000.0,
+    is_alone=False,
     edges=16,
     has_faces=True,
     edge_rms=0.1,
@@ -124,7 +125,7 @@ def test_loosely_fitting_pose_needs_more_of_its_edges():
 def test_one_picture_alone_needs_more_of_the_edges_or_more_that_fit_exactly():
     few = {"explained": 0.85, "edges": 8, "edge_rms": 0.3}
     assert verdict(**few).decision == "accepted"
-    alone = few | {"explained_in_view": (0.85,)}
+    alone = few | {"is_alone": True}
     assert verdict(**alone).decision == "open"
     assert verdict(**alone | {"explained": 0.9}).decision == "accepted"
     assert verdict(**alone | {"edges": 14, "edge_rms": 0.03}).decision == "accepted"
@@ -135,9 +136,9 @@ def test_one_picture_alone_has_to_be_fitted_closely():
     """Scale and tilt are free, so that a box of another size may be fitted to most edges."""
     loose = {"explained": 0.97, "edges": 9, "edge_rms": 0.6}
     assert verdict(**loose).decision == "accepted"
-    found = verdict(**loose | {"explained_in_view": (0.97,)})
+    found = verdict(**loose | {"is_alone": True})
     assert found.decision == "open"
-    assert "too far for one picture alone" in found.reasons[0]
+    assert "too far for pictures in one direction alone" in found.reasons[0]
 
 
 def test_little_edge_length_is_enough_where_nearly_all_of_it_fits_exactly():
