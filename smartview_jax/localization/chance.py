@@ -20,6 +20,15 @@ from .wireframe import Wireframe
 CHANCE_POSES = 48
 """Number of displaced poses from which chance is estimated."""
 
+DISPLACEMENTS, MAX_TURN = (0.5, 3.0), float(np.deg2rad(40.0))
+"""Smallest and largest displacement, over the extent of the object, and largest turn, rad."""
+
+RETURNED_DISTANCE = 0.3
+"""Distance from the object, over its extent, within which a pose has returned to it."""
+
+MIN_PLACES = 5
+"""Smallest number of places that tell of chance."""
+
 MIN_EXACT_EDGES = 4
 """Smallest number of edges of which it is asked whether chance fits them so well."""
 
@@ -46,11 +55,16 @@ class Chance(NamedTuple):
         A beta distribution of the same mean and standard deviation stands for the tail, in which
         there are no samples.
         """
+        # A beta distribution's variance is below mean (1 - mean); that of few places may be zero.
         mean = float(np.clip(self.mean, 0.02, 0.98))
         variance = float(np.clip(self.std**2, 1e-4, 0.8 * mean * (1.0 - mean)))
         count = mean * (1.0 - mean) / variance - 1.0
         # 1 - I_x(a, b) = I_(1-x)(b, a), which keeps its digits where it is small.
         return float(betainc((1.0 - mean) * count, mean * count, 1.0 - min(share, 1.0)))
+
+
+NOTHING_ELSE = Chance(0.05, 0.05)
+"""Chance where nothing else is in the pictures: it explains next to nothing."""
 
 
 class ChancePoses(NamedTuple):
@@ -75,8 +89,8 @@ def chance_poses(
 ) -> ChancePoses:
     """Return poses at which a model is looked for in vain, drawn to the edges of the pictures.
 
-    The wireframe is displaced by half its size to three times its size, turned by up to 40 degrees
-    and drawn to the best place near by, as a hypothesis is.
+    The wireframe is displaced by `DISPLACEMENTS`, turned by up to `MAX_TURN` and drawn to the best
+    place near by, as a hypothesis is.
 
     Args:
         pose: of the object about which it is displaced.
@@ -91,10 +105,10 @@ def chance_poses(
     tangents = np.zeros((CHANCE_POSES, 6))
     directions = rng.standard_normal((CHANCE_POSES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    tangents[:, :3] = rng.uniform(0.5, 3.0, (CHANCE_POSES, 1)) * extent * directions
+    tangents[:, :3] = rng.uniform(*DISPLACEMENTS, (CHANCE_POSES, 1)) * extent * directions
     axes = rng.standard_normal((CHANCE_POSES, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    tangents[:, 3:] = rng.uniform(0.0, np.deg2rad(40.0), (CHANCE_POSES, 1)) * axes
+    tangents[:, 3:] = rng.uniform(0.0, MAX_TURN, (CHANCE_POSES, 1)) * axes
     # Displaced about the object's middle, not about the origin of its frame.
     middle = _middle_frame(model)
     displaced = pose @ middle @ host_exponentials(tangents) @ np.linalg.inv(middle)
@@ -115,14 +129,13 @@ def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChanceP
     middle = _middle_frame(model)
     moved = tried.world_from_object @ middle - pose @ middle
     extent = model.extent
-    elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > 0.3 * extent
+    elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > RETURNED_DISTANCE * extent
     visible, explained = tried.lengths.T
     shares = explained / np.maximum(visible, 1.0)
     seen = visible >= MIN_VISIBLE * np.median(visible)
     values = shares[elsewhere & seen & (shares > 0.0)]
-    if len(values) < 5:
-        # Nothing else is in the pictures: chance explains next to nothing.
-        return Chance(0.05, 0.05)
+    if len(values) < MIN_PLACES:
+        return NOTHING_ELSE
     return Chance(float(values.mean()), float(values.std(ddof=1)))
 
 
