@@ -12,8 +12,8 @@ from .moved_faces import MovedFace
 from .wireframe import Wireframe
 
 MIN_PARALLAX = float(np.deg2rad(2.0))
-"""Smallest angle, rad, between the directions in which two pictures show an object, from which they
-are more than one picture taken twice: they tell its distance, and so its size, by themselves."""
+"""Smallest angle between the directions in which two pictures show an object, rad, from which they
+count as two: their parallax tells its distance, and so its size."""
 
 MIN_VIEW_PX = 60.0
 """Visible edge length, px, from which a view is judged by its own share."""

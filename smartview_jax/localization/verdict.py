@@ -245,7 +245,7 @@ def judge(
     if log_false_alarms > MAX_LOG_FALSE_ALARMS and not is_certain:
         doubts.append(f"{10.0**log_false_alarms:.2g} such poses are expected by chance")
     if rms > (ALONE_EDGE_RMS if evidence.is_alone else MAX_EDGE_RMS):
-        more = ", too far for pictures in one direction alone" if evidence.is_alone else ""
+        more = ", too far for pictures from one direction" if evidence.is_alone else ""
         doubts.append(f"its edges are {rms:.2f} px (RMS) from those of the pictures{more}")
     if evidence.contrast < MIN_CONTRAST:
         doubts.append(f"its edges have {evidence.contrast:.2f} of the pictures' usual contrast")

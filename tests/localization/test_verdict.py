@@ -138,7 +138,7 @@ def test_one_picture_alone_has_to_be_fitted_closely():
     assert verdict(**loose).decision == "accepted"
     found = verdict(**loose | {"is_alone": True})
     assert found.decision == "open"
-    assert "too far for pictures in one direction alone" in found.reasons[0]
+    assert "too far for pictures from one direction" in found.reasons[0]
 
 
 def test_little_edge_length_is_enough_where_nearly_all_of_it_fits_exactly():
