@@ -6,6 +6,7 @@ step. Both weight the pictures' noise and what the calibration and the model con
 that an uncertain robot does not make one view contradict another.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.stats import chi2
 
 from ..array_namespace import to_device
 from ..features import EdgePoints
-from ..geometry import host_exponentials
+from ..geometry import host_exponentials, host_logarithms
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews, pixel_jacobians
 from .edge_lines import MIN_ALIGNMENT, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
@@ -123,6 +124,15 @@ def _has_converged(step: PoseStep) -> bool:
     return float(step.tangent @ np.linalg.solve(step.covariance, step.tangent)) < CONVERGED**2
 
 
+def _is_near(
+    pose: Float[np.ndarray, "4 4"], others: Sequence[Float[np.ndarray, "4 4"]], step: PoseStep
+) -> bool:
+    """Return whether a pose is at one of others, measured by the covariance of the pose."""
+    apart = host_logarithms(np.linalg.inv(np.stack(others)) @ pose)
+    squared = (apart * np.linalg.solve(step.covariance, apart.T).T).sum(axis=1)
+    return bool(squared.min() < CONVERGED**2)
+
+
 def _weighted(equations: PoseEquations, errors: CommonErrors, scale: float) -> PoseEquations:
     """Return equations whose noise is larger where blocks are far off (Geman and McClure)."""
     by_calibration, by_model = errors.covariances(equations)
@@ -161,13 +171,16 @@ def refine_pose(
     """
     uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
     errors, pose = CommonErrors.of(uncertainty, model), start
+    earlier = list[Float[np.ndarray, "4 4"]]()
     # The edges are measured anew in each step, because what is near an edge depends on the pose.
     for remaining in range(MAX_STEPS)[::-1]:
         lines = measured_lines(wireframe, views, lookup, pose, radius)
         equations = line_equations(lines, model, wireframe, views, pose, uncertainty)
         step, solved, squared, edge_sigma = solve_heavy_tailed(equations, errors)
+        earlier.append(pose)
         pose = pose @ host_exponentials(step.tangent)
-        if _has_converged(step) or not remaining:
+        # Where edges come and go from pose to pose, the steps may end in a circle.
+        if _is_near(pose, earlier, step) or not remaining:
             consistent = np.zeros(lines.measured.shape, dtype=bool)
             consistent[lines.measured] = squared <= CONSISTENT_SQUARE
             at_pose = solved._replace(residuals=solved.residuals - solved.by_pose @ step.tangent)
