@@ -7,6 +7,7 @@ location of distinct points, corners and centres of circular features", 1987), a
 them that OpenCV's cornerSubPix finds.
 """
 
+from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import cv2
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from .edge_points import SMOOTHING, gradient, noise_of
+from .gradient import SMOOTHING, Gradient
 from .segments import Lines, is_between
 
 MAX_END_GAP = 10.0
@@ -171,7 +172,7 @@ def _common_point(
 
 
 def gradient_corners(
-    grey: Float[np.ndarray, "rows columns"],
+    grey: Float[np.ndarray, "rows columns"], gradient: Gradient
 ) -> tuple[Float[np.ndarray, "corners 2"], Float[np.ndarray, "corners 2 2"]]:
     """Return pixels and covariances (px^2) of the corners that the picture's gradient shows.
 
@@ -179,11 +180,10 @@ def gradient_corners(
     structure tensor that are no vertices follow, such as dots and the grain of a texture, and then
     uncertain vertices, most of them of two edges that end in a corner.
     """
-    slopes = gradient(grey)
-    peaks = _structure_peaks(slopes, noise_of(grey))
+    peaks = _structure_peaks(gradient)
     if not len(peaks):
         return np.zeros((0, 2)), np.zeros((0, 2, 2))
-    vertices, covariances = _vertices(grey, slopes, peaks)
+    vertices, covariances = _vertices(grey, gradient, peaks)
     sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, 1])
     certain = _first_of_groups(vertices, sigmas < CERTAIN_VERTEX_SIGMA)
     is_uncertain = (sigmas >= CERTAIN_VERTEX_SIGMA) & (sigmas < MAX_VERTEX_SIGMA)
@@ -218,18 +218,15 @@ def _is_away(
     return np.asarray(KDTree(others).query(points)[0]) > MIN_PEAK_DISTANCE
 
 
-def _structure_peaks(
-    slopes: Float[np.ndarray, "rows columns 2"], noise: float
-) -> Float[np.ndarray, "peaks 2"]:
+def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:
     """Return the sub-pixel peaks of det / trace of the structure tensor, the strongest first."""
     uu, uv, vv = (
-        cv2.GaussianBlur(slopes[..., i] * slopes[..., j], (0, 0), INTEGRATION_SIGMA)
-        for i, j in ((0, 0), (0, 1), (1, 1))
+        cv2.GaussianBlur(first * second, (0, 0), INTEGRATION_SIGMA)
+        for first, second in combinations_with_replacement((gradient.by_u, gradient.by_v), 2)
     )
     determinant, trace = uu * vv - uv * uv, np.maximum(uu + vv, 1e-12)
     strength = determinant / trace
-    # The variance of the gradient's noise, as in `find_edge_points`.
-    gate = STRUCTURE_GATE * noise**2 / (8.0 * np.pi * SMOOTHING**4)
+    gate = STRUCTURE_GATE * gradient.sigma**2
     is_peak = (strength == cv2.dilate(strength, np.ones((3, 3)))) & (strength > gate)
     is_peak &= 4.0 * determinant > MIN_ROUNDNESS * trace**2
     is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
@@ -253,7 +250,7 @@ def _parabola_peak(before: np.ndarray, middle: np.ndarray, after: np.ndarray) ->
 
 def _vertices(
     grey: Float[np.ndarray, "rows columns"],
-    slopes: Float[np.ndarray, "rows columns 2"],
+    gradient: Gradient,
     peaks: Float[np.ndarray, "peaks 2"],
 ) -> tuple[Float[np.ndarray, "vertices 2"], Float[np.ndarray, "vertices 2 2"]]:
     """Return the points near peaks in which the edges around them meet, with covariances.
@@ -267,11 +264,11 @@ def _vertices(
     refined = refined[:, 0].astype(float)
     # A vertex far from its peak belongs to another one.
     own = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
-    return refined[own], _meeting_covariances(slopes, refined[own])
+    return refined[own], _meeting_covariances(gradient, refined[own])
 
 
 def _meeting_covariances(
-    slopes: Float[np.ndarray, "rows columns 2"], vertices: Float[np.ndarray, "vertices 2"]
+    gradient: Gradient, vertices: Float[np.ndarray, "vertices 2"]
 ) -> Float[np.ndarray, "vertices 2 2"]:
     """Return how well the edges of a window determine the point in which they meet.
 
@@ -282,8 +279,8 @@ def _meeting_covariances(
     offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     cells = np.rint(vertices).astype(int)[:, None] + offsets
     column, row = np.moveaxis(cells, -1, 0)
-    limits = slopes.shape[1] - 1, slopes.shape[0] - 1
-    g = slopes[np.clip(row, 0, limits[1]), np.clip(column, 0, limits[0])]
+    rows, columns = gradient.magnitude.shape
+    g = gradient.at(np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1))
     # The weights of cornerSubPix.
     weights = np.exp(-((offsets / REFINEMENT_RADIUS) ** 2).sum(axis=1))
     residuals = np.einsum("nwk,nwk->nw", g, vertices[:, None] - cells)

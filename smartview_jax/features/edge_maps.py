@@ -5,6 +5,7 @@ from jaxtyping import Bool
 
 from ..cameras import Camera
 from .edge_points import find_edge_points
+from .gradient import Gradient
 from .picture_checks import grey_levels
 
 
@@ -19,7 +20,7 @@ def edge_map(picture: np.ndarray, camera: Camera) -> Bool[np.ndarray, "rows colu
         ValueError: as `find` does.
     """
     grey = grey_levels(picture, camera)
-    column, row = find_edge_points(grey).cells.T
+    column, row = find_edge_points(Gradient.of(grey)).cells.T
     edges = np.zeros(grey.shape, dtype=bool)
     edges[row, column] = True
     return edges

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 from ..cameras import Camera
 from .corners import MAX_END_GAP, LineCorners, gradient_corners, line_corners
 from .edge_points import EdgePoints, find_edge_points
+from .gradient import Gradient
 from .ideal_plane import IdealPlane
 from .picture_checks import grey_levels
 from .segments import Lines, find_lines
@@ -71,17 +72,21 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
             over-exposed or under-exposed; the message says what was found.
     """
     grey = grey_levels(picture, camera)
-    return features_from_edge_points(grey, find_edge_points(grey), camera)
+    gradient = Gradient.of(grey)
+    return features_from_edge_points(grey, gradient, find_edge_points(gradient), camera)
 
 
 def features_from_edge_points(
-    grey: Float[np.ndarray, "rows columns"], edge_points: EdgePoints, camera: Camera
+    grey: Float[np.ndarray, "rows columns"],
+    gradient: Gradient,
+    edge_points: EdgePoints,
+    camera: Camera,
 ) -> Features:
     """Return the segments and corners of a picture whose edge points were found already.
 
     Args:
         grey: grey levels of the picture.
-        edge_points: of this picture.
+        gradient, edge_points: of this picture.
         camera: intrinsics and lens of the camera that took it.
     """
     plane = IdealPlane(camera)
@@ -98,7 +103,7 @@ def features_from_edge_points(
     free_corners = _free_ends(ends, end_covariances, free, junctions.segments.shape[1], corners)
     junction_parts = (corners, covariances, junctions.segments)
     known = [np.concatenate(parts) for parts in zip(junction_parts, free_corners, strict=True)]
-    others, other_covariances = gradient_corners(grey)
+    others, other_covariances = gradient_corners(grey, gradient)
     new = _far_from(others, known[0], SAME_CORNER_DISTANCE)
     joined = np.full((int(new.sum()), junctions.segments.shape[1]), -1)
     return Features(

@@ -16,7 +16,7 @@ from ..array_namespace import to_device
 from ..cameras import Camera
 from ..compilation import compiled_optimised
 
-POINTS_PER_BATCH = 16_384
+POINTS_PER_BATCH = 4_096
 """Number of points that are mapped at once, by one compiled program for any number of points."""
 
 

@@ -95,18 +95,14 @@ class PointGrid:
         cells = np.rint(points).astype(int)
         self._origin = cells.min(axis=0, initial=0)
         self._size = cells.max(axis=0, initial=0) - self._origin + 1
-        flat = self._flat(cells)
+        # Row after row of cells, each with places for its points.
+        flat = (cells - self._origin) @ np.array([1, self._size[0]])
         order = np.argsort(flat, kind="stable")
         first = np.searchsorted(flat[order], flat[order])
-        self._layers = np.full((POINTS_PER_CELL, int(self._size.prod())), -1, dtype=np.int32)
-        for layer in range(POINTS_PER_CELL):
-            own = order[np.arange(len(order)) - first == layer]
-            self._layers[layer, flat[own]] = own
-
-    def _flat(self, cells: Int[np.ndarray, "*cells 2"]) -> Int[np.ndarray, "*cells"]:
-        """Return the place of cells in a layer."""
-        place = cells - self._origin
-        return place[..., 1] * self._size[0] + place[..., 0]
+        place = np.arange(len(order)) - first
+        fits = place < POINTS_PER_CELL
+        self._cells = np.full((int(self._size.prod()), POINTS_PER_CELL), -1, dtype=np.int32)
+        self._cells[flat[order[fits]], place[fits]] = order[fits]
 
     def near(
         self,
@@ -128,17 +124,17 @@ class PointGrid:
         beside = np.arange(-1, 2 * int(np.ceil(np.sqrt(2.0) * half_width)) + 2)
         beside = beside - int(np.ceil(np.sqrt(2.0) * half_width))
         batches = np.cumsum(counts) * len(beside) // LOOKUPS_PER_BATCH
+        slope = directions[own, 1 - major] / directions[own, major]
         parts = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
         for batch in np.unique(batches):
             some = np.flatnonzero(batches == batch)
             line = np.repeat(some, counts[some])
             starts = np.cumsum(counts[some]) - counts[some]
             step = lows[line] + np.arange(len(line)) - np.repeat(starts, counts[some])
-            slope = directions[own, 1 - major] / directions[own, major]
             across = centres[line, 1 - major[line]]
             across = across + slope[line] * (step - centres[line, major[line]])
             minor = np.rint(across).astype(int)[:, None] + beside
-            parts.append(self._in_cells(line, step, minor, major))
+            parts.append(self._in_cells(line, step, minor, major[line]))
         members = Members(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         gaps = self.points[members.point] - centres[members.line]
         close = np.abs((gaps * normals[members.line]).sum(axis=1)) < half_width
@@ -150,18 +146,18 @@ class PointGrid:
         line: Int[np.ndarray, "steps"],
         step: Int[np.ndarray, "steps"],
         minor: Int[np.ndarray, "steps beside"],
-        major: Int[np.ndarray, "lines"],
+        major: Int[np.ndarray, "steps"],
     ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
         """Return the lines and points of cells, of which one coordinate is along the line."""
-        along = np.broadcast_to(step[:, None], minor.shape)
-        is_u = (major[line] == 0)[:, None]
-        cells = np.stack([np.where(is_u, along, minor), np.where(is_u, minor, along)], axis=-1)
-        inside = ((cells >= self._origin) & (cells < self._origin + self._size)).all(axis=-1)
-        row, _ = np.nonzero(inside)
-        found = self._layers[:, self._flat(cells[inside])]
-        layer, place = np.nonzero(found >= 0)
-        order = np.argsort(row[place], kind="stable")
-        return line[row[place][order]], found[layer, place][order]
+        step, minor = step - self._origin[major], minor - self._origin[1 - major][:, None]
+        inside = (minor >= 0) & (minor < self._size[1 - major][:, None])
+        inside &= ((step >= 0) & (step < self._size[major]))[:, None]
+        strides = np.array([1, self._size[0]])
+        cells = (step * strides[major])[:, None] + minor * strides[1 - major][:, None]
+        row, beside = np.nonzero(inside)
+        found = self._cells[cells[row, beside]]
+        place, layer = np.nonzero(found >= 0)
+        return line[row[place]], found[place, layer]
 
 
 def directions_of(normals: Float[np.ndarray, "lines 2"]) -> Float[np.ndarray, "lines 2"]:

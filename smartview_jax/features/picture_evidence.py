@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from ..cameras import Camera
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
+from .gradient import Gradient
 from .ideal_plane import IdealPlane
 from .lone_edges import lone_points
 from .picture_checks import grey_levels
@@ -96,8 +97,9 @@ def picture_evidence(picture: np.ndarray, camera: Camera) -> PictureEvidence:
         ValueError: as `find` does.
     """
     grey = grey_levels(picture, camera)
-    edge_points = find_edge_points(grey)
-    features = features_from_edge_points(grey, edge_points, camera)
+    gradient = Gradient.of(grey)
+    edge_points = find_edge_points(gradient)
+    features = features_from_edge_points(grey, gradient, edge_points, camera)
     lone = lone_points(edge_points)
     return PictureEvidence(features, edge_points, lone, edge_maps(features, camera))
 

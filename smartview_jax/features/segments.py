@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .edge_points import SMOOTHING, EdgePoints
+from .edge_points import EdgePoints
+from .gradient import SMOOTHING
 from .ideal_plane import IdealPlane
 from .line_fits import (
     LineFits,
@@ -98,7 +99,7 @@ def find_lines(
 ) -> Lines:
     """Return the straight segments of a picture, the longest proposals first."""
     points = plane.from_pixels(edge_points.pixels)
-    normals = _ideal_normals(edge_points, plane)
+    normals = _ideal_normals(edge_points.normals, points, plane)
     # Points that the lens cannot place in the ideal plane are left out.
     usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     grid = PointGrid(points[usable], normals[usable])
@@ -121,12 +122,16 @@ def _proposals(
     return ends[np.argsort(-np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))]
 
 
-def _ideal_normals(edge_points: EdgePoints, plane: IdealPlane) -> Float[np.ndarray, "points 2"]:
-    """Return the directions of the gradients in the ideal plane."""
+def _ideal_normals(
+    normals: Float[np.ndarray, "points 2"],
+    ideal: Float[np.ndarray, "points 2"],
+    plane: IdealPlane,
+) -> Float[np.ndarray, "points 2"]:
+    """Return the directions in the ideal plane of gradients, given by their normals in pixels."""
     # A gradient is a covector: with J the derivative of ideal coordinates by pixels, J^-T g.
-    inverse = plane.to_pixels(plane.from_pixels(edge_points.pixels))[1]
-    normals = np.einsum("nji,nj->ni", inverse, edge_points.normals)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    inverse = plane.to_pixels(ideal)[1]
+    turned = np.einsum("nji,nj->ni", inverse, normals)
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
 def _lines(grid: PointGrid, fits: LineFits) -> tuple[Lines, Bool[np.ndarray, "lines"]]:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.features.corners import gradient_corners
+from smartview_jax.features.gradient import Gradient
 
 VERTEX = np.array([40.3, 30.6])
 """Of a quadrilateral that is darker than what is behind it, px."""
@@ -34,10 +35,14 @@ def quadrilateral(contrast, rim=None):
     return np.rint(cv2.GaussianBlur(small, (0, 0), 0.7) + noise).astype(float)
 
 
+def found_in(picture):
+    return gradient_corners(picture, Gradient.of(picture))
+
+
 @pytest.mark.parametrize("rim", [0.5, 1.0, 1.5])
 def test_the_vertex_of_weak_edges_beside_a_patch_is_a_candidate(rim):
     """The structure peaks in the patch, more than 1.5 px from where the edges meet."""
-    corners, covariances = gradient_corners(quadrilateral(20.0, rim))
+    corners, covariances = found_in(quadrilateral(20.0, rim))
     distance = np.linalg.norm(corners - VERTEX, axis=1)
     k = int(np.argmin(distance))
     assert distance[k] < 1.1
@@ -50,7 +55,7 @@ def test_the_vertex_of_weak_edges_beside_a_patch_is_a_candidate(rim):
 
 @pytest.mark.parametrize("contrast", [40.0, 140.0])
 def test_the_vertex_of_two_edges_is_found_beside_the_peak_within(contrast):
-    found, _ = gradient_corners(quadrilateral(contrast))
+    found, _ = found_in(quadrilateral(contrast))
     distance = np.sort(np.linalg.norm(found - VERTEX, axis=1))
     assert distance[0] < 0.4
     assert 1.0 < distance[1] < 2.5

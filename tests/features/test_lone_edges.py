@@ -6,7 +6,8 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.special import erf
 
-from smartview_jax.features.edge_points import SMOOTHING, EdgePoints, find_edge_points
+from smartview_jax.features.edge_points import EdgePoints, find_edge_points
+from smartview_jax.features.gradient import SMOOTHING, Gradient
 from smartview_jax.features.lone_edges import (
     BESIDE,
     CLEARANCE,
@@ -52,7 +53,7 @@ def polygons(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_they_are_those_of_all_pairs(seed):
-    points = find_edge_points(polygons(seed))
+    points = find_edge_points(Gradient.of(polygons(seed)))
     expected = ~spread(points.cells, beside_another(points))
     assert 0.2 < expected.mean() < 0.98
     # Pixels that hold two points are seen once.
@@ -70,7 +71,7 @@ def two_steps(distance, ratio):
 @pytest.mark.parametrize("distance", [3.5, 4.0, 4.5])
 @pytest.mark.parametrize("ratio", [-0.8, 0.6])
 def test_another_edge_displaces_a_point_as_the_formula_says(distance, ratio):
-    points = find_edge_points(two_steps(distance, ratio))
+    points = find_edge_points(Gradient.of(two_steps(distance, ratio)))
     first = np.abs(points.pixels[:, 0] - 40.0) < 1.5
     s2 = SMOOTHING**2 + BLUR**2
     expected = ratio * 0.5 * s2 * np.exp(-0.5 * distance * (distance - 2.0) / s2)
@@ -81,7 +82,7 @@ def test_another_edge_displaces_a_point_as_the_formula_says(distance, ratio):
 
 @pytest.mark.parametrize("distance", [5.5, 9.0])
 def test_edges_that_are_far_apart_are_lone_and_stay_where_they_are(distance):
-    points = find_edge_points(two_steps(distance, 0.8))
+    points = find_edge_points(Gradient.of(two_steps(distance, 0.8)))
     first = np.abs(points.pixels[:, 0] - 40.0) < 1.5
     assert abs(float((points.pixels[first, 0] - 40.0).mean())) < 2e-3
     assert lone_points(points).all()
@@ -93,7 +94,7 @@ def test_points_where_two_edges_run_into_each_other_are_not_lone():
     picture[60:] = 120.0
     shadow = np.array([[20, 60], [280, 60], [280, 80]], dtype=np.int32)
     cv2.fillConvexPoly(picture, shadow, 40.0)
-    points = find_edge_points(cv2.GaussianBlur(picture, (0, 0), BLUR).astype(float))
+    points = find_edge_points(Gradient.of(cv2.GaussianBlur(picture, (0, 0), BLUR).astype(float)))
     u, v = points.pixels.T
     at_the_edge = np.abs(v - 59.5) < 1.0
     # The shadow's border is 1 + (u - 20) / 13 below the edge, its last row being drawn in full.
