@@ -42,30 +42,38 @@ def pose_distances(
         pose: world_from_object.
         others: world_from_object likewise.
     """
-    coordinates = _rms_coordinates(model, others)
-    return np.sqrt(_squared_distances(model, pose, coordinates))
+    factor = _rms_factor(model)
+    equal = _coordinates(pose @ _turns(model), factor)
+    return np.sqrt(_squared_distances(equal, _coordinates(others, factor)))
 
 
-def _rms_coordinates(
-    model: ObjectModel, poses: Float[np.ndarray, "poses 4 4"]
+def _turns(model: ObjectModel) -> Float[np.ndarray, "turns 4 4"]:
+    """Return what its symmetry turns an object by, first of all nothing."""
+    return np.eye(4)[None] if model.symmetry is None else model.symmetry.object_from_object
+
+
+def _rms_factor(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
+    """Return the matrix C such that vertices at two poses A and B are |(A - B) C| apart, RMS."""
+    # The mean over the vertices of |A p - B p|^2 is |(A - B) C|^2 with the mean of p p^T,
+    # homogeneous, factored as C C^T: no vertex is needed any more.
+    p = np.column_stack([model.vertices, np.ones(len(model.vertices))])
+    return np.linalg.qr(p / np.sqrt(len(p)))[1].T
+
+
+def _coordinates(
+    poses: Float[np.ndarray, "poses 4 4"], factor: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "poses 12"]:
     """Return points as far from one another as the vertices at the poses, RMS, m."""
-    # Mean over the vertices of |A p - B p|^2 = |(A - B) C|^2 with the mean of p p^T, homogeneous,
-    # factored as C C^T: no vertex is needed any more.
-    p = np.column_stack([model.vertices, np.ones(len(model.vertices))])
-    factor = np.linalg.qr(p / np.sqrt(len(p)))[1].T
     return (poses @ factor)[:, :3].reshape(-1, 12)
 
 
 def _squared_distances(
-    model: ObjectModel, pose: Float[np.ndarray, "4 4"], others: Float[np.ndarray, "poses 12"]
+    equal: Float[np.ndarray, "turns 12"], others: Float[np.ndarray, "poses 12"]
 ) -> Float[np.ndarray, "poses"]:
-    """Return the squared RMS distances of the vertices at a pose from those at others, m^2."""
-    turns = np.eye(4)[None] if model.symmetry is None else model.symmetry.object_from_object
-    own = _rms_coordinates(model, pose[None])
-    # |d - e|^2 = |d|^2 - 2 d . e + |e|^2 with differences from the pose as it is given: one product
-    # of matrices, and no digits are lost where the distance is small.
-    d, e = others - own, _rms_coordinates(model, pose @ turns) - own
+    """Return the squared distances of points from the nearest of those of equal poses, m^2."""
+    # |d - e|^2 = |d|^2 - 2 d . e + |e|^2 with differences from the pose as it is given, the first:
+    # one product of matrices, and no digits are lost where the distance is small.
+    d, e = others - equal[0], equal - equal[0]
     crossed = (e**2).sum(axis=1) - 2.0 * d @ e.T
     return np.maximum((d**2).sum(axis=1) + crossed.min(axis=1), 0.0)
 
@@ -86,9 +94,11 @@ def distinct_poses(
     limit = SAME_POSE_DISTANCE * float(np.linalg.norm(np.ptp(model.vertices, axis=0)))
     # Each kept pose takes its neighbours away, so that few comparisons remain.
     left, kept = np.arange(len(poses)), []
-    coordinates = _rms_coordinates(model, poses)
+    factor = _rms_factor(model)
+    coordinates, turns = _coordinates(poses, factor), _turns(model)
     while len(left) and len(kept) < count:
         kept.append(int(left[0]))
-        far = _squared_distances(model, poses[left[0]], coordinates[left]) > limit**2
+        equal = _coordinates(poses[left[0]] @ turns, factor)
+        far = _squared_distances(equal, coordinates[left]) > limit**2
         left = left[far]
     return np.array(kept, dtype=int)

@@ -37,6 +37,7 @@ from smartview_jax.localization import (
     refine_pose,
 )
 from smartview_jax.localization.edge_lookup import padded_poses
+from smartview_jax.localization.heavy_tails import solve_heavy_tailed
 from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
 
@@ -269,6 +270,24 @@ def test_a_wrong_edge_hardly_counts(views, wireframe):
     assert not found.consistent[0, edge]
     assert found.consistent.sum() == found.lines.measured.sum() - 1
     assert nees(error_of(found.world_from_object)[None], found.covariance[None])[0] < 20.0
+
+
+def test_a_fit_whose_steps_go_round_ends_where_it_has_been(views, wireframe, monkeypatch):
+    """Edges that are near one pose and not near the next make steps that never end."""
+    steps = []
+    # Three steps of a standard deviation along the axes of a triangle sum to nothing.
+    corners = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
+
+    def going_round(equations, errors):
+        solved = solve_heavy_tailed(equations, errors)
+        sigmas = np.sqrt(np.diagonal(solved.step.covariance))
+        steps.append(np.r_[corners[len(steps) % 3], np.zeros(4)] * sigmas)
+        return solved._replace(step=solved.step._replace(tangent=steps[-1]))
+
+    monkeypatch.setattr("smartview_jax.localization.refinement.solve_heavy_tailed", going_round)
+    lookup = EdgeLookup.of(drawn(MODEL, views, POSE), views.camera.image_size)
+    refine_pose(POSE, MODEL, wireframe, views, lookup)
+    assert len(steps) == 3
 
 
 def test_too_few_edges_are_an_error(views, wireframe):
