@@ -74,9 +74,11 @@ def pytest_collection_finish():
 
 
 LONGEST_FILES = """
-    test_joint_fit.py test_sharding.py test_budget.py test_cli.py test_model_selection.py
-    test_plausibility.py test_startup.py test_fit_options.py test_many.py test_kenward_roger.py
-    test_arm_fit.py test_triangulation.py test_lenses.py
+    test_bad_pictures.py test_budget.py test_plausibility.py test_model_selection.py test_cli.py
+    test_page.py test_sharding.py test_pose_refinement.py test_variance_components.py
+    test_joint_fit.py test_fit_options.py test_startup.py test_conversation.py
+    test_localize_command.py test_refining_together.py test_view_planning.py
+    test_program_store.py test_many.py test_kenward_roger.py test_arm_fit.py test_lenses.py
 """.split()
 """The files that take 30 to 100 s each, the longest first."""
 

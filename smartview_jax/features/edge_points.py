@@ -65,11 +65,12 @@ def _peaks(
     Float[np.ndarray, "peaks"],
     Bool[np.ndarray, "peaks"],
 ]:
-    """Return the rows and columns of the pixels in which the gradient peaks.
+    """Return in which of some pixels the gradient peaks: row, column, shift, whether along u.
 
-    With them, where between pixels it does, and whether that is along u.
+    The shift is where between pixels the peak is, along the axis that crosses the edge more
+    steeply, px.
     """
-    by_u, by_v, size = (part[row, column] for part in gradient[:3])
+    (by_u, by_v), size = gradient.at(row, column).T, gradient.magnitude[row, column]
     along_u = np.abs(by_u) >= np.abs(by_v)
     unit_u, unit_v = by_u / size, by_v / size
     # The neighbour's gradient along this pixel's own direction: opposite edges do not mix.
