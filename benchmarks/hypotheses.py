@@ -52,8 +52,7 @@ def pose_errors(
     model: ObjectModel, poses: np.ndarray, world_from_object: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation (degrees) and translation of the object's middle (m), up to symmetry."""
-    turns = np.eye(4)[None] if model.symmetry is None else model.symmetry.object_from_object
-    equal = world_from_object @ turns
+    equal = world_from_object @ model.object_from_object
     cosines = np.einsum("pij,sij->ps", poses[:, :3, :3], equal[:, :3, :3])
     angles = np.degrees(np.arccos(np.clip((cosines - 1.0) / 2.0, -1.0, 1.0)))
     best = np.argmin(angles, axis=1)

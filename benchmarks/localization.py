@@ -28,7 +28,7 @@ from .grasping import calibrated
 from .localization_cells import KINDS, cell_scene, true_calibration, workspace_of
 from .localization_pictures import print_real_pictures
 from .localization_scenes import model_of, solids
-from .localization_tables import SceneSeconds, print_tables
+from .localization_tables import SceneSeconds, print_seconds, print_tables
 from .localization_trials import trial
 
 RESULTS = Path(__file__).parents[1] / "build" / "localization" / "records.jsonl"
@@ -129,12 +129,13 @@ def run(smoke: bool = False, results: Path | None = None) -> bool:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "records.jsonl"
             work(path, 0, 1, dict.fromkeys(SMOKE_SCENES, 1))
-            good = print_tables(list(done(path).values()), [], smoke=True)
+            good = print_tables(list(done(path).values()), smoke=True)
         print_real_pictures(smoke=True)
         return good
     path = RESULTS if results is None else results
     _run_workers(path, min(2, os.cpu_count() or 1), SCENES)
-    good = print_tables(list(done(path).values()), seconds_a_scene(TIMED))
+    good = print_tables(list(done(path).values()))
+    good = print_seconds(seconds_a_scene(TIMED)) and good
     return print_real_pictures() and good
 
 
@@ -143,12 +144,13 @@ def main() -> int:
     parser.add_argument("--results", type=Path, default=RESULTS, help="file of the records")
     parser.add_argument("--workers", type=int, default=2, help="number of processes")
     parser.add_argument("--worker", type=int, help="number of this one; without it, tables only")
-    parser.add_argument("--timed", action="store_true", help="with the tables, time scenes anew")
+    parser.add_argument("--timed", action="store_true", help="time some scenes, and nothing else")
     parser.add_argument("--scenes", type=json.loads, default=SCENES, help="number by kind, JSON")
     arguments = parser.parse_args()
+    if arguments.timed:
+        return 0 if print_seconds(seconds_a_scene(TIMED)) else 1
     if arguments.worker is None:
-        seconds = seconds_a_scene(TIMED) if arguments.timed else []
-        return 0 if print_tables(list(done(arguments.results).values()), seconds) else 1
+        return 0 if print_tables(list(done(arguments.results).values())) else 1
     work(arguments.results, arguments.worker, arguments.workers, arguments.scenes)
     return 0
 

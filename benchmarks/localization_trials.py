@@ -159,8 +159,8 @@ def _judged(scene: CellScene, found: Localizations) -> list[dict[str, Any]]:
 
 def _tangent(one: Localization, truth: np.ndarray) -> np.ndarray:
     """Return the tangent at the found pose that leads to the truth, up to symmetry."""
-    turns = np.eye(4)[None] if one.model.symmetry is None else one.model.symmetry.object_from_object
-    errors = host_logarithms(np.linalg.inv(one.world_from_object) @ truth @ turns)
+    equal = truth @ one.model.object_from_object
+    errors = host_logarithms(np.linalg.inv(one.world_from_object) @ equal)
     return errors[int(np.argmin(np.linalg.norm(errors[:, 3:], axis=1)))]
 
 

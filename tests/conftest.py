@@ -80,7 +80,7 @@ LONGEST_FILES = """
     test_localize_command.py test_refining_together.py test_view_planning.py
     test_program_store.py test_many.py test_kenward_roger.py test_arm_fit.py test_lenses.py
 """.split()
-"""The files that take 30 to 100 s each, the longest first."""
+"""The files that take longest, from 100 s down to 10 s each."""
 
 
 def pytest_collection_modifyitems(items):

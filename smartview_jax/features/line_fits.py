@@ -96,7 +96,8 @@ class PointGrid:
         self._origin = cells.min(axis=0, initial=0)
         self._size = cells.max(axis=0, initial=0) - self._origin + 1
         # Row after row of cells, each with places for its points.
-        flat = (cells - self._origin) @ np.array([1, self._size[0]])
+        self._strides = np.array([1, self._size[0]])
+        flat = (cells - self._origin) @ self._strides
         order = np.argsort(flat, kind="stable")
         first = np.searchsorted(flat[order], flat[order])
         place = np.arange(len(order)) - first
@@ -152,7 +153,7 @@ class PointGrid:
         step, minor = step - self._origin[major], minor - self._origin[1 - major][:, None]
         inside = (minor >= 0) & (minor < self._size[1 - major][:, None])
         inside &= ((step >= 0) & (step < self._size[major]))[:, None]
-        strides = np.array([1, self._size[0]])
+        strides = self._strides
         cells = (step * strides[major])[:, None] + minor * strides[1 - major][:, None]
         row, beside = np.nonzero(inside)
         found = self._cells[cells[row, beside]]

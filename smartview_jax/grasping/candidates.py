@@ -165,10 +165,8 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
 
 def _symmetry_transforms(model: ObjectModel) -> Float[np.ndarray, "K 4 4"]:
     """Return the transforms that map the object onto itself; the identity comes first."""
-    if model.symmetry is None:
-        return np.eye(4)[None]
-    if model.symmetry.axis is None:
-        return model.symmetry.object_from_object
+    if model.symmetry is None or model.symmetry.axis is None:
+        return model.object_from_object
     # Any turn about the axis will do; some of them stand for all.
     angles = 2.0 * np.pi * np.arange(REVOLUTION_STEPS) / REVOLUTION_STEPS
     turns = Rotation.from_rotvec(angles[:, None] * model.symmetry.axis).as_matrix()

@@ -43,13 +43,8 @@ def pose_distances(
         others: world_from_object likewise.
     """
     factor = _rms_factor(model)
-    equal = _coordinates(pose @ _turns(model), factor)
+    equal = _coordinates(pose @ model.object_from_object, factor)
     return np.sqrt(_squared_distances(equal, _coordinates(others, factor)))
-
-
-def _turns(model: ObjectModel) -> Float[np.ndarray, "turns 4 4"]:
-    """Return what its symmetry turns an object by, first of all nothing."""
-    return np.eye(4)[None] if model.symmetry is None else model.symmetry.object_from_object
 
 
 def _rms_factor(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
@@ -95,7 +90,7 @@ def distinct_poses(
     # Each kept pose takes its neighbours away, so that few comparisons remain.
     left, kept = np.arange(len(poses)), []
     factor = _rms_factor(model)
-    coordinates, turns = _coordinates(poses, factor), _turns(model)
+    coordinates, turns = _coordinates(poses, factor), model.object_from_object
     while len(left) and len(kept) < count:
         kept.append(int(left[0]))
         equal = _coordinates(poses[left[0]] @ turns, factor)

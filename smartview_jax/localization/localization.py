@@ -106,10 +106,7 @@ class Localization(NamedTuple):
     @property
     def equivalent_poses(self) -> Float[np.ndarray, "K 4 4"]:
         """The poses that are the same by the model's symmetry, the found one first."""
-        symmetry = self.model.symmetry
-        if symmetry is None:
-            return self.world_from_object[None]
-        return self.world_from_object @ symmetry.object_from_object
+        return self.world_from_object @ self.model.object_from_object
 
     @property
     def matches(self) -> tuple[EdgeMatch, ...]:

@@ -113,23 +113,20 @@ def pose_from_matches(
         if robust_scale is not None:
             equations = _weighted(equations, errors, robust_scale)
         step = solve_pose(equations, errors)
-        pose = pose @ host_exponentials(step.tangent)
-        if _has_converged(step) or not remaining:
+        before, pose = pose, pose @ host_exponentials(step.tangent)
+        if _is_at_one_of([before], pose, step.covariance) or not remaining:
             return pose, step
     raise AssertionError("the last step returns")
 
 
-def _has_converged(step: PoseStep) -> bool:
-    """Return whether a step is short, measured by the covariance of the pose."""
-    return float(step.tangent @ np.linalg.solve(step.covariance, step.tangent)) < CONVERGED**2
-
-
-def _is_near(
-    pose: Float[np.ndarray, "4 4"], others: Sequence[Float[np.ndarray, "4 4"]], step: PoseStep
+def _is_at_one_of(
+    earlier: Sequence[Float[np.ndarray, "4 4"]],
+    pose: Float[np.ndarray, "4 4"],
+    covariance: Float[np.ndarray, "6 6"],
 ) -> bool:
-    """Return whether a pose is at one of others, measured by the covariance of the pose."""
-    apart = host_logarithms(np.linalg.inv(np.stack(others)) @ pose)
-    squared = (apart * np.linalg.solve(step.covariance, apart.T).T).sum(axis=1)
+    """Return whether a step led to where the fit has been, measured by the pose's covariance."""
+    tangents = host_logarithms(np.linalg.inv(np.stack(earlier)) @ pose)
+    squared = (tangents * np.linalg.solve(covariance, tangents.T).T).sum(axis=1)
     return bool(squared.min() < CONVERGED**2)
 
 
@@ -180,7 +177,7 @@ def refine_pose(
         earlier.append(pose)
         pose = pose @ host_exponentials(step.tangent)
         # Where edges come and go from pose to pose, the steps may end in a circle.
-        if _is_near(pose, earlier, step) or not remaining:
+        if _is_at_one_of(earlier, pose, step.covariance) or not remaining:
             consistent = np.zeros(lines.measured.shape, dtype=bool)
             consistent[lines.measured] = squared <= CONSISTENT_SQUARE
             at_pose = solved._replace(residuals=solved.residuals - solved.by_pose @ step.tangent)

@@ -144,6 +144,14 @@ class ObjectModel:
         return float(np.ptp(self.vertices, axis=0).max()) if len(self.vertices) else 0.0
 
     @property
+    def object_from_object(self) -> Float[np.ndarray, "K 4 4"]:
+        """The transforms that map the object onto itself, the identity first.
+
+        The identity alone where no symmetry is known.
+        """
+        return np.eye(4)[None] if self.symmetry is None else self.symmetry.object_from_object
+
+    @property
     def is_exact(self) -> bool:
         """Whether the vertices have no uncertainty, as those of CAD."""
         return self.covariance is None and self.calibration_factor is None
