@@ -4,7 +4,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import ClassVar, Unpack
+from typing import Unpack
 
 import equinox as eqx
 import numpy as np
@@ -15,7 +15,6 @@ from .calibration import Calibration
 from .cameras import AbstractLens, Camera
 from .compilation import refuse_traced
 from .dataset import Dataset, chain_residuals
-from .deprecation import DeprecatedAttribute
 from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, parameter_names
 from .fit_result import FitResult, Rejection
 from .geometry import PoseLike
@@ -72,10 +71,6 @@ class CalibrationFit(eqx.Module):
 
     staged: StagedFit
     joint: JointFit
-
-    freedom: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("freedom", "degrees_of_freedom")
-    estimate: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("estimate", "noise_estimate")
-    margin: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("margin", "confidence_half_width")
 
     def __repr__(self) -> str:
         return repr(self.joint)

@@ -3,8 +3,6 @@
 from enum import StrEnum
 from typing import NamedTuple
 
-from .deprecation import DeprecatedAttribute
-
 
 class FitCode(StrEnum):
     """The outcome of a fit as one word."""
@@ -26,8 +24,6 @@ class FitResult(NamedTuple):
 
     code: FitCode
     message: str
-
-    require = DeprecatedAttribute("require", "require_convergence")
 
     @property
     def converged(self) -> bool:

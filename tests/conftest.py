@@ -28,10 +28,13 @@ import jax
 import jaxlie
 import pytest
 import scipy.linalg  # noqa: F401 (its BLAS must be there to be limited)
+from public_signatures import check_public_signatures
 from threadpoolctl import threadpool_limits
 
 # Two workers on two cores: threads of one worker's BLAS would wait for the other's.
 threadpool_limits(limits=1, user_api="blas")
+
+check_public_signatures()
 
 # The strictest JAX: silent promotion of types or ranks is an error here.
 jax.config.update("jax_enable_x64", True)
@@ -71,25 +74,6 @@ def pytest_collection_finish():
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
-
-
-LONGEST_FILES = """
-    test_bad_pictures.py test_budget.py test_plausibility.py test_model_selection.py test_cli.py
-    test_page.py test_sharding.py test_pose_refinement.py test_variance_components.py
-    test_joint_fit.py test_fit_options.py test_startup.py test_conversation.py
-    test_localize_command.py test_refining_together.py test_view_planning.py
-    test_program_store.py test_many.py test_kenward_roger.py test_arm_fit.py test_lenses.py
-""".split()
-"""The files that take longest, from 100 s down to 10 s each."""
-
-
-def pytest_collection_modifyitems(items):
-    """The longest files begin first, so that no worker waits for one at the end.
-
-    The others keep the order of their folders, where neighbours share programs.
-    """
-    places = {name: place for place, name in enumerate(LONGEST_FILES)}
-    items.sort(key=lambda item: places.get(item.path.name, len(places)))
 
 
 MAX_MEMORY_MAPS = 3_000

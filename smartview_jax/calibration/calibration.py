@@ -13,7 +13,7 @@ import dataclasses
 import os
 import pathlib
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -23,7 +23,6 @@ from jaxtyping import Array, Bool, Float, ScalarLike
 from ..array_namespace import AnyArray, as_float_array
 from ..cameras import AbstractLens, Camera
 from ..compilation import compiled, is_traced
-from ..deprecation import DeprecatedAttribute
 from ..files import dump_json, dump_yaml, read_yaml, write_atomically
 from ..geometry import (
     PoseLike,
@@ -64,10 +63,6 @@ class Calibration(eqx.Module):
     mount: str = eqx.field(static=True)
     robot_error: RobotError | None
     region: ViewedRegion | None
-
-    reported_for: ClassVar[DeprecatedAttribute] = DeprecatedAttribute(
-        "reported_for", "robot_command_for"
-    )
 
     def __init__(
         self,

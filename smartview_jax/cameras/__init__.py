@@ -1,6 +1,5 @@
 """Camera models: four pinhole parameters and a lens, with one lens model in each file."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .camera import Camera as Camera
 from .circles import circle_centre_bias as circle_centre_bias
 from .circles import circle_image_centre as circle_image_centre
@@ -21,5 +20,3 @@ from .registry import lens_name as lens_name
 from .serialization import camera_from_dict as camera_from_dict
 from .serialization import camera_to_dict as camera_to_dict
 from .weng import Weng as Weng
-
-__getattr__ = _deprecated_names(__name__)

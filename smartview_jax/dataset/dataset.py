@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,7 +14,6 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..calibration import mount_frames
 from ..compilation import refuse_traced
-from ..deprecation import DeprecatedAttribute
 from ..geometry import PoseLike, as_se3, check_rigid
 from ..robots import Command, SerialArm
 from .input_checks import (
@@ -68,8 +67,6 @@ class Dataset(eqx.Module):
     joints: Float[Array, "views joints"] | None = None
     arm: SerialArm | None = None
     notes: tuple[str, ...] = eqx.field(static=True, default=())
-
-    without: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("without", "mask_views")
 
     @classmethod
     def from_arrays(

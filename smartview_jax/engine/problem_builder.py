@@ -5,7 +5,7 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -83,7 +83,7 @@ def build_problem(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    field: FieldChoice | Literal[False] = "auto",
+    field: FieldChoice = "auto",
     prior_centre: Calibration | None = None,
 ) -> BuiltProblem:
     """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.

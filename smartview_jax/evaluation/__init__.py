@@ -4,7 +4,6 @@ Errors on given views are computed here. Errors on views that no fit used are in
 uncertainty of a result is in `uncertainty`, and the causes of an error are in `diagnosis`.
 """
 
-from ..deprecation import deprecated_names as _deprecated_names
 from ..fit_result import Rejection as Rejection
 from .diagnosis import ErrorBudget as ErrorBudget
 from .diagnosis import ScaleHypothesis as ScaleHypothesis
@@ -62,5 +61,3 @@ from .uncertainty import picture_uncertainty as picture_uncertainty
 from .uncertainty import std_of as std_of
 from .uncertainty import within_interval as within_interval
 from .uncertainty import workspace_uncertainty as workspace_uncertainty
-
-__getattr__ = _deprecated_names(__name__)

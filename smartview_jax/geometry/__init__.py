@@ -1,6 +1,5 @@
 """Rigid transforms, angle conventions, pose formats, camera viewpoints and images of circles."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .camera_poses import FIVE_VIEWPOINT_PATTERNS as FIVE_VIEWPOINT_PATTERNS
 from .camera_poses import FIVE_VIEWPOINT_STEP as FIVE_VIEWPOINT_STEP
 from .camera_poses import five_viewpoints as five_viewpoints
@@ -43,5 +42,3 @@ from .transform_text import transform_text as transform_text
 from .viewed_region import ViewedRegion as ViewedRegion
 from .viewed_region import region_from_dict as region_from_dict
 from .viewed_region import region_to_dict as region_to_dict
-
-__getattr__ = _deprecated_names(__name__)

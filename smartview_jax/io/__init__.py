@@ -1,6 +1,5 @@
 """Read and write data sets and calibrations: folders, importers, exporters."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .correspondences import import_correspondences as import_correspondences
 from .dataset_folder import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .dataset_folder import save_dataset as save_dataset
@@ -57,5 +56,3 @@ from .visp import import_visp as import_visp
 from .visp import read_visp_camera as read_visp_camera
 from .visp import read_visp_pose as read_visp_pose
 from .visp import write_visp_pose as write_visp_pose
-
-__getattr__ = _deprecated_names(__name__)

@@ -1,6 +1,5 @@
 """Fit camera, hand-eye transform, target pose and robot error to all pixels at once."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_least_squares as batch_least_squares
 from .camera_fit import fit_camera as fit_camera
@@ -23,5 +22,3 @@ from .precompile import precompile as precompile
 from .saved_estimate import SavedEstimate as SavedEstimate
 from .saved_estimate import load_estimate as load_estimate
 from .saved_estimate import load_with_uncertainty as load_with_uncertainty
-
-__getattr__ = _deprecated_names(__name__)

@@ -3,7 +3,7 @@
 import dataclasses
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
@@ -77,7 +77,7 @@ def fit_joint(
     *,
     lens: str | AbstractLens | None = None,
     noise: str | Noise = "estimated",
-    field: FieldChoice | Literal[False] = "auto",
+    field: FieldChoice = "auto",
     loss: str | AbstractLoss | None = None,
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),

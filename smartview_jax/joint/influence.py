@@ -25,7 +25,6 @@ from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
 from ..compilation import compiled
-from ..deprecation import DeprecatedAttribute
 from ..engine import (
     BlockArrow,
     JointProblem,
@@ -55,8 +54,6 @@ class Influence(NamedTuple):
     parameter_names: tuple[str, ...]
     view_ids: tuple[str, ...]
     mount_path: str
-
-    on = DeprecatedAttribute("on", "max_standardised_change")
 
     def max_standardised_change(self, path: str | None = None) -> Float[np.ndarray, "views"]:
         """Return each view's largest effect on a path's parameters, in their standard deviations.

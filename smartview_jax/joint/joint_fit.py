@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -11,7 +10,6 @@ from scipy.special import ndtri, stdtrit
 
 from ..calibration import Calibration
 from ..compilation import is_traced
-from ..deprecation import DeprecatedAttribute
 from ..engine import (
     JointProblem,
     Noise,
@@ -84,10 +82,6 @@ class JointFit(eqx.Module):
     view_ids: tuple[str, ...] = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
-
-    freedom: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("freedom", "degrees_of_freedom")
-    estimate: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("estimate", "noise_estimate")
-    margin: ClassVar[DeprecatedAttribute] = DeprecatedAttribute("margin", "confidence_half_width")
 
     def __repr__(self) -> str:
         # A traced fit, inside `jit`, has no figures to show.

@@ -7,7 +7,7 @@ at a time, while the host puts the next ones together, so that it serves any num
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -108,7 +108,7 @@ def fit_many(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    field: FieldChoice | Literal[False] = "auto",
+    field: FieldChoice = "auto",
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
     """Fit many data sets, each as `fit_joint` does.

@@ -1,7 +1,7 @@
 """Name the options of a joint fit, with their types, for functions that pass them on."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypedDict
+from typing import Any, TypedDict
 
 import optimistix as optx
 
@@ -13,7 +13,7 @@ class JointOptions(TypedDict, total=False):
     """The options of `fit_joint` that concern the fit itself, as its keyword arguments."""
 
     noise: str | Noise
-    field: FieldChoice | Literal[False]
+    field: FieldChoice
     loss: str | AbstractLoss | None
     fixed: Sequence[str]
     free: Sequence[str]

@@ -1,6 +1,5 @@
 """Present a calibration, or a whole run, as tables, plots and an HTML page."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .evaluation_page import write_evaluation_page as write_evaluation_page
 from .localization_page import LOCALIZATION_HEADINGS as LOCALIZATION_HEADINGS
 from .localization_page import localization_rows as localization_rows
@@ -22,5 +21,3 @@ from .tables import repeatability_rows as repeatability_rows
 from .tables import result_summary as result_summary
 from .tables import scale_hypothesis_rows as scale_hypothesis_rows
 from .tables import table_rows as table_rows
-
-__getattr__ = _deprecated_names(__name__)

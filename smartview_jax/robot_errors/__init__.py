@@ -1,6 +1,5 @@
 """Model the difference between reported and true robot poses: robot error fields and priors."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios
@@ -22,5 +21,3 @@ from .scale_error import LinearInPoseWithScales as LinearInPoseWithScales
 from .scale_error import ScaleError as ScaleError
 from .serialization import robot_error_from_dict as robot_error_from_dict
 from .serialization import robot_error_to_dict as robot_error_to_dict
-
-__getattr__ = _deprecated_names(__name__)

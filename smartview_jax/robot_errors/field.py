@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..deprecation import warn_deprecated
 from ..geometry import se3_left_jacobian
 from ..robots import Command, JointsLike
 
@@ -208,16 +207,13 @@ FieldChoice: TypeAlias = AbstractField | Literal["auto"] | None
 """A robot error field to fit, None for none, or "auto" to leave the choice to the function."""
 
 
-def checked_field_choice(field: FieldChoice | Literal[False]) -> FieldChoice:
-    """Return the choice of a field, with None for the deprecated False.
+def checked_field_choice(field: FieldChoice) -> FieldChoice:
+    """Return the choice of a field.
 
     Raises:
-        ValueError: any other text than `"auto"`.
+        ValueError: a truth value, or any other text than `"auto"`.
     """
-    if field is False:
-        warn_deprecated("field=False", "field=None", stacklevel=4)
-        return None
-    if isinstance(field, str) and field != "auto":
+    if isinstance(field, bool) or (isinstance(field, str) and field != "auto"):
         raise ValueError(
             f'field is "auto", None or a field such as robot_errors.JointOffsets(arm); '
             f"found {field!r}"

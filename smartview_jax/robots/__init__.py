@@ -1,6 +1,5 @@
 """Provide robot arms and grippers: kinematics both ways, joint limits, and robot commands."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .command import MAX_TOOL_COORDINATE as MAX_TOOL_COORDINATE
 from .command import Command as Command
 from .command import CommandLike as CommandLike
@@ -32,5 +31,3 @@ from .serial_arm import dh_jacobian as dh_jacobian
 from .serialization import arm_from_dict as arm_from_dict
 from .serialization import arm_to_dict as arm_to_dict
 from .trajectory import Trajectory as Trajectory
-
-__getattr__ = _deprecated_names(__name__)

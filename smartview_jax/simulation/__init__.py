@@ -1,6 +1,5 @@
 """Simulate calibration scenes with known truth: geometry, noise and rendered pictures."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .arm_scenes import ArmScene as ArmScene
 from .arm_scenes import six_axis_scene as six_axis_scene
 from .cell import BOARD as BOARD
@@ -52,5 +51,3 @@ from .solid_scenes import render_solids as render_solids
 from .textures import labelled as labelled
 from .textures import matt as matt
 from .textures import speckled as speckled
-
-__getattr__ = _deprecated_names(__name__)

@@ -9,7 +9,6 @@
 and 3; `interpolation.py` is the comparison method of the paper's Table 1.
 """
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
 from .closed_form import daniilidis as daniilidis
 from .closed_form import park_martin as park_martin
@@ -42,6 +41,3 @@ from .view_consistency import median_reprojection_errors as median_reprojection_
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
 from .weng import estimate_view_poses as estimate_view_poses
-
-# Old names keep working, with a warning.
-__getattr__ = _deprecated_names(__name__)

@@ -1,6 +1,5 @@
 """Describe calibration targets by their points in metres, without using OpenCV."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .charuco import Charuco as Charuco
 from .chessboard import Chessboard as Chessboard
 from .circle_grid import CircleGrid as CircleGrid
@@ -10,5 +9,3 @@ from .stacked import StackedTarget as StackedTarget
 from .tag_grid import TagGrid as TagGrid
 from .target import AbstractTarget as AbstractTarget
 from .target import grid_symmetries as grid_symmetries
-
-__getattr__ = _deprecated_names(__name__)

@@ -1,6 +1,5 @@
 """Estimate the standard deviations of all errors by restricted likelihood, over several models."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from .kenward_roger import p_value as p_value
 from .model_selection import TARGET_SCALE as TARGET_SCALE
 from .model_selection import WHITE_NOISE as WHITE_NOISE
@@ -10,5 +9,3 @@ from .noise_estimate import FREE_SCALE_PROBABILITY as FREE_SCALE_PROBABILITY
 from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
 from .variance_components import estimate_noise as estimate_noise
-
-__getattr__ = _deprecated_names(__name__)

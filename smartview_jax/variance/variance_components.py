@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
 
 import jax
 import numpy as np
@@ -58,7 +57,7 @@ def estimate_noise(
     data: Dataset,
     start: Calibration,
     *,
-    field: FieldChoice | Literal[False] = "auto",
+    field: FieldChoice = "auto",
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,

@@ -1,6 +1,5 @@
 """Plan viewpoints: wanted camera poses, the robot commands for them, and the best next views."""
 
-from ..deprecation import deprecated_names as _deprecated_names
 from ..geometry import FIVE_VIEWPOINT_STEP as FIVE_VIEWPOINT_STEP
 from ..geometry import five_viewpoints as five_viewpoints
 from ..geometry import look_at as look_at
@@ -30,5 +29,3 @@ from .optimality_criteria import i_optimal as i_optimal
 from .view_planning import ChosenViews as ChosenViews
 from .view_planning import choose_views as choose_views
 from .view_range import ViewRange as ViewRange
-
-__getattr__ = _deprecated_names(__name__)

@@ -208,15 +208,11 @@ def test_a_choice_of_a_field_comes_back(poses, choice):
     assert checked_field_choice(choice) is choice
 
 
-def test_the_old_false_is_none():
-    with pytest.warns(DeprecationWarning, match="field=False is now field=None"):
-        assert checked_field_choice(False) is None
-
-
-def test_no_field_is_chosen_by_its_name():
-    # The tests' own check of types refuses the text too, and is left out here.
-    with pytest.raises(ValueError, match=r"field is .* or a field .*; found 'pose'"):
-        inspect.unwrap(checked_field_choice)("pose")
+@pytest.mark.parametrize("choice", ["pose", False])
+def test_no_field_is_chosen_by_its_name_or_by_a_truth_value(choice):
+    # The tests' own check of types refuses the value too, and is left out here.
+    with pytest.raises(ValueError, match=rf"field is .* or a field .*; found {choice!r}"):
+        inspect.unwrap(checked_field_choice)(choice)
 
 
 CALLS = """

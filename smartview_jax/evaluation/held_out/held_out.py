@@ -8,7 +8,6 @@ from jaxlie import SE3
 
 from ...calibration import Calibration
 from ...dataset import Dataset
-from ...deprecation import DeprecatedAttribute
 from ..measures import Predictor, ReprojectionErrors, reprojection_errors
 from .bootstrap import Interval, rms_interval
 from .folds import split_views
@@ -46,8 +45,6 @@ class HeldOutErrors(NamedTuple):
     failures: tuple[tuple[int, str], ...]
     unconverged_folds: tuple[tuple[int, str], ...] = ()
     extrapolated_views: tuple[int, ...] = ()
-
-    deviations = DeprecatedAttribute("deviations", "errors")
 
     def interval(self, level: float = 0.95) -> Interval:
         """Return the bootstrap interval of the RMS over views, px; see `rms_interval`."""
