@@ -46,6 +46,21 @@ def refuse_traced(function: str, *trees: Any) -> None:
         )
 
 
+def one_program(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Run a function as one program where it is called on arrays outside of a transformation.
+
+    Operation by operation it would be dozens of programs, for each shape of its arguments. Within
+    `jit`, `grad` or `vmap` the function is as it was written.
+    """
+    program = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        return (function if is_traced(args, kwargs) else program)(*args, **kwargs)
+
+    return call
+
+
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit`, optimised only if its arguments are large.
 

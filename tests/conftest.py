@@ -26,6 +26,7 @@ os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
 import equinox as eqx
 import jax
 import jaxlie
+import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401 (its BLAS must be there to be limited)
 from public_signatures import check_public_signatures
@@ -42,8 +43,12 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
-def _allow_promotion_inside(group):
-    """jaxlie promotes ranks and types on purpose; the strictness is for our code."""
+def _for_tests(group):
+    """jaxlie promotes ranks and types on purpose; the strictness is for our code.
+
+    Each call outside of a trace is compiled as one program: operation by operation it would be
+    dozens for each shape, and tests call jaxlie with many shapes.
+    """
     for name, method in list(vars(group).items()):
         if name.startswith("__") and name != "__matmul__":
             continue
@@ -54,16 +59,25 @@ def _allow_promotion_inside(group):
 
 
 def _tolerant(function):
+    program = eqx.filter_jit(function)
+
     @functools.wraps(function)
     def call(*args, **kwargs):
         with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
-            return function(*args, **kwargs)
+            if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs))):
+                return function(*args, **kwargs)
+            return program(*jax.tree.map(_as_data, args), **jax.tree.map(_as_data, kwargs))
 
     return call
 
 
+def _as_data(leaf):
+    """A number is data; as it is, a program would be compiled for each value."""
+    return np.float64(leaf) if type(leaf) is float else leaf
+
+
 for _group in (jaxlie.SE3, jaxlie.SO3):
-    _allow_promotion_inside(_group)
+    _for_tests(_group)
 
 
 def pytest_collection_finish():

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import AnyArray, as_float_array
-from ..compilation import is_traced
+from ..compilation import is_traced, one_program
 from .lens import AbstractLens
 
 
@@ -55,6 +55,7 @@ class Camera(eqx.Module):
             return jnp.stack([jnp.stack(row) for row in rows])
         return np.array([[self.alpha_u, 0.0, self.u0], [0.0, self.alpha_v, self.v0], [0, 0, 1]])
 
+    @one_program
     def project(
         self, points: Float[Array, "*batch 3"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
@@ -77,6 +78,7 @@ class Camera(eqx.Module):
         pixels = jnp.stack([self.alpha_u * x + self.u0, self.alpha_v * y + self.v0], axis=-1)
         return jnp.where(valid[..., None], pixels, jnp.nan), valid
 
+    @one_program
     def unproject(
         self, pixels: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 3"], Bool[Array, "*batch"]]:

@@ -15,6 +15,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 from ..array_namespace import as_float_array
+from ..compilation import one_program
 from .host import host_matrices, host_transforms
 
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
@@ -98,6 +99,7 @@ def rotation_angle(rotation: SO3) -> Float[Array, "*batch"]:
     return jnp.linalg.norm(rotation.log(), axis=-1)
 
 
+@one_program
 def transform_points(
     target_from_source: SE3, points: Float[Array, "*points 3"]
 ) -> Float[Array, "*transformed 3"]:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import as_float_array
 from ..calibration import Calibration
+from ..compilation import one_program
 from ..geometry import transform_points
 from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
 from .reachability import is_singular, status_message
@@ -233,6 +234,7 @@ def _check_viewed_region(
     record("viewed_region", extent, extent <= limits.max_viewed_region_extent)
 
 
+@one_program
 def border_distance(
     calibration: Calibration, in_camera: Float[Array, "*points 3"]
 ) -> Float[Array, "*points"]:

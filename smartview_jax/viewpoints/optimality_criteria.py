@@ -15,6 +15,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..compilation import one_program
 from ..engine import RANK_TOLERANCE
 from .information_model import InformationModel
 
@@ -31,6 +32,7 @@ class OptimalityCriterion(eqx.Module):
     weight_matrix: Float[Array, "free free"] | None
     unit: str = eqx.field(static=True)
 
+    @one_program
     def __call__(self, information: Float[Array, "free free"]) -> Float[Array, ""]:
         """Return a standard deviation, or the geometric mean of all standard deviations.
 

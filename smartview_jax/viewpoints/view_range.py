@@ -6,6 +6,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..compilation import one_program
 from ..geometry import look_at
 
 MAX_LIMIT_FRACTION = 0.995
@@ -60,6 +61,7 @@ class ViewRange(eqx.Module):
         aim_offset = (aim_distance * np.cos(aim_azimuth), aim_distance * np.sin(aim_azimuth))
         return jnp.asarray(np.stack([*direction, *aim_offset, roll, distance], axis=1))
 
+    @one_program
     def poses(self, coordinates: Float[Array, "*views 6"]) -> SE3:
         """Return `camera_from_world` of views."""
         # The unit vector from the point of aim to the camera is (x, y, +-sqrt(1 - x^2 - y^2)).
@@ -70,6 +72,7 @@ class ViewRange(eqx.Module):
         point = jnp.broadcast_to(self.point, aim_offset.shape) + aim_offset
         return look_at(point, -point_to_camera, distance, roll)
 
+    @one_program
     def to_unbounded(self, coordinates: Float[Array, "*views 6"]) -> Float[Array, "*views 6"]:
         """Return unbounded coordinates of views, for solvers without limits."""
         roll, distance = jnp.moveaxis(coordinates[..., 4:], -1, 0)
@@ -84,6 +87,7 @@ class ViewRange(eqx.Module):
             _ball_to_unbounded((distance - middle)[..., None], half),
         )
 
+    @one_program
     def from_unbounded(self, unbounded: Float[Array, "*views 6"]) -> Float[Array, "*views 6"]:
         """Return views from their unbounded coordinates, the inverse of `to_unbounded`."""
         roll, distance = unbounded[..., 4:5], unbounded[..., 5:]
