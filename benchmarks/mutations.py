@@ -53,7 +53,7 @@ class Mutation(NamedTuple):
         wrong: a sentence on what is wrong.
         old: text that occurs exactly once in the file.
         new: what takes its place.
-        first: test files of the room that most likely notice it.
+        first: files of the room's tests, or tests as `file::test`, that most likely notice it.
     """
 
     name: str
@@ -188,7 +188,7 @@ def outcome_of(mutation: Mutation, copy: Copy, control: bool = False) -> Outcome
         code, text, seconds = _tests_of_room(mutation, copy)
     finally:
         copy.restore(mutation)
-    failed = re.findall(r"^(?:FAILED|ERROR) (\S+(?:\[.*?\])?)", text, re.MULTILINE)
+    failed = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", text, re.MULTILINE)
     test = failed[0] if failed else ""
     if code < 0:
         state, test = "killed", f"it was ended after {TIME_LIMIT:.0f} s, or crashed"
@@ -210,9 +210,9 @@ def _tests_of_room(mutation: Mutation, copy: Copy) -> tuple[int, str, float]:
     room = mutation.tests
     if not (copy.folder / room).exists():
         return NO_TESTS, "", 0.0
-    # Another revision may have other files.
-    first = [str(room / name) for name in mutation.first if (copy.folder / room / name).is_file()]
-    others = [str(room), *(f"--ignore={path}" for path in first)]
+    folder = room if mutation.room != TOP_LEVEL else room.parent
+    first = [f"{folder}/{name}" for name in mutation.first if _is_there(copy.folder / folder, name)]
+    others = [str(room), *(f"--ignore={path}" for path in first if "::" not in path)]
     code, text, total = NO_TESTS, "", 0.0
     for words in (first, others) if first else (others,):
         code, text, seconds = copy.pytest(*words)
@@ -221,6 +221,13 @@ def _tests_of_room(mutation: Mutation, copy: Copy) -> tuple[int, str, float]:
             break
     # A room may have no other files.
     return PASSED if first and code == NO_TESTS else code, text, total
+
+
+def _is_there(room: Path, name: str) -> bool:
+    """Return whether a room has a test file, or a test in it; another revision may have others."""
+    file, _, test = name.partition("::")
+    path = room / file
+    return path.is_file() and (not test or f"def {test}(" in path.read_text(encoding="utf-8"))
 
 
 def outcomes(
