@@ -249,7 +249,9 @@ def outcomes(
     known = {}
     if results is not None and results.is_file():
         entries = json.loads(results.read_text(encoding="utf-8"))
-        known = {entry["name"]: Outcome(**entry) for entry in entries}
+        # What is no longer in the list is forgotten.
+        names = {one.name for one in mutations()}
+        known = {one["name"]: Outcome(**one) for one in entries if one["name"] in names}
     found = {
         one.name: known[one.name]
         for one in chosen
