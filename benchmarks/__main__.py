@@ -37,6 +37,7 @@ BENCHMARKS = {
     "localization": "known objects found and judged: recall, false accepts, errors, NEES, seconds",
     "asks": "what users ask most: each question with the command or call that answers it",
     "fuzz": "malformed files: refused by name, or their values in range",
+    "mutations": "bugs put into the package on purpose: does the suite notice each of them",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "editor": "the time from a click in the object-model editor to the drawn answer",
     "stages": "every stage timed beside OpenCV, in one run",
@@ -60,7 +61,10 @@ def main() -> int:
     )
     parser.add_argument("--beside", metavar="REV", help="startup: another revision in turn")
     parser.add_argument(
-        "--results", type=Path, metavar="FILE", help="localization: its records, to go on from"
+        "--results",
+        type=Path,
+        metavar="FILE",
+        help="localization, mutations: earlier records, to go on from",
     )
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
@@ -86,6 +90,7 @@ def _holds(name: str, arguments: argparse.Namespace) -> bool:
     options = {
         "startup": {"beside": arguments.beside},
         "localization": {"results": arguments.results},
+        "mutations": {"results": arguments.results},
     }
     begun = time.perf_counter()
     module = importlib.import_module(f"benchmarks.{name}")
