@@ -36,7 +36,7 @@ def test_poses_err_by_what_was_asked_for(tmp_path):
 
 def test_pictures_show_the_target_where_the_truth_says(tmp_path):
     noise = ("--position-noise", "0", "--angle-noise", "0")
-    run = simulated(tmp_path / "data", "--pictures", *noise)
+    run = simulated(tmp_path / "data", "--pictures", "--views", "3", *noise)
     assert run.exit_code == 0, run.output
     data = load_dataset(tmp_path / "data")
     truth = Calibration.load(tmp_path / "data" / "truth.yaml")
