@@ -1,12 +1,16 @@
 """Views of an arm whose joint errors are known: the editor takes the readings, not only poses."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smartview_jax import fit_joint
 from smartview_jax.editor import ModelSession
+from smartview_jax.engine import Observability, parameter_names
+from smartview_jax.joint import SavedEstimate
 from smartview_jax.modeling import triangulate_points
-from smartview_jax.robot_errors import JointOffsets
+from smartview_jax.robot_errors import JointOffsets, RobotError
 from smartview_jax.robots import Command
 from smartview_jax.simulation import six_axis_scene
 
@@ -16,22 +20,27 @@ VIEWS = 3
 
 @pytest.fixture(scope="module")
 def arm_scene():
-    return six_axis_scene(3, views=8, held_out_views=1).with_joint_readings
+    return six_axis_scene(3, views=VIEWS, held_out_views=1).with_joint_readings
 
 
 @pytest.fixture(scope="module")
 def fit(arm_scene):
-    field = JointOffsets(arm_scene.data.arm)
+    """A calibration of the arm's joints, as good as a fit to many views would be."""
+    arm = arm_scene.data.arm
+    offsets = RobotError(JointOffsets(arm), jnp.linspace(-2e-3, 3e-3, arm.joint_count))
+    calibration = dataclasses.replace(arm_scene.calibration, robot_error=offsets)
     held = ("robot_error.joint_offset.1", "robot_error.joint_offset.6")
-    return fit_joint(
-        arm_scene.data, arm_scene.calibration, noise="trusted", field=field, fixed=held
-    )
+    known = ("camera_from_tool.", "robot_error.")
+    names = [name for name in parameter_names(calibration) if name.startswith(known)]
+    names = tuple(name for name in names if name not in held)
+    root = 1e-4 * np.random.default_rng(0).normal(size=(len(names), 2 * len(names)))
+    determined = Observability(len(names), len(names), (), (), 1.0)
+    return SavedEstimate(calibration, root @ root.T, names, None, 0.1, determined)
 
 
 @pytest.fixture(scope="module")
 def command(arm_scene):
-    poses = type(arm_scene.data.base_from_tool)(arm_scene.data.base_from_tool.wxyz_xyz[:VIEWS])
-    return Command(poses, arm_scene.data.joints[:VIEWS])
+    return Command(arm_scene.data.base_from_tool, arm_scene.data.joints)
 
 
 @pytest.fixture(scope="module")
