@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from detected_sample import detected_sample
+from board_scene import board_folder
+from detected_sample import copied_views, detected_sample
 from main_job import main_job
 from typer.testing import CliRunner
 
@@ -17,7 +18,6 @@ from smartview_jax import Calibration
 from smartview_jax.cli import app
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.files import read_yaml
-from smartview_jax.io import sample_folder
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 RUNNER = CliRunner()
@@ -110,7 +110,7 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
 
 
 def three_views():
-    data = random_scene(0, 3, paper_points((0.0, 0.02))[::3]).data
+    data = random_scene(2, 3, paper_points((0.0, 0.02))[::2]).data
     return dataclasses.replace(data, notes=("the pattern looks the same in 2 orders",))
 
 
@@ -211,6 +211,7 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     monkeypatch.setattr("smartview_jax.calibration_pipeline.fit_staged", interrupted)
     run = RUNNER.invoke(app, ["calibrate", "--out", str(tmp_path / "out")])
     assert run.exit_code == 130
@@ -218,9 +219,8 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-def test_poses_the_wrong_way_round_are_named(tmp_path):
-    folder = tmp_path / "data"
-    shutil.copytree(sample_folder(), folder)
+def test_poses_the_wrong_way_round_are_named(tmp_path_factory, tmp_path):
+    folder = shutil.copytree(board_folder(tmp_path_factory), tmp_path / "data")
     text = (folder / "dataset.yaml").read_text()
     (folder / "dataset.yaml").write_text(text.replace("base_from_tool", "tool_from_base"))
     run = RUNNER.invoke(app, ["calibrate", str(folder), "--out", str(tmp_path / "out")])
@@ -230,8 +230,7 @@ def test_poses_the_wrong_way_round_are_named(tmp_path):
 
 
 def test_a_bad_view_is_an_error_or_masked_as_the_user_says(tmp_path, monkeypatch):
-    folder = tmp_path / "data"
-    shutil.copytree(sample_folder(), folder)
+    folder = copied_views(tmp_path / "data")
     (folder / "images/3.png").write_bytes(b"no picture")
     run = RUNNER.invoke(app, ["compare", str(folder)])
     assert run.exit_code == 2

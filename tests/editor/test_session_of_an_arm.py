@@ -5,30 +5,42 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxlie import SE3
 
+from smartview_jax import Calibration, Camera
+from smartview_jax.cameras import Radial
 from smartview_jax.editor import ModelSession
 from smartview_jax.engine import Observability, parameter_names
 from smartview_jax.joint import SavedEstimate
 from smartview_jax.modeling import triangulate_points
 from smartview_jax.robot_errors import JointOffsets, RobotError
-from smartview_jax.robots import Command
-from smartview_jax.simulation import six_axis_scene
+from smartview_jax.robots import Command, six_axes
 
 POINT = np.array([0.17, 0.12, 0.01])
 VIEWS = 3
 
 
-@pytest.fixture(scope="module")
-def arm_scene():
-    return six_axis_scene(3, views=VIEWS, held_out_views=1).with_joint_readings
+READINGS = np.array(
+    [
+        [0.040, -0.210, 0.690, -0.097, 1.059, -0.391],
+        [-0.173, -0.252, 0.608, 0.113, 1.138, -1.347],
+        [0.107, -0.079, 0.605, -0.028, 1.005, -2.937],
+    ]
+)
+"""Joint angles, rad, at which the camera sees what lies on the table before the arm."""
 
 
 @pytest.fixture(scope="module")
-def fit(arm_scene):
+def fit():
     """A calibration of the arm's joints, as good as a fit to many views would be."""
-    arm = arm_scene.data.arm
-    offsets = RobotError(JointOffsets(arm), jnp.linspace(-2e-3, 3e-3, arm.joint_count))
-    calibration = dataclasses.replace(arm_scene.calibration, robot_error=offsets)
+    camera = Camera(1056.0, 1056.0, 958.0, 587.0, Radial(0.1), (1920, 1200))
+    bare = Calibration.eye_in_hand(
+        camera,
+        SE3.exp(jnp.array([-0.02, 0.06, -0.09, 0.03, -0.05, 0.1])),
+        SE3.exp(jnp.array([0.55, -0.12, 0.05, 0.01, -0.02, 0.15])),
+    )
+    offsets = RobotError(JointOffsets(six_axes()), jnp.linspace(-2e-3, 3e-3, 6))
+    calibration = dataclasses.replace(bare, robot_error=offsets)
     held = ("robot_error.joint_offset.1", "robot_error.joint_offset.6")
     known = ("camera_from_tool.", "robot_error.")
     names = [name for name in parameter_names(calibration) if name.startswith(known)]
@@ -39,8 +51,8 @@ def fit(arm_scene):
 
 
 @pytest.fixture(scope="module")
-def command(arm_scene):
-    return Command(arm_scene.data.base_from_tool, arm_scene.data.joints)
+def command():
+    return six_axes().command(READINGS)
 
 
 @pytest.fixture(scope="module")
