@@ -10,8 +10,8 @@ from solids import box
 
 from smartview_jax.geometry import host_matrices, pose_codec
 from smartview_jax.io import read_viewpoints, save_object_model
-from smartview_jax.modeling import grasp_on_face
 from smartview_jax.joint import load_estimate
+from smartview_jax.modeling import grasp_on_face
 from smartview_jax.simulation import paper_calibration
 
 POSE = "0.02,-0.01,0.05,20,0,0"

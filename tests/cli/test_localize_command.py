@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from board_scene import run
 
-from smartview_jax.geometry import host_matrices
 from smartview_jax import localization
+from smartview_jax.geometry import host_matrices
 from smartview_jax.io import (
     load_object_views,
     object_sample_folder,

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from jaxlie import SE3
 from board_scene import BOARD, VIEWS, board_folder, run
+from jaxlie import SE3
 from moving_camera import circling_commands
 
 import smartview_jax as sv

@@ -8,7 +8,7 @@ from detected_sample import copied_views, detected_sample
 from shared_data import shared_data
 from text_files import edit
 
-from smartview_jax.io import import_correspondences, load_dataset, sample_folder, save_dataset
+from smartview_jax.io import import_correspondences, load_dataset, save_dataset
 
 
 @pytest.fixture
