@@ -70,7 +70,7 @@ RESULTS = {
 
 
 def _two_processes(folder):
-    """Run two processes of a user, the second of which uses more of the package's names."""
+    """Run two processes like a user's; the second one uses more of the package's names."""
     folder.mkdir()
     found = []
     for before in ("", "sv.fit_joint, sv.calibrate, sv.held_out"):

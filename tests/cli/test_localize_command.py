@@ -98,7 +98,7 @@ def test_a_found_object_is_said_shown_and_can_be_grasped(folder, search):
 
 
 def test_a_program_reads_that_the_other_model_is_not_there(folder, search, monkeypatch):
-    """Of a search for two models, as if the pose of the block had been refused for the slab."""
+    """As if both models had been searched for, and the block's pose refused for the slab."""
     (block,) = found = search[-1]
 
     def localize(_, command, __, models, **___):

@@ -46,6 +46,8 @@ def test_the_tip_is_on_the_point(tmp_path):
     stopped = world_from_base @ host_matrices(read_viewpoints(out).base_from_tool)
     before = (stopped @ np.append(TIP, 1.0))[:, :3] - point
     np.testing.assert_allclose(np.linalg.norm(before, axis=1), 5e-3, atol=1e-9)
+    # Above the point, not in it.
+    np.testing.assert_allclose(before[0], [0.0, 0.0, 5e-3], atol=1e-9)
 
 
 def test_what_to_expect_is_printed_before_anything_is_touched(fitted):

@@ -42,7 +42,7 @@ def poses():
 
 
 def drawn(outlines):
-    """A picture of dark circles, every pixel of which is the mean of 4 x 4 smaller ones."""
+    """A picture of dark circles, whose pixels are means of 4 x 4 smaller ones."""
     fine = np.full((4 * 480, 4 * 640), 230, np.uint8)
     for outline in outlines:
         # The middle of a pixel is at half of its width.
