@@ -92,7 +92,7 @@ def test_a_camera_that_stands_is_published_in_the_base(tmp_path):
 
 
 def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
-    """Three views are too few to be held out or to be given a field."""
+    """Three views are too few to be held out, and these do not ask for a field."""
     monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])

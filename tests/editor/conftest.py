@@ -20,9 +20,9 @@ def session(scene, tmp_path):
         yield opened
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def chromium():
-    """One browser for all tests; what each of them opens is apart from the others' in it."""
+    """One browser for a file's tests; what each of them opens is apart from the others' in it."""
     playwright, path = browser_or_skip()
     browser = Chromium(playwright, path)
     yield browser
@@ -30,18 +30,20 @@ def chromium():
     playwright.stop()
 
 
-@pytest.fixture(autouse=True, scope="session")
+_find, _found = picture_features.find_features, {}
+
+
+@functools.wraps(_find)
+def _find_once(picture, camera):
+    key = picture.shape, picture.tobytes(), float(camera.alpha_u), float(camera.u0)
+    if key not in _found:
+        _found[key] = _find(picture, camera)
+    return _found[key]
+
+
+@pytest.fixture(autouse=True, scope="module")
 def _features_are_found_once():
     """Many sessions show the same pictures, whose features are not what these tests are about."""
-    find, found = picture_features.find_features, {}
-
-    @functools.wraps(find)
-    def find_once(picture, camera):
-        key = picture.shape, picture.tobytes(), float(camera.alpha_u), float(camera.u0)
-        if key not in found:
-            found[key] = find(picture, camera)
-        return found[key]
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture_features, "find_features", find_once)
+        patch.setattr(picture_features, "find_features", _find_once)
         yield
