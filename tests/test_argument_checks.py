@@ -18,21 +18,24 @@ CASES = {
     "fit(fixed='camera')": "fixed: expected a list of names such as ['camera'], found 'camera'",
     "fit(free='target_scale')": "free: expected a list of names such as ['target_scale']",
     "sv.calibrate(np.zeros((20, 20)))": "data: expected Dataset, found one of type ndarray",
-    "sv.calibrate(scene.data, camera=np.eye(3))": "camera: expected Camera, found",
-    "sv.fit_joint(scene.calibration, scene.data)": "data: expected Dataset, found",
-    "sv.fit_joint(scene.data, fit())": "start: expected Calibration, found",
+    "sv.calibrate(data, camera=np.eye(3))": "camera: expected Camera, found",
+    "sv.fit_joint(calibration, data)": "data: expected Dataset, found",
+    "sv.fit_joint(data, calibration.camera)": "start: expected Calibration, found",
 }
 
 SCRIPT = """
 import json, sys
 import numpy as np
 import smartview_jax as sv
-from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.simulation import paper_calibration, paper_points
 
-scene = random_scene(0, 5, paper_points((0.0, 0.02))[::6])
+# Arguments are looked at before the data are: nothing is computed.
+calibration, points = paper_calibration(), paper_points((0.0,))
+poses = np.tile(np.eye(4), (5, 1, 1))
+data = sv.Dataset.from_arrays(points, np.full((5, len(points), 2), 9.0), poses, (640, 480))
 
 def fit(**options):
-    return sv.fit_joint(scene.data, scene.calibration, noise="trusted", **options)
+    return sv.fit_joint(data, calibration, noise="trusted", **options)
 
 said = {}
 for case in json.loads(sys.argv[1]):

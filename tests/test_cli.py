@@ -9,13 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
+from board_scene import board_folder
+from detected_sample import copied_views, detected_sample
+from main_job import main_job
 from typer.testing import CliRunner
 
 from smartview_jax import Calibration
 from smartview_jax.cli import app
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.files import read_yaml
-from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
 RUNNER = CliRunner()
@@ -26,18 +28,16 @@ LOAD = "smartview_jax.cli.calibrate.load_named"
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """The main job on the sample, once for all tests here."""
-    out = tmp_path_factory.mktemp("result")
-    return RUNNER.invoke(app, ["calibrate", "--out", str(out)]), out
+    """The main job on the sample, once for all tests."""
+    return main_job(tmp_path_factory)
 
 
 def test_the_main_job_prints_the_table(result):
-    run, _ = result
-    assert run.exit_code == 0, run.output
-    text = run.output
+    assert result.exit_code == 0, result.stderr
+    text = result.stdout + result.stderr
     for words in ("staged", "joint", "correction", "held-out", "rejected", "errors of the robot"):
         assert words in text
-    held_out = re.search(r"held-out error,[^│]*│\s*([\d.]+) px\s*│\s*([\d.]+) px", run.stdout)
+    held_out = re.search(r"held-out error,[^│]*│\s*([\d.]+) px\s*│\s*([\d.]+) px", result.stdout)
     assert held_out is not None
     staged, joint = map(float, held_out.groups())
     assert joint == pytest.approx(0.90, abs=0.05)
@@ -45,25 +45,22 @@ def test_the_main_job_prints_the_table(result):
 
 
 def test_it_says_what_it_is_doing(result):
-    run, _ = result
     for words in ("view 0 (1 of 15)", "Step 1", "Step 2", "Step 3", "joint fit", "fold 5 of 5"):
-        assert words in run.stderr
+        assert words in result.stderr
 
 
 def test_the_calibration_file_is_the_result(result):
-    _, out = result
-    calibration = Calibration.load(out / "calibration.yaml")
+    calibration = Calibration.load(result.out / "calibration.yaml")
     assert float(calibration.camera.alpha_u) == pytest.approx(533.1, abs=1.0)
     assert np.isfinite(np.asarray(calibration.camera_from_tool.wxyz_xyz)).all()
 
 
 def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result):
     """By the pixels it was fitted to it is the better one without the correction."""
-    run, out = result
-    assert "calibration_uncorrected.yaml" in run.output
+    out, data = result.out, detected_sample()
+    assert "calibration_uncorrected.yaml" in result.stdout
     bare = Calibration.load(out / "calibration_uncorrected.yaml")
     assert bare.robot_error is None
-    data = load_dataset(sample_folder(), keep_detections=False)
     best = reprojection_errors(bare, data).rms
     assert best == pytest.approx(0.77, abs=0.05)
     assert (
@@ -77,8 +74,8 @@ def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result)
 
 def test_what_speaks_against_the_answer_is_said_everywhere(result):
     """The board of the sample is 2 % smaller than it is said to be: terminal, file and report."""
-    run, out = result
-    said = " ".join(run.stdout.split())
+    out = result.out
+    said = " ".join(result.stdout.split())
     assert re.search(r"warning: the target is 0\.97\d\d \+- 0\.0\d+ of its stated size", said)
     kept = yaml.safe_load((out / "calibration.yaml").read_text())["warnings"]
     assert any("measure it" in words for words in kept)
@@ -95,7 +92,7 @@ def test_a_camera_that_stands_is_published_in_the_base(tmp_path):
 
 
 def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
-    """Three views are too few to be held out or to be given a field."""
+    """Three views are too few to be held out, and these do not ask for a field."""
     monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])
@@ -113,7 +110,7 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
 
 
 def three_views():
-    data = random_scene(0, 3, paper_points((0.0, 0.02))[::3]).data
+    data = random_scene(2, 3, paper_points((0.0, 0.02))[::2]).data
     return dataclasses.replace(data, notes=("the pattern looks the same in 2 orders",))
 
 
@@ -127,14 +124,13 @@ def three_views():
     ],
 )
 def test_the_calibration_is_exported(result, to, words):
-    _, out = result
-    run = RUNNER.invoke(app, ["export", str(out / "calibration.yaml"), "--to", to])
+    run = RUNNER.invoke(app, ["export", str(result.out / "calibration.yaml"), "--to", to])
     assert run.exit_code == 0, run.output
     assert words in run.stdout
 
 
 def test_the_report_is_one_page_that_fetches_nothing(result):
-    _, out = result
+    out = result.out
     page = (out / "report.html").read_text()
     # The one program in it draws the scene of the cameras, and is in the page itself.
     drawn_by, written = re.subn(r"<script>.*?</script>", "", page, flags=re.DOTALL)
@@ -152,7 +148,7 @@ def test_the_report_is_one_page_that_fetches_nothing(result):
 
 
 def test_all_files_of_a_run_carry_its_name(result):
-    _, out = result
+    out = result.out
     names = {read_yaml(path)["run"] for path in out.glob("*.yaml")}
     (name,) = names
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:]{8}Z-[0-9a-f]{6}", name)
@@ -193,7 +189,7 @@ def test_a_report_that_fails_leaves_the_last_runs_files(tmp_path, monkeypatch):
         assert path.read_text() == "from an earlier run"
 
 
-def test_names_from_the_data_are_escaped(result, tmp_path, monkeypatch):
+def test_names_from_the_data_are_escaped(monkeypatch):
     from smartview_jax.report import page
 
     rows = page.tables.rejections
@@ -215,6 +211,7 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
+    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     monkeypatch.setattr("smartview_jax.calibration_pipeline.fit_staged", interrupted)
     run = RUNNER.invoke(app, ["calibrate", "--out", str(tmp_path / "out")])
     assert run.exit_code == 130
@@ -222,9 +219,8 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-def test_poses_the_wrong_way_round_are_named(tmp_path):
-    folder = tmp_path / "data"
-    shutil.copytree(sample_folder(), folder)
+def test_poses_the_wrong_way_round_are_named(tmp_path_factory, tmp_path):
+    folder = shutil.copytree(board_folder(tmp_path_factory), tmp_path / "data")
     text = (folder / "dataset.yaml").read_text()
     (folder / "dataset.yaml").write_text(text.replace("base_from_tool", "tool_from_base"))
     run = RUNNER.invoke(app, ["calibrate", str(folder), "--out", str(tmp_path / "out")])
@@ -234,8 +230,7 @@ def test_poses_the_wrong_way_round_are_named(tmp_path):
 
 
 def test_a_bad_view_is_an_error_or_masked_as_the_user_says(tmp_path, monkeypatch):
-    folder = tmp_path / "data"
-    shutil.copytree(sample_folder(), folder)
+    folder = copied_views(tmp_path / "data")
     (folder / "images/3.png").write_bytes(b"no picture")
     run = RUNNER.invoke(app, ["compare", str(folder)])
     assert run.exit_code == 2
@@ -289,7 +284,7 @@ def test_a_viewpoint_of_the_sample_is_on_the_side_that_was_seen(result, tmp_path
     """Its frame has z into the board, which lies on a table: the tool stays over it."""
     from smartview_jax.io import read_viewpoints
 
-    _, folder = result
+    folder = result.out
     for name in ("calibration", "calibration_staged", "calibration_uncorrected"):
         out = tmp_path / f"{name}.json"
         told = ["viewpoint", str(folder / f"{name}.yaml"), "--five", "--out", str(out)]
@@ -307,7 +302,7 @@ def test_a_viewpoint_of_the_sample_is_on_the_side_that_was_seen(result, tmp_path
     ],
 )
 def test_a_viewpoint_that_could_break_something_is_refused(result, tmp_path, options, reason):
-    _, folder = result
+    folder = result.out
     out = tmp_path / "v.val"
     given = ["viewpoint", str(folder / "calibration.yaml"), "--out", str(out), *options]
     run = RUNNER.invoke(app, given)

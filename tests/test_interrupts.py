@@ -4,6 +4,7 @@ import sys
 import time
 
 import pytest
+from board_scene import board_folder
 
 ANSWER = 2.0
 """Promised, s; a machine that does other things besides is given as much again and more."""
@@ -56,10 +57,11 @@ def test_a_library_that_does_not_listen_is_left(tmp_path):
 
 
 @pytest.mark.parametrize(("word", "wait"), [(b"view 3 ", 0.0), (b"Step 2", 0.3)])
-def test_a_calibration_ends_with_a_line_of_words(tmp_path, word, wait):
-    """While circles are looked for, and while programs are compiled."""
+def test_a_calibration_ends_with_a_line_of_words(tmp_path_factory, tmp_path, word, wait):
+    """While circles of the sample are looked for, and while programs are compiled."""
+    data = [] if wait == 0.0 else [str(board_folder(tmp_path_factory))]
     out = tmp_path / "out"
-    code, took, said = interrupted(CALIBRATE, ["calibrate", "--out", str(out)], word, wait)
+    code, took, said = interrupted(CALIBRATE, ["calibrate", *data, "--out", str(out)], word, wait)
     assert code == 130, said
     assert took < 2.0 * ANSWER
     assert said.count("interrupted; no file is left half-written") == 1

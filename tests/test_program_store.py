@@ -1,5 +1,6 @@
 """Programs are read without being traced, and only where they are the same programs."""
 
+import json
 import os
 import pickle
 import subprocess
@@ -8,86 +9,122 @@ import sys
 import jax
 import numpy as np
 import pytest
+from main_job import user_environment
+from once_a_run import made_once
 
 from smartview_jax import program_store
-from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.cameras import Camera, Pinhole, radial
 from smartview_jax.program_identity import constants, known_name, pickled_if_known, unpickled
 from smartview_jax.program_store import ProgramStore
 
-PROGRAM = """
-import jax, numpy as np
+PROCESS = """
+import json
+import jax, jax.numpy as jnp, numpy as np
 import smartview_jax as sv
+from smartview_jax.compilation import compiled
 from smartview_jax.geometry import host_transforms
 {before}
-events = []
-jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: events.append(event))
-camera = sv.Camera(500.0, 510.0, 320.0, 240.0, {lens}, (640, 480))
-here = host_transforms(np.eye(4))
-calibration = sv.Calibration(camera, here, here, "eye_in_hand")
-pixels, _ = calibration.project(here, np.array([[0.1, 0.2, 2.0], [0.0, 0.0, 1.0]]))
-ends = "program_read", "backend_compile_duration"
-counts = [sum(event.endswith(end) for event in events) for end in ends]
-print(*counts, *np.asarray(pixels).ravel())
+timed, hits = [], []
+jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: timed.append(event))
+jax.monitoring.register_event_listener(lambda event, **_: hits.append(event))
+
+def result_and_counts(function):
+    timed.clear()
+    hits.clear()
+    result = np.asarray(function()).ravel().tolist()
+    ends = "program_read", "backend_compile_duration"
+    counts = [sum(event.endswith(end) for event in timed) for end in ends]
+    return result, *counts, hits.count("/jax/compilation_cache/cache_hits")
+
+def factor(x):
+    return jnp.linalg.cholesky(x)
+
+factor.__module__ = "smartview_jax.made_up"
+
+class Mine(sv.cameras.Radial):
+    pass
+
+def projected(lens):
+    camera = sv.Camera(500.0, 510.0, 320.0, 240.0, lens, (640, 480))
+    here = host_transforms(np.eye(4))
+    calibration = sv.Calibration(camera, here, here, "eye_in_hand")
+    return calibration.project(here, np.array([[0.1, 0.2, 2.0], [0.0, 0.0, 1.0]]))[0]
+
+print(json.dumps(dict(
+    linear_algebra=result_and_counts(lambda: compiled(factor)(np.diag([4.0, 9.0]))),
+    known=result_and_counts(lambda: projected(sv.cameras.Radial(0.0))),
+    own=result_and_counts(lambda: projected(Mine(0.0))),
+    script=result_and_counts(lambda: compiled(lambda x: x * 2.0 + 1.0)(np.arange(3.0))),
+)))
 """
 
 CAMERA = Camera(500.0, 510.0, 320.0, 240.0, Pinhole(), (640, 480))
 
-PIXELS = [345.0, 291.0, 320.0, 240.0]
+RESULTS = {
+    "linear_algebra": [2.0, 0.0, 0.0, 3.0],
+    "known": [345.0, 291.0, 320.0, 240.0],
+    "own": [345.0, 291.0, 320.0, 240.0],
+    "script": [1.0, 3.0, 5.0],
+}
+"""What a process computes, whether it compiles its programs or reads them."""
 
 
-def output_of(folder, script):
-    """What a process of a user of its own prints."""
-    given = ("JAX", "XLA")
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(given)}
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        env=environment | {"XDG_CACHE_HOME": str(folder)},
-        capture_output=True,
-        text=True,
+def _two_processes(folder):
+    """Run two processes like a user's; the second one uses more of the package's names."""
+    folder.mkdir()
+    found = []
+    for before in ("", "sv.fit_joint, sv.calibrate, sv.held_out"):
+        done = subprocess.run(
+            [sys.executable, "-c", PROCESS.format(before=before)],
+            env=user_environment(XDG_CACHE_HOME=str(folder)),
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        files = (folder / "smartview_jax").iterdir()
+        times = {file.name: file.stat().st_mtime_ns for file in files}
+        found.append([json.loads(done.stdout), done.stderr, times])
+    (folder / "found.json").write_text(json.dumps(found))
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory):
+    """Results of either process with numbers of programs read and compiled, stderr and files."""
+    return json.loads(
+        (made_once(tmp_path_factory, "two_processes", _two_processes) / "found.json").read_text()
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
-def run(folder, before="", lens="sv.cameras.Radial(0.0)"):
-    """Numbers of programs that such a process reads, and compiles, to project two points."""
-    printed = output_of(folder, PROGRAM.format(before=before, lens=lens))
-    read, compiled, *pixels = printed.split()
-    np.testing.assert_allclose(np.array(pixels, float), PIXELS, rtol=1e-12)
-    return int(read), int(compiled)
+def test_programs_that_are_read_compute_what_the_compiled_ones_did(processes):
+    """Linear algebra, too: JAX finds LAPACK when it lowers a call of it, which reading does not."""
+    for said, _, _ in processes:
+        for name, expected in RESULTS.items():
+            np.testing.assert_allclose(said[name][0], expected, rtol=1e-12)
 
 
-def test_a_second_process_compiles_nothing_that_the_first_kept(tmp_path):
-    assert run(tmp_path) == (0, 1)
-    assert run(tmp_path) == (1, 0)
+def test_a_second_process_compiles_nothing_that_the_first_kept(processes):
+    for name in ("linear_algebra", "known"):
+        counts = [said[name][1:3] for said, _, _ in processes]
+        assert counts == [[0, 1], [1, 0]], name
 
 
-def test_which_public_names_were_used_does_not_matter(tmp_path):
-    run(tmp_path)
-    (trace,) = (tmp_path / "smartview_jax").glob("*-trace")
-    before = trace.stat().st_mtime_ns
-    run(tmp_path, "sv.fit_joint, sv.calibrate, sv.held_out")
-    assert trace.stat().st_mtime_ns == before, "it was traced again"
+def test_a_second_process_traces_nothing_again_whatever_names_were_used(processes):
+    (_, _, before), (_, _, after) = processes
+    traces = [name for name in before if name.endswith("-trace")]
+    assert len(traces) == 2
+    assert all(after[name] == before[name] for name in traces)
 
 
-def test_a_process_with_other_constants_has_other_programs(tmp_path):
-    changed = "import smartview_jax.cameras.radial as radial; radial._FOLD_STRENGTH *= 1.5"
-    assert run(tmp_path) == (0, 1)
-    assert run(tmp_path, changed) == (0, 1)
-    assert run(tmp_path) == (1, 0), "the text is that of the first again"
+def test_what_holds_a_class_of_the_user_is_traced_by_every_process(processes):
+    assert [said["own"][1] for said, _, _ in processes] == [0, 0]
 
 
-def test_what_holds_a_class_of_the_user_is_traced_by_every_process(tmp_path):
-    own = "class Mine(sv.cameras.Radial): pass"
-    assert [run(tmp_path, own, "Mine(0.0)")[0] for _ in range(2)] == [0, 0]
-
-
-@pytest.mark.parametrize("suffix", ["-trace", "-program"])
-def test_a_broken_file_is_no_error(tmp_path, suffix):
-    run(tmp_path)
-    (file,) = (tmp_path / "smartview_jax").glob(f"*{suffix}")
-    file.write_bytes(file.read_bytes()[:100])
-    run(tmp_path)
+def test_a_function_of_a_script_is_in_jaxs_own_cache(processes):
+    """Though it takes a hundredth of a second to compile; and nothing is said of it."""
+    assert [said["script"][3] for said, _, _ in processes] == [0, 1]
+    _, stderr, files = processes[0]
+    assert any(name.endswith("-cache") for name in files)
+    assert not stderr
 
 
 class Calls:
@@ -181,19 +218,33 @@ def test_a_program_that_calls_python_stays_in_its_process(store, tmp_path):
     assert not list(tmp_path.glob("*-trace")) + list(tmp_path.glob("*-program"))
 
 
-LINEAR_ALGEBRA = """
-import jax.numpy as jnp, numpy as np
-from smartview_jax.compilation import compiled
-def factor(x): return jnp.linalg.cholesky(x)
-factor.__module__ = "smartview_jax.made_up"
-print(*np.diag(compiled(factor)(np.diag([4.0, 9.0]))))
-"""
+def test_a_process_with_other_constants_has_other_programs(store, tmp_path, monkeypatch):
+    def folded(x):
+        return radial._FOLD_STRENGTH * x
+
+    def found():
+        program, arrays = store(folded).find((np.ones(1),), {})
+        return program(arrays)[0]
+
+    as_it_is = radial._FOLD_STRENGTH
+    assert found() == as_it_is
+    monkeypatch.setattr(radial, "_FOLD_STRENGTH", 1.5 * as_it_is)
+    assert found() == 1.5 * as_it_is
+    monkeypatch.setattr(radial, "_FOLD_STRENGTH", as_it_is)
+    assert found() == as_it_is
+    assert len(list(tmp_path.glob("*-program"))) == 2, "the text is that of the first again"
 
 
-def test_linear_algebra_is_there_for_a_program_that_is_read(tmp_path):
-    """JAX finds LAPACK when it lowers a call of it, which the second process does not."""
-    assert [output_of(tmp_path, LINEAR_ALGEBRA) for _ in range(2)] == ["2.0 3.0\n"] * 2
-    assert len(list((tmp_path / "smartview_jax").glob("*-program"))) == 1
+@pytest.mark.parametrize("suffix", ["-trace", "-program"])
+def test_a_broken_file_is_no_error(store, tmp_path, suffix):
+    def doubled(x):
+        return 2.0 * x
+
+    for _ in range(3):
+        program, arrays = store(doubled).find((np.ones(2),), {})
+        np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
+        (file,) = tmp_path.glob(f"*{suffix}")
+        file.write_bytes(file.read_bytes()[:100])
 
 
 def test_equal_things_are_written_alike():

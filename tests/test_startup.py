@@ -1,61 +1,58 @@
 """What is imported, and when: the command and the package start without JAX."""
 
 import importlib
-import os
 import subprocess
 import sys
 
 import pytest
+from main_job import main_job, user_environment
 
 import smartview_jax as sv
 
 SLOW = {"jax", "matplotlib", "cv2", "scipy"}
 """Packages that take a tenth of a second or more to import; typer itself may import pydantic."""
 
-CACHE_SETTINGS = {
-    "JAX_COMPILATION_CACHE_DIR",
-    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
-    "JAX_DISABLE_MOST_OPTIMIZATIONS",
+COMMANDS = {
+    "--help": (0, "Calibrate cameras on robot arms"),
+    "calibrate --help": (0, "calibration.yaml"),
+    "--version": (0, sv.__version__),
+    "calibrate --lenz weng": (2, "No such option"),
+    "calibrat": (2, "No such command"),
 }
-"""Where these tests keep their programs, and which: with other optimisation they are others."""
+"""What needs no data, with its exit code and what it says."""
 
-COMMAND = """
-import atexit, sys
-atexit.register(lambda: print(*(set({slow}) & set(sys.modules)), file=sys.stderr))
+START = """
+import sys
+slow = set(sys.argv[1].split())
+import smartview_jax
+print(slow & set(sys.modules))
 from smartview_jax.cli import app
-app({words})
+for words in sys.argv[2:]:
+    print("next:", words)
+    try:
+        app(words.split())
+    except SystemExit as ended:
+        print("code", ended.code, slow & set(sys.modules))
 """
 
 
-def run(code, **settings):
-    # A user's process, without this one's settings of JAX.
-    environment = {name: value for name, value in os.environ.items() if "JAX" not in name}
-    environment |= settings
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment
+def run(code, *arguments):
+    words = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(words, text=True, env=user_environment(), capture_output=True)
+
+
+def test_the_package_and_what_needs_no_data_load_nothing_slow():
+    words = [sys.executable, "-u", "-c", START, " ".join(SLOW), *COMMANDS]
+    done = subprocess.run(
+        words, text=True, env=user_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        (["--help"], 0, "Calibrate cameras on robot arms"),
-        (["calibrate", "--help"], 0, "calibration.yaml"),
-        (["--version"], 0, sv.__version__),
-        (["calibrate", "--lenz", "weng"], 2, "No such option"),
-        (["calibrat"], 2, "No such command"),
-    ],
-)
-def test_what_needs_no_data_loads_nothing_slow(words, code, said):
-    done = run(COMMAND.format(slow=SLOW, words=words))
-    assert done.returncode == code, done.stderr
-    assert said in done.stdout + done.stderr
-    assert done.stderr.splitlines()[-1] == ""
-
-
-def test_the_package_alone_loads_nothing_slow():
-    done = run(f"import sys, smartview_jax\nprint(set({SLOW}) & set(sys.modules))")
-    assert done.stdout == "set()\n"
+    package, *commands = done.stdout.split("next: ")
+    assert package == "set()\n"
+    assert len(commands) == len(COMMANDS)
+    for text, (words, (code, said)) in zip(commands, COMMANDS.items(), strict=True):
+        assert text.startswith(f"{words}\n")
+        assert said in text.partition("\n")[2]
+        assert text.endswith(f"code {code} set()\n"), text
 
 
 def test_every_public_name_is_listed_and_there():
@@ -74,65 +71,40 @@ def test_a_public_name_is_that_of_its_room():
     assert sv.held_out is importlib.import_module("smartview_jax.evaluation").held_out
 
 
-MADE_64_BIT = "assert jnp.zeros(1).dtype == 'float64'"
+IMPORTS = """
+import logging, os
+import {first}
+import jax.numpy as jnp
+import {then}
+assert jnp.zeros(1).dtype == "float64"
+# Programs that are started from this one do not inherit it.
+assert not [name for name in os.environ if "JAX" in name]
+# Importing configures no logger: that is for the program to do.
+own = logging.getLogger("smartview_jax")
+assert (own.handlers, own.level, logging.getLogger().handlers) == ([], 0, [])
+"""
 
 
 @pytest.mark.parametrize(
-    "first",
+    ("first", "then"),
     [
-        "import smartview_jax, jax.numpy as jnp",
-        "import jax.numpy as jnp, smartview_jax",
-        "import smartview_jax, equinox, jax.numpy as jnp",
-        "from smartview_jax.cameras import Camera; import jax.numpy as jnp",
-        "import smartview_jax.engine, jax.numpy as jnp",
+        ("smartview_jax", "equinox, smartview_jax.cli"),
+        ("jax", "smartview_jax"),
+        ("smartview_jax.joint", "smartview_jax.io"),
     ],
 )
-def test_every_array_of_the_user_has_64_bits(first):
-    done = run(f"{first}\n{MADE_64_BIT}")
+def test_every_array_of_the_user_has_64_bits(first, then):
+    done = run(IMPORTS.format(first=first, then=then))
     assert done.returncode == 0, done.stderr
 
 
-def test_other_programs_do_not_inherit_the_64_bits():
-    child = "import jax.numpy as jnp; raise SystemExit(jnp.zeros(1).dtype == 'float64')"
-    start = f"subprocess.run([sys.executable, '-c', {child!r}]).returncode"
-    assert run(f"import subprocess, sys, smartview_jax\nsys.exit({start})").returncode == 0
-
-
-def test_a_default_calibration_has_few_programs_to_compile(tmp_path):
+def test_a_default_calibration_has_few_programs_to_compile(tmp_path_factory):
     """A count, not a time: every program costs a newcomer a part of the first answer's seconds.
 
-    Programs that other tests compiled are read, which counts as building them, too.
+    Programs that other tests compiled are read, which counts as building them, too. The folds have
+    fewer views than the whole, and are padded to the same size: each is fitted by the same
+    programs.
     """
-    done = run(
-        f"""
-import jax, smartview_jax as sv
-from smartview_jax.cli import app
-from smartview_jax.io import sample_folder
-built = []
-jax.monitoring.register_event_duration_secs_listener(
-    lambda event, *_, **__: built.append(event)
-    if event.endswith(("backend_compile_duration", "program_read"))
-    else 0
-)
-data = sv.load_dataset(sample_folder())
-assert not built, "reading the data compiles nothing"
-fit = sv.calibrate(data)
-first = len(built)
-assert fit.result.converged
-sv.calibrate(data)
-again = len(built) - first
-sv.calibrate(data.select(range(13)))
-fewer_views = len(built) - first - again
-before = len(built)
-app(["calibrate", "--out", {str(tmp_path / "out")!r}], standalone_mode=False)
-print(first, again, fewer_views, len(built) - before)
-""",
-        **{name: value for name, value in os.environ.items() if name in CACHE_SETTINGS},
-    )
-    assert done.returncode == 0, done.stderr
-    first, again, fewer_views, folds_and_report = map(int, done.stdout.splitlines()[-1].split())
-    assert 10 < first <= 18, first
-    assert again == 0
-    # Padded to the same size; the error field that is chosen may be another.
-    assert fewer_views <= 2, fewer_views
-    assert folds_and_report <= 4, folds_and_report
+    programs = main_job(tmp_path_factory).programs
+    assert programs["loading"] == 0, "reading the data compiles nothing"
+    assert 10 < programs["all"] <= 22, programs

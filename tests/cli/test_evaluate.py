@@ -3,90 +3,97 @@
 import dataclasses
 
 import pytest
-from typer.testing import CliRunner
+from board_scene import BOARD, VIEWS, calibrated_board, run
+from jaxlie import SE3
 
-from smartview_jax import Calibration, fit_joint
-from smartview_jax.cli import app
+from smartview_jax import Calibration
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.io import save_dataset
-from smartview_jax.simulation import random_scene
-from smartview_jax.targets import Chessboard
-
-BOARD = Chessboard(9, 6, 0.004)
+from smartview_jax.simulation import random_scene, simulate
 
 
 @pytest.fixture(scope="module")
-def scene():
-    return random_scene(1, 16, BOARD.points, translation_noise=1e-4)
+def board(tmp_path_factory):
+    return calibrated_board(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
-def folder(scene, tmp_path_factory):
-    """Eight views to calibrate with, saved as a calibration, and eight others as a data set."""
-    path = tmp_path_factory.mktemp("evaluate")
-    fit = fit_joint(scene.data.select(range(8)), scene.calibration, field=None)
-    fit.save(path / "calibration.yaml")
-    unseen = dataclasses.replace(scene.data.select(range(8, 16)), target=BOARD)
-    save_dataset(unseen, path / "unseen")
+def truth(board):
+    return Calibration.load(board.data / "truth.yaml")
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """Of pictures that the calibration was not fitted to."""
+    return random_scene(1, VIEWS, BOARD.points).base_from_tool
+
+
+def unseen(truth, poses):
+    noise = {"translation_noise": 1e-4, "rotation_noise": 1.7e-4}
+    data = simulate(truth, poses, BOARD.points, seed=3, **noise).data
+    return dataclasses.replace(data, target=BOARD)
+
+
+@pytest.fixture(scope="module")
+def data(truth, poses):
+    return unseen(truth, poses)
+
+
+@pytest.fixture(scope="module")
+def folder(data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("evaluate") / "unseen"
+    save_dataset(data, path)
     return path
 
 
-def evaluated(folder, *options):
-    words = ["evaluate", str(folder / "calibration.yaml"), str(folder / "unseen"), *options]
-    return CliRunner().invoke(app, words)
+@pytest.fixture(scope="module")
+def evaluated(board, folder, tmp_path_factory):
+    """The result of one run with all options, and its page."""
+    page = tmp_path_factory.mktemp("evaluate") / "page.html"
+    options = ("--beside", board.data / "truth.yaml", "--out", page)
+    ended = run("evaluate", board.calibration, folder, *options)
+    assert ended.exit_code == 0, ended.output
+    return ended.output, page.read_text()
 
 
-def test_the_errors_are_those_of_the_library(folder, scene):
-    calibration = Calibration.load(folder / "calibration.yaml")
-    errors = reprojection_errors(calibration, scene.data.select(range(8, 16)))
-    run = evaluated(folder)
-    assert run.exit_code == 0, run.output
-    assert f"{errors.mean:.2f} +- {errors.std:.2f} px" in run.output
-    assert f"{errors.rms:.2f} px RMS, {errors.rms_mm:.2f} mm at the target" in run.output
-    assert "432, 8" in run.output
+def test_the_errors_are_those_of_the_library(board, evaluated, data):
+    output, _ = evaluated
+    errors = reprojection_errors(Calibration.load(board.calibration), data)
+    assert f"{errors.mean:.2f} +- {errors.std:.2f} px" in output
+    assert f"{errors.rms:.2f} px RMS, {errors.rms_mm:.2f} mm at the target" in output
+    assert "432, 8" in output
 
 
-def test_the_calibration_says_what_it_expected(folder):
-    line = next(x for x in evaluated(folder).output.splitlines() if "1 is honest" in x)
-    assert 0.5 < float(line.split()[-1]) < 2.0
+def test_two_calibrations_stand_side_by_side(evaluated):
+    """The first one says what error it expected; the truth says nothing of its own."""
+    lines = evaluated[0].splitlines()
+    assert lines[0].split() == ["calibration", "truth"]
+    found, _ = next(x for x in lines if "1 is honest" in x).split()[-2:]
+    assert 0.5 < float(found) < 2.0
 
 
-def test_two_calibrations_stand_side_by_side(folder, scene):
-    scene.calibration.save(folder / "truth.yaml")
-    run = evaluated(folder, "--beside", str(folder / "truth.yaml"))
-    assert run.exit_code == 0, run.output
-    assert run.output.splitlines()[0].split() == ["calibration", "truth"]
-
-
-def test_a_target_that_was_moved_is_found_anew(folder, scene, tmp_path):
-    data = scene.data.select(range(8, 16))
-    moved = scene.calibration.base_from_world.wxyz_xyz.at[4].add(0.01)
-    there = dataclasses.replace(
-        scene.calibration, holder_from_world=type(scene.calibration.base_from_world)(moved)
-    )
-    pixels = there.project(data.base_from_tool, data.points)[0]
-    shifted = dataclasses.replace(data, pixels=pixels, target=BOARD)
-    save_dataset(shifted, tmp_path / "moved")
-    words = ["evaluate", str(folder / "calibration.yaml"), str(tmp_path / "moved")]
-    assert _rms(CliRunner().invoke(app, words)) > 20.0
-    assert _rms(CliRunner().invoke(app, [*words, "--moved"])) < 3.0
-
-
-def test_the_page_has_the_figures(folder, tmp_path):
-    run = evaluated(folder, "--out", str(tmp_path / "page.html"))
-    assert run.exit_code == 0, run.output
-    page = (tmp_path / "page.html").read_text()
+def test_the_page_has_the_figures(evaluated):
+    _, page = evaluated
     assert page.count("<img src=") == 2
     assert "Fig. 7" in page
 
 
+def test_a_target_that_was_moved_is_found_again(board, truth, poses, tmp_path):
+    moved = truth.base_from_world.wxyz_xyz.at[4].add(0.01)
+    there = dataclasses.replace(truth, holder_from_world=SE3(moved))
+    save_dataset(unseen(there, poses), tmp_path / "moved")
+    words = ("evaluate", board.calibration, tmp_path / "moved")
+    assert _rms(run(*words)) > 20.0
+    assert _rms(run(*words, "--moved")) < 3.0
+
+
 def test_a_missing_file_is_named(folder):
-    run = CliRunner().invoke(app, ["evaluate", "nowhere.yaml", str(folder / "unseen")])
-    assert run.exit_code == 2
-    assert "nowhere.yaml" in run.output
+    ended = run("evaluate", "nowhere.yaml", folder)
+    assert ended.exit_code == 2
+    assert "nowhere.yaml" in ended.output
 
 
-def _rms(run):
-    assert run.exit_code == 0, run.output
-    line = next(x for x in run.output.splitlines() if x.startswith("RMS"))
+def _rms(ended):
+    assert ended.exit_code == 0, ended.output
+    line = next(x for x in ended.output.splitlines() if x.startswith("RMS"))
     return float(line.split()[-2])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import typer
-from typer.testing import CliRunner
+from board_scene import board_folder, run
 
 from smartview_jax import fit_staged
 from smartview_jax.cli import app
@@ -79,8 +79,7 @@ def verbs():
 def folder(tmp_path_factory):
     """A data set, the same with inverted poses, and pictures of an object."""
     path = tmp_path_factory.mktemp("verbs")
-    run = CliRunner().invoke(app, ["simulate", str(path / "data"), "--views", "5"])
-    assert run.exit_code == 0, run.output
+    shutil.copytree(board_folder(tmp_path_factory), path / "data")
     shutil.copytree(path / "data", path / "inverted")
     description = path / "inverted" / "dataset.yaml"
     description.write_text(description.read_text().replace("base_from_tool", "tool_from_base"))
@@ -124,12 +123,12 @@ def test_words_and_exit_code(folder, short_work, tmp_path, monkeypatch, case):
         # A copy for each case: some of them write beside what they read.
         shutil.copytree(folder / part, tmp_path / part)
     monkeypatch.chdir(tmp_path)
-    run = CliRunner().invoke(app, [case.verb, *case.words.split()])
-    assert run.exit_code == case.code, run.output
+    ended = run(case.verb, *case.words.split())
+    assert ended.exit_code == case.code, ended.output
     # Only what a user has to correct is said on stderr; an answer of "no" is an answer.
-    said = run.stderr if case.code == 2 else run.stdout
+    said = ended.stderr if case.code == 2 else ended.stdout
     assert case.said in said.replace("\n", " ")
-    assert "Traceback" not in run.output
+    assert "Traceback" not in ended.output
     assert (Path("mine").exists()) == (case.verb == "new" and case.code == 0)
 
 
@@ -141,7 +140,7 @@ def test_no_verb_is_without_a_good_and_a_bad_case():
 
 
 def test_help_names_every_verb():
-    run = CliRunner().invoke(app, ["--help"])
-    assert run.exit_code == 0
+    ended = run("--help")
+    assert ended.exit_code == 0
     for verb in verbs():
-        assert f" {verb} " in run.stdout
+        assert f" {verb} " in ended.stdout

@@ -6,32 +6,22 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from board_scene import BOARD, VIEWS, board_folder, run
 from jaxlie import SE3, SO3
-from typer.testing import CliRunner
 
 from smartview_jax import Calibration, load_dataset
 from smartview_jax.cameras import Fisheye, OpenCV4
-from smartview_jax.cli import app
 from smartview_jax.cli.fit_options import FitKnowledge, parse_fit_options
 from smartview_jax.files import read_yaml
 from smartview_jax.geometry import host_logarithms, host_matrices
 from smartview_jax.io import read_camera, ros_camera_info, save_dataset
 from smartview_jax.joint import load_estimate
 from smartview_jax.simulation import random_scene
-from smartview_jax.targets import Chessboard
-
-BOARD = Chessboard(9, 6, 0.004)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("options") / "data"
-    assert run("simulate", path, "--views", "8").exit_code == 0
-    return path
-
-
-def run(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
+    return board_folder(tmp_path_factory)
 
 
 def calibrated(folder, out, *words):
@@ -53,13 +43,13 @@ def test_a_known_camera_is_held_and_said(folder, tmp_path):
     assert stated["camera.alpha_u"]["held"]
     assert not stated["camera_from_tool.translation.x"]["held"]
     source = read_yaml(tmp_path / "calibration.yaml")["source"]
-    assert source == f"data; given: --camera {folder / 'truth.yaml'}"
+    assert source == f"board; given: --camera {folder / 'truth.yaml'}"
     assert f"--camera {folder / 'truth.yaml'}" in (tmp_path / "report.html").read_text()
 
 
 def test_a_single_tag_needs_a_known_camera(tmp_path):
     """Four corners of a tag in every view are a pose, but no camera."""
-    scene = random_scene(1, 10, BOARD.points)
+    scene = random_scene(1, VIEWS, BOARD.points)
     others = np.setdiff1d(np.arange(54), [0, 8, 45, 53])
     seen = dataclasses.replace(
         scene.data, pixels=scene.data.pixels.at[:, others].set(jnp.nan), target=BOARD

@@ -5,15 +5,14 @@ import json
 
 import numpy as np
 import pytest
+from board_scene import calibrated_board, run
 from solids import box
-from typer.testing import CliRunner
 
-from smartview_jax import fit_joint
-from smartview_jax.cli import app
 from smartview_jax.geometry import host_matrices, pose_codec
 from smartview_jax.io import read_viewpoints, save_object_model
+from smartview_jax.joint import load_estimate
 from smartview_jax.modeling import grasp_on_face
-from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.simulation import paper_calibration
 
 POSE = "0.02,-0.01,0.05,20,0,0"
 DOWN = "0,0,0.01,0,180,0"
@@ -27,7 +26,7 @@ def calibration(tmp_path_factory):
 
 
 def grasped(path, *words):
-    return CliRunner().invoke(app, ["grasp", str(path), *words])
+    return run("grasp", path, *words)
 
 
 def transform(text):
@@ -39,8 +38,8 @@ def transform(text):
 def test_the_command_is_eq_20(calibration, tmp_path):
     out = tmp_path / "grasp.csv"
     words = ("--object-pose", POSE, "--grasp-pose", DOWN, "--gripper", "0,0,0.11,0,0,0")
-    run = grasped(calibration, *words, "--approach", "60", "--out", str(out))
-    assert run.exit_code == 0, run.output
+    ended = grasped(calibration, *words, "--approach", "60", "--out", str(out))
+    assert ended.exit_code == 0, ended.output
     found = read_viewpoints(out)
     assert found.names == ("approach", "grasp")
     world_from_gripper = transform(POSE) @ transform(DOWN)
@@ -54,8 +53,8 @@ def test_the_command_is_eq_20(calibration, tmp_path):
     # The way in begins 60 mm back along the gripper's z, which points to the object.
     back = commanded[1][:3, 3] - commanded[0][:3, 3]
     np.testing.assert_allclose(back, 0.06 * commanded[1][:3, 2], atol=1e-9)
-    assert f"{1e3 * expected[0, 3]:.3f}" in run.stdout
-    assert "says nothing of its uncertainty" in run.stdout
+    assert f"{1e3 * expected[0, 3]:.3f}" in ended.stdout
+    assert "says nothing of its uncertainty" in ended.stdout
 
 
 def test_a_models_grasp_is_chosen_by_its_name(calibration, tmp_path):
@@ -69,8 +68,8 @@ def test_a_models_grasp_is_chosen_by_its_name(calibration, tmp_path):
         for name in ("top", "other")
     ]
     path = save_object_model(dataclasses.replace(solid, grasps=tuple(grasps)), tmp_path / "o.json")
-    run = grasped(calibration, "--object-pose", POSE, "--model", str(path), "--name", "other")
-    assert run.exit_code == 0, run.output
+    ended = grasped(calibration, "--object-pose", POSE, "--model", str(path), "--name", "other")
+    assert ended.exit_code == 0, ended.output
     wrong = grasped(calibration, "--model", str(path), "--name", "bottom")
     assert wrong.exit_code == 2
     assert "has the grasps 'top', 'other'; found 'bottom'" in wrong.stderr
@@ -82,9 +81,9 @@ def test_a_models_grasp_is_chosen_by_its_name(calibration, tmp_path):
 
 def test_one_document_for_programs(calibration):
     words = ("--object-pose", POSE, "--grasp-pose", DOWN, "--format", "kuka_abc", "--json")
-    run = grasped(calibration, *words)
-    assert run.exit_code == 0, run.output
-    document = json.loads(run.stdout)
+    ended = grasped(calibration, *words)
+    assert ended.exit_code == 0, ended.output
+    document = json.loads(ended.stdout)
     assert document["smartview"] == "grasp"
     assert [one["name"] for one in document["commands"]] == ["approach", "grasp"]
     assert list(document["commands"][0]["pose"]) == [
@@ -93,28 +92,28 @@ def test_one_document_for_programs(calibration):
     assert document["error"] is None
 
 
-def test_the_error_is_that_of_the_calibration(tmp_path):
-    scene = random_scene(1, 8, translation_noise=1e-4)
-    fit = fit_joint(scene.data, scene.calibration, field=None)
-    fit.save(tmp_path / "calibration.yaml")
+def test_the_error_is_that_of_the_calibration(tmp_path_factory):
+    path = calibrated_board(tmp_path_factory).calibration
+    fit = load_estimate(path)
     words = ("--grasp-pose", DOWN, "--force")
-    document = json.loads(grasped(tmp_path / "calibration.yaml", *words, "--json").stdout)
+    document = json.loads(grasped(path, *words, "--json").stdout)
     sigmas = document["error"]["std_m"]
     # At the world's origin the tool is as well known as the origin and the robot are.
-    known = [fit.std[f"base_from_world.translation.{axis}"] for axis in "xyz"]
-    expected = np.sqrt(np.sum(np.square(known)) + 3 * fit.noise.translation**2)
+    places = [fit.parameter_names.index(f"base_from_world.translation.{axis}") for axis in "xyz"]
+    variance = np.diagonal(fit.covariance)[places].sum()
+    expected = np.sqrt(variance + 3 * fit.noise.translation**2)
     assert np.sqrt(np.sum(np.square(sigmas))) == pytest.approx(expected, rel=0.1)
-    run = grasped(tmp_path / "calibration.yaml", *words)
-    assert f"within +- {1.96e3 * sigmas[0]:.2f}, " in run.stdout
+    ended = grasped(path, *words)
+    assert f"within +- {1.96e3 * sigmas[0]:.2f}, " in ended.stdout
 
 
 def test_what_the_arm_cannot_reach_is_refused_and_not_written(calibration, tmp_path):
     out = tmp_path / "grasp.val"
     far = ("--object-pose", "3,0,0,0,0,0", "--grasp-pose", DOWN, "--out", str(out))
     arm = ("--arm", "puma_560", "--near=0,90,-90,0,60,0")
-    run = grasped(calibration, *far, *arm)
-    assert run.exit_code == 2
-    assert "refused, and nothing is written: approach: out of reach" in run.stderr
+    ended = grasped(calibration, *far, *arm)
+    assert ended.exit_code == 2
+    assert "refused, and nothing is written: approach: out of reach" in ended.stderr
     assert not out.exists()
     # Without an arm nothing is known of its reach.
     assert grasped(calibration, *far).exit_code == 0
@@ -131,6 +130,6 @@ def test_what_the_arm_cannot_reach_is_refused_and_not_written(calibration, tmp_p
     ],
 )
 def test_what_is_missing_is_said(calibration, words, message):
-    run = grasped(calibration, *words)
-    assert run.exit_code == 2
-    assert message in run.stderr
+    ended = grasped(calibration, *words)
+    assert ended.exit_code == 2
+    assert message in ended.stderr

@@ -7,9 +7,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from board_scene import run
 
-from smartview_jax.cli import app
+from smartview_jax import localization
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import (
     load_object_views,
@@ -23,10 +23,6 @@ from smartview_jax.simulation import box, paper_calibration
 
 CENTRE = np.array([0.018, -0.014, 0.007])
 """The middle of the sample's block, to the millimetre, m."""
-
-
-def run(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
 
 
 @pytest.fixture(scope="module")
@@ -63,9 +59,27 @@ def words(folder, *more, models=("block.json",)):
     ]  # fmt: skip
 
 
-def test_a_found_object_is_said_shown_and_can_be_grasped(folder, tmp_path):
-    page = tmp_path / "found.html"
-    done = run(*words(folder, "--out", page, "--occluder", folder / "far.stl"))
+@pytest.fixture(scope="module")
+def search(folder, tmp_path_factory):
+    """What a person reads of a search for the block, its page, and what the library found."""
+    page, found = tmp_path_factory.mktemp("page") / "found.html", []
+    localize = localization.localize
+
+    def spied(*given, occluders, **more):
+        # The slab of the file, a metre away.
+        assert occluders.shape == (12, 3, 3)
+        assert abs(occluders - 1.0).max() < 0.05
+        found.append(localize(*given, occluders=occluders, **more))
+        return found[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(localization, "localize", spied)
+        done = run(*words(folder, "--out", page, "--occluder", folder / "far.stl"))
+    return done, page.read_text(), found[0]
+
+
+def test_a_found_object_is_said_shown_and_can_be_grasped(folder, search):
+    done, page, _ = search
     assert done.exit_code == 0, done.output
     said = done.stdout.splitlines()
     assert said[1].startswith("block   accepted  ")
@@ -77,26 +91,37 @@ def test_a_found_object_is_said_shown_and_can_be_grasped(folder, tmp_path):
     # The robot errs by 0.03 mm and 0.005 degrees per axis, at 0.2 m from the object.
     np.testing.assert_allclose(numbers[:3], CENTRE, atol=3e-4)
     np.testing.assert_allclose(numbers[3:], 0.0, atol=0.3)
-    assert page.read_text().count("data:image/jpeg") == 2
+    assert page.count("data:image/jpeg") == 2
     given = ["--object-pose", text, "--grasp-pose", "0,0,0,0,180,0"]
     grasp = run("grasp", folder / "calibration.yaml", *given, "--json")
     assert grasp.exit_code == 0, grasp.output
 
 
-def test_a_program_reads_that_the_other_model_is_not_there(folder):
-    models = ("block.json", "slab.json")
-    done = run(*words(folder, "--json", models=models))
+def test_a_program_reads_that_the_other_model_is_not_there(folder, search, monkeypatch):
+    """As if both models had been searched for, and the block's pose refused for the slab."""
+    (block,) = found = search[-1]
+
+    def localize(_, command, __, models, **___):
+        slab, _ = models
+        verdict = block.verdict._replace(decision="rejected", reasons=("too few edges",))
+        rejected = block._replace(model=slab, model_index=0, verdict=verdict)
+        accepted = block._replace(model_index=1)
+        messages = ("slab: too few edges",)
+        return localization.Localizations((accepted, rejected), messages, found.pictures, command)
+
+    monkeypatch.setattr(localization, "localize", localize)
+    done = run(*words(folder, "--json", models=("slab.json", "block.json")))
     assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
-    assert found["views"] == ["left", "right"]
-    by_name = {one["name"]: one for one in found["objects"]}
+    document = json.loads(done.stdout)
+    assert document["views"] == ["left", "right"]
+    by_name = {entry["name"]: entry for entry in document["objects"]}
     assert by_name["block"]["verdict"] == "accepted"
     assert by_name["block"]["model"] == str(folder / "block.json")
-    covariance = np.array(by_name["block"]["covariance"])
-    assert covariance.shape == (6, 6)
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-    assert all(one["verdict"] != "accepted" for name, one in by_name.items() if name == "slab")
-    assert any(text.startswith("slab: ") for text in found["messages"])
+    np.testing.assert_allclose(by_name["block"]["covariance"], block.covariance)
+    assert by_name["slab"]["verdict"] == "rejected"
+    assert by_name["slab"]["model"] == str(folder / "slab.json")
+    assert by_name["slab"]["reasons"] == ["too few edges"]
+    assert document["messages"] == ["slab: too few edges"]
 
 
 def test_what_is_not_in_the_box_is_not_found(folder, tmp_path):

@@ -5,10 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from board_scene import BOARD, calibrated_board, run
 
-from smartview_jax import Calibration, Dataset, calibrate, load_dataset
-from smartview_jax.cli import app
+from smartview_jax import Calibration, Dataset, fit_joint, load_dataset
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import read_viewpoints
 from smartview_jax.joint import load_estimate
@@ -18,27 +17,17 @@ ROUGH = ("--start", "camera_from_tool=0,0.05,0.06,0,0,0", "--start")
 TABLE = "base_from_world=0.5,0.1,0.02,30,0,180"
 
 
-def run(*words):
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def board(tmp_path_factory):
     """Eight views, calibrated, which leave much to gain."""
-    path = tmp_path_factory.mktemp("plan") / "data"
-    assert run("simulate", path, "--views", "8", "--seed", "2").exit_code == 0
-    out = ("--no-held-out", "--lens", "radial", "--out", path / "out")
-    ended = run("calibrate", path, *out)
-    assert ended.exit_code == 0, ended.output
-    return path
+    return calibrated_board(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
-def planned(folder):
+def planned(board, tmp_path_factory):
     """The document of a plan, and the file of its commands."""
-    file = folder / "next.csv"
-    given = (folder / "out/calibration.yaml", folder, "--gain", "8")
-    ended = run("plan", *given, "--out", file, "--json")
+    file = tmp_path_factory.mktemp("plan") / "next.csv"
+    ended = run("plan", board.calibration, board.data, "--gain", "8", "--out", file, "--json")
     assert ended.exit_code == 0, ended.output
     return json.loads(ended.stdout), file
 
@@ -56,23 +45,23 @@ def hand_eye_error(estimate, distance):
     return np.sqrt(translation + 2.0 / 3.0 * distance**2 * rotation)
 
 
-def test_the_views_bring_what_was_promised(folder, planned):
+def test_the_views_bring_what_was_promised(board, planned):
     document, file = planned
     distance = 1e-3 * document["point_distance_mm"]
-    before = load_estimate(folder / "out/calibration.yaml")
+    before = load_estimate(board.calibration)
     stated = 1e3 * hand_eye_error(before, distance)
     assert document["std_before_mm"] == pytest.approx(stated, rel=1e-4)
-    truth, data = Calibration.load(folder / "truth.yaml"), load_dataset(folder)
+    truth, data = Calibration.load(board.data / "truth.yaml"), load_dataset(board.data)
     noise = {"translation_noise": 1e-4, "rotation_noise": np.deg2rad(0.01)}
     commanded = read_viewpoints(file).base_from_tool
-    more = simulate(truth, commanded, np.asarray(data.points[0]), seed=7, **noise).data
+    more = simulate(truth, commanded, BOARD.points, seed=7, **noise).data
     together = Dataset.from_arrays(
         data.points[0],
         np.concatenate([data.pixels, more.pixels]),
         np.concatenate([host_matrices(one.base_from_tool) for one in (data, more)]),
         data.image_size,
     )
-    again = calibrate(together, "radial")
+    again = fit_joint(together, before.calibration, noise=before.noise, field=None)
     promised = document["std_after_mm"]
     assert promised < 0.8 * document["std_before_mm"]
     assert 1e3 * hand_eye_error(again, distance) == pytest.approx(promised, rel=0.2)
@@ -88,9 +77,9 @@ def test_the_stop_is_where_one_more_view_gains_too_little(planned):
     assert 0 < count == len(document["commands"]) == len(read_viewpoints(file).names)
 
 
-def test_the_commands_are_of_new_safe_views_of_the_whole_target(folder, planned):
+def test_the_commands_are_of_new_safe_views_of_the_whole_target(board, planned):
     document, file = planned
-    calibration, data = Calibration.load(folder / "out/calibration.yaml"), load_dataset(folder)
+    calibration, data = Calibration.load(board.calibration), load_dataset(board.data)
     found = read_viewpoints(file)
     assert found.names[0] == "v9"
     assert not set(found.names) & set(data.view_ids)
@@ -101,8 +90,8 @@ def test_the_commands_are_of_new_safe_views_of_the_whole_target(folder, planned)
     assert (np.asarray(pixels) <= np.array(data.image_size) - 1.0).all()
 
 
-def test_the_words_say_from_what_to_what_and_why_to_stop(folder):
-    given = (folder / "out/calibration.yaml", folder, "--views", "2")
+def test_the_words_say_from_what_to_what_and_why_to_stop(board):
+    given = (board.calibration, board.data, "--views", "2")
     ended = run("plan", *given, "--gain", "1")
     assert ended.exit_code == 0, ended.output
     said = re.search(
@@ -161,17 +150,17 @@ def test_first_views_come_from_rough_transforms_alone(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("out/calibration.yaml",), "expected calibration.yaml and its data-set folder"),
+        (("{out}",), "expected calibration.yaml and its data-set folder"),
         (("truth.yaml", "."), "uncertainty: the file has none"),
-        (("out/calibration.yaml", ".", "--camera", "truth.yaml"), "--camera: only with --start"),
+        (("{out}", ".", "--camera", "truth.yaml"), "--camera: only with --start"),
         (("nowhere.yaml", "."), "nowhere.yaml"),
         ((".", "--start", TABLE), "--start camera_from_tool=x,y,z,yaw,pitch,roll"),
         ((".", *ROUGH, "base_from_world=0,0,0,0,90,0"), "from which side is the target seen"),
         ((".", *ROUGH, TABLE, "--distance", "0.01", "0.02"), "0 may be taken"),
     ],
 )
-def test_what_is_missing_is_said(folder, monkeypatch, words, message):
-    monkeypatch.chdir(folder)
-    ended = run("plan", *words)
+def test_what_is_missing_is_said(board, monkeypatch, words, message):
+    monkeypatch.chdir(board.data)
+    ended = run("plan", *(word.format(out=board.calibration) for word in words))
     assert ended.exit_code == 2
     assert message in ended.stderr.replace("\n", " ")

@@ -4,29 +4,23 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from board_scene import calibrated_board, run
 
-from smartview_jax import fit_joint
-from smartview_jax.cli import app
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import read_viewpoints
-from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.simulation import paper_calibration
 
 TIP = np.array([0.01, -0.02, 0.15])
-WORDS = ("--tip", *map(str, TIP), "--above", "--five", "--tilt", "10")
+WORDS = ("--tip", *map(str, TIP), "--five", "--tilt", "10")
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
-    scene = random_scene(1, 10, translation_noise=1e-4)
-    fit = fit_joint(scene.data, scene.calibration, field=None)
-    path = tmp_path_factory.mktemp("stylus") / "calibration.yaml"
-    fit.save(path)
-    return path
+    return calibrated_board(tmp_path_factory).calibration
 
 
 def touched(path, *words):
-    return CliRunner().invoke(app, ["stylus", str(path), *words])
+    return run("stylus", path, *words)
 
 
 def test_the_tip_is_on_the_point(tmp_path):
@@ -34,10 +28,10 @@ def test_the_tip_is_on_the_point(tmp_path):
     truth = paper_calibration()
     truth.save(path)
     point = np.array([0.02, 0.01, 0.004])
-    words = (*WORDS, "--at", *map(str, point), "--out", str(out))
-    run = touched(path, *words)
-    assert run.exit_code == 0, run.output
-    assert "says nothing of its uncertainty" in run.stdout
+    words = (*WORDS, "--above", "--at", *map(str, point), "--out", str(out))
+    ended = touched(path, *words)
+    assert ended.exit_code == 0, ended.output
+    assert "says nothing of its uncertainty" in ended.stdout
     world_from_base = np.linalg.inv(host_matrices(truth.base_from_world))
     tools = world_from_base @ host_matrices(read_viewpoints(out).base_from_tool)
     assert len(tools) == 5
@@ -52,14 +46,16 @@ def test_the_tip_is_on_the_point(tmp_path):
     stopped = world_from_base @ host_matrices(read_viewpoints(out).base_from_tool)
     before = (stopped @ np.append(TIP, 1.0))[:, :3] - point
     np.testing.assert_allclose(np.linalg.norm(before, axis=1), 5e-3, atol=1e-9)
+    # Above the point, not in it.
+    np.testing.assert_allclose(before[0], [0.0, 0.0, 5e-3], atol=1e-9)
 
 
 def test_what_to_expect_is_printed_before_anything_is_touched(fitted):
-    run = touched(fitted, *WORDS)
-    assert run.exit_code == 0, run.output
-    assert "its 95 % ellipse mm" in run.stdout
-    assert "miss" not in run.stdout
-    assert max(map(len, run.stdout.splitlines())) <= 80
+    ended = touched(fitted, *WORDS)
+    assert ended.exit_code == 0, ended.output
+    assert "its 95 % ellipse mm" in ended.stdout
+    assert "miss" not in ended.stdout
+    assert max(map(len, ended.stdout.splitlines())) <= 80
 
 
 def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
@@ -69,12 +65,12 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     lines = [f"{one['name']},{1e3 * std[0, 0]},0.0,0.0" for one in document["touches"]]
     misses = tmp_path / "misses.csv"
     misses.write_text("\n".join(["view,x_mm,y_mm,z_mm", *lines]))
-    run = touched(fitted, *WORDS, "--misses", str(misses))
-    assert run.exit_code == 0, run.output
-    assert f"5 touches miss by {1e3 * std[0, 0]:.2f} mm RMS" in run.stdout
-    assert "5 of 5 are inside" in run.stdout
-    assert "): as the calibration expects" in run.stdout
-    assert max(map(len, run.stdout.splitlines())) <= 80
+    ended = touched(fitted, *WORDS, "--misses", str(misses))
+    assert ended.exit_code == 0, ended.output
+    assert f"5 touches miss by {1e3 * std[0, 0]:.2f} mm RMS" in ended.stdout
+    assert "5 of 5 are inside" in ended.stdout
+    assert "): as the calibration expects" in ended.stdout
+    assert max(map(len, ended.stdout.splitlines())) <= 80
     misses.write_text("\n".join(["view,x_mm,y_mm", *(f"v{k},9,-7" for k in range(1, 6))]))
     worse = touched(fitted, *WORDS, "--misses", str(misses))
     assert "0 of 5 are inside" in worse.stdout
@@ -91,8 +87,8 @@ def test_what_is_wrong_is_said(fitted, tmp_path):
     for words, message in (
         ((*WORDS, "--misses", str(tmp_path / "m.csv")), "expected the touches v1, v2"),
         ((*WORDS, "--at", "9", "0", "0", "--arm", "puma_560", "--near=0,90,-90,0,60,0"), "refused"),
-        (("--above",), "--tip"),
+        ((), "--tip"),
     ):
-        run = touched(fitted, *words)
-        assert run.exit_code == 2
-        assert message in run.stderr
+        ended = touched(fitted, *words)
+        assert ended.exit_code == 2
+        assert message in ended.stderr

@@ -6,26 +6,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
+from board_scene import BOARD, VIEWS, board_folder, run
 from jaxlie import SE3
 from moving_camera import circling_commands
-from typer.testing import CliRunner
 
 import smartview_jax as sv
-from smartview_jax.cli import app
+from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.simulation import paper_calibration, simulate
-from smartview_jax.targets import Chessboard
+from smartview_jax.time_offset import TimeOffset, at_time_offset
 
-BOARD, OFFSET = Chessboard(7, 5, 0.005), 0.06
+OFFSET = 0.06
+TIMES = np.sort(np.random.default_rng(1).uniform(1.0, 14.0, VIEWS))
 LOG_TIMES = np.arange(0.0, 15.0, 0.05)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    path, rng = tmp_path_factory.mktemp("logged"), np.random.default_rng(0)
-    times = np.sort(rng.uniform(1.0, 14.0, 10))
-    errors = rng.normal(size=(10, 6)) * np.repeat([5e-5, 1e-4], 3)
+    path, rng, times = tmp_path_factory.mktemp("logged"), np.random.default_rng(0), TIMES
+    errors = rng.normal(size=(VIEWS, 6)) * np.repeat([5e-5, 1e-4], 3)
     actual = circling_commands(times, BOARD.points) @ SE3.exp(jnp.asarray(errors))
     data = simulate(paper_calibration(), actual, BOARD.points, pixel_noise=0.15).data
     sv.save_dataset(dataclasses.replace(data, target=BOARD), path)
@@ -47,19 +47,39 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_the_offset_is_estimated_and_said(folder, tmp_path):
-    words = ["calibrate", folder, "--time-offset", "--no-held-out", "--out", tmp_path]
-    ended = CliRunner().invoke(app, [*map(str, words)])
+def test_the_offset_is_estimated_and_said(folder, tmp_path, monkeypatch):
+    """The estimate itself, which takes many fits, has tests of its own: here it is known."""
+    asked = []
+
+    def known(data, trajectory, picture_times, lens, progress):
+        asked.append((trajectory.times, picture_times, lens))
+        corrected = at_time_offset(data, trajectory, picture_times, OFFSET)
+        return TimeOffset(OFFSET, 1e-3, corrected, Noise(0.15, 1e-4, 1e-4))
+
+    monkeypatch.setattr("smartview_jax.time_offset.estimate_time_offset", known)
+    ended = run("calibrate", folder, "--time-offset", "--no-held-out", "--out", tmp_path)
     assert ended.exit_code == 0, ended.output
+    ((log_times, picture_times, lens),) = asked
+    np.testing.assert_allclose(log_times, LOG_TIMES, atol=1e-12)
+    np.testing.assert_allclose(picture_times, TIMES - OFFSET, atol=1e-12)
+    assert lens == "opencv4"
     text = " ".join(ended.output.split())
-    _, _, said = text.partition("robot's clock minus camera's: ")
-    milliseconds, half_width = (float(word) for word in said.split()[:3:2])
-    assert abs(milliseconds - 1e3 * OFFSET) < 1.6 * half_width
-    assert "(in dataset.yaml: poses.time_offset: 0.0" in text
+    assert "robot's clock minus camera's: 60.00 +- 1.96 ms" in text
+    assert "(in dataset.yaml: poses.time_offset: 0.060000" in text
     assert "robot&#39;s clock minus camera&#39;s" in (tmp_path / "report.html").read_text()
+    # With poses of another time the transform would be off by as much as the robot went.
+    found = sv.Calibration.load(tmp_path / "calibration.yaml").camera_from_tool
+    off = (found.inverse() @ paper_calibration().camera_from_tool).translation()
+    assert np.linalg.norm(off) < 3e-3
 
 
-def test_without_a_log_there_is_nothing_to_estimate():
-    ended = CliRunner().invoke(app, ["calibrate", "--time-offset"])
-    assert ended.exit_code == 2
-    assert "this one has a pose for each view" in " ".join(ended.output.split())
+def test_without_a_log_there_is_nothing_to_estimate(tmp_path_factory, monkeypatch):
+    """Neither in a folder with a pose for each view nor in the sample, which has no folder."""
+    board = board_folder(tmp_path_factory)
+    data = sv.load_dataset(board)
+    # The sample's circles need not be looked for.
+    monkeypatch.setattr("smartview_jax.cli.calibrate.load_named", lambda *_: (data, "data"))
+    for named in ((board,), ()):
+        ended = run("calibrate", *named, "--time-offset")
+        assert ended.exit_code == 2
+        assert "this one has a pose for each view" in " ".join(ended.output.split())

@@ -1,6 +1,7 @@
 import cv2
 import numpy as np
 import pytest
+from detected_sample import detected_sample
 from shared_data import shared_data
 
 from smartview_jax.detection import (
@@ -10,11 +11,9 @@ from smartview_jax.detection import (
     dictionary_by_name,
     read_picture,
 )
-from smartview_jax.io import load_dataset, sample_folder
 from smartview_jax.targets import Charuco, Chessboard, CircleGrid, TagGrid
 
 SETS = {
-    "rct_circle10x10": (CircleGrid(10, 10, 0.0254, origin_mark=True), "images/{}.png", "", 1500),
     "visp_franka_eih": (Chessboard(6, 9, 0.0236), "franka_image-{1}.png", "", 432),
     "visp_franka_eth": (TagGrid(1, 1, 0.048, first_id=10), "franka_image-{1}.png", "", 32),
     "koide_charuco": (Charuco(5, 7, 0.024, 0.018), "images/20231006_{0:03d}.png", "20231006_", 155),
@@ -44,6 +43,16 @@ def test_real_pictures_give_the_known_points(name):
         assert np.sqrt(np.mean(nearest**2)) < 0.05
         total += found.visible.sum()
     assert total == count
+
+
+def test_the_samples_circles_are_the_known_points_in_their_order():
+    """The grid's mark comes first; the reference counts from the other end."""
+    folder, sample = shared_data("rct_circle10x10"), detected_sample()
+    corners = np.genfromtxt(folder / "corners.csv", delimiter=",", skip_header=1)
+    assert np.asarray(sample.visible).all()
+    for view, found in enumerate(np.asarray(sample.pixels)):
+        known = corners[corners[:, 0] == view, 4:6][::-1]
+        assert np.sqrt(np.mean(np.sum((found - known) ** 2, axis=1))) < 0.05
 
 
 @pytest.mark.parametrize(("name", "view"), [("tampere_kuka_2", 3), ("lwr4_joint", 10)])
@@ -169,7 +178,7 @@ def test_views_that_do_not_turn_the_camera_keep_their_order():
 def test_robot_motion_orders_a_symmetric_grid(hidden):
     """The sample's views turned by random symmetries come back to one order, also seen in part."""
     rng = np.random.default_rng(1)
-    data = load_dataset(sample_folder(), keep_detections=False)
+    data = detected_sample()
     plain = CircleGrid(10, 10, 0.0254)
     turns = rng.integers(0, 4, data.view_count)
     whole = np.array(data.pixels)

@@ -49,7 +49,7 @@ def assert_seen(found, target, centres, left):
 
 
 @pytest.mark.parametrize("target", [PLAIN, MARKED], ids=["plain", "marked"])
-@pytest.mark.parametrize("turn", [0.0, 25.0, 100.0, 200.0])
+@pytest.mark.parametrize("turn", [0.0, 110.0])
 @pytest.mark.parametrize("which", [(79,), (9, 35, 36, 70)], ids=["corner", "four"])
 def test_circles_that_are_hidden_do_not_lose_the_others(target, turn, which):
     image, centres = drawn(target, turn)
@@ -67,7 +67,7 @@ def test_a_circle_cut_by_the_border_is_left_out_and_no_other():
 
 
 @pytest.mark.parametrize("target", [MARKED, SQUARE], ids=["8 x 10", "7 x 7"])
-@pytest.mark.parametrize("turn", [0.0, 120.0, 250.0])
+@pytest.mark.parametrize("turn", [0.0, 250.0])
 def test_the_mark_tells_which_rows_and_columns_are_seen(target, turn):
     image, centres = drawn(target, turn)
     index = np.arange(target.rows * target.columns).reshape(target.rows, target.columns)

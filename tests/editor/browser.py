@@ -35,10 +35,27 @@ def browser_or_skip():
     return playwright, path
 
 
-def serve_in_thread(session):
+class Chromium:
+    """A browser that is started when it is needed, also after it crashed."""
+
+    def __init__(self, playwright, path):
+        self._launch = playwright.chromium.launch
+        self._path, self._browser = path, None
+
+    def running(self):
+        if self._browser is None or not self._browser.is_connected():
+            self._browser = self._launch(executable_path=self._path, args=ARGUMENTS)
+        return self._browser
+
+    def close(self):
+        if self._browser is not None:
+            self._browser.close()
+
+
+def serve_in_thread(session, port=0):
     """The address of a server of this process."""
     addresses = []
-    threading.Thread(target=serve, args=(session, 0, addresses.append), daemon=True).start()
+    threading.Thread(target=serve, args=(session, port, addresses.append), daemon=True).start()
     deadline = time.monotonic() + 30.0
     while not addresses:
         assert time.monotonic() < deadline
@@ -49,13 +66,23 @@ def serve_in_thread(session):
 class Page:
     """A page of the editor, with what a person does on it."""
 
-    def __init__(self, browser, address, size=(1500, 900)):
-        context = browser.new_context(viewport=dict(zip(("width", "height"), size, strict=True)))
-        self.page = context.new_page()
+    def __init__(self, chromium, address, size=(1500, 900)):
+        viewport = dict(zip(("width", "height"), size, strict=True))
+        self.context = chromium.running().new_context(viewport=viewport)
+        self.page = self.context.new_page()
         self.faults = []
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.goto(address)
         self.wait_until_complete()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        """Close the page, which would otherwise be drawn again at each change."""
+        # A browser that was made to crash has closed it already.
+        if self.context.browser.is_connected():
+            self.context.close()
 
     def wait_until_complete(self):
         self.page.wait_for_function("window.smartviewEditor?.complete", timeout=PATIENCE)
@@ -110,18 +137,18 @@ class Page:
         )
 
 
-def serve_in_process(path, port, folder):
+def serve_in_process(path, folder):
     """A server of its own process, which can be killed; returns it and its address."""
     code = """
-import sys; sys.path.insert(0, sys.argv[3])
+import sys; sys.path.insert(0, sys.argv[2])
 from editor_scene import drawn_scene
 from smartview_jax.editor import ModelSession, serve
 scene = drawn_scene()
 session = ModelSession(scene.calibration, scene.base_from_tool, scene.pictures, path=sys.argv[1])
-serve(session, int(sys.argv[2]), lambda address: print(address, flush=True))
+serve(session, 0, lambda address: print(address, flush=True))
 """
     process = subprocess.Popen(
-        [sys.executable, "-c", code, str(path), str(port), str(folder)],
+        [sys.executable, "-c", code, str(path), str(folder)],
         stdout=subprocess.PIPE,
         text=True,
         env={**os.environ},

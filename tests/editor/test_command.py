@@ -8,14 +8,13 @@ import urllib.request
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from board_scene import calibrated_board, run
 
-from smartview_jax import fit_joint
-from smartview_jax.cli import app
 from smartview_jax.cli.model import load_calibration
 from smartview_jax.editor.owner_lock import OwnerLock
 from smartview_jax.io import object_sample_folder
-from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+from smartview_jax.joint import load_estimate
+from smartview_jax.simulation import paper_calibration
 
 pytest.importorskip("uvicorn")
 
@@ -41,7 +40,7 @@ def test_the_sample_is_opened_and_ends_by_ctrl_c(folder):
         address = process.stdout.readline().strip()
         with urllib.request.urlopen(address) as page:
             assert b"smartview" in page.read()
-        busy = CliRunner().invoke(app, words)
+        busy = run(*words)
         assert busy.exit_code == 2
         assert f"open in another editor: process {process.pid}" in busy.output
         process.send_signal(signal.SIGINT)
@@ -64,7 +63,7 @@ def test_the_sample_is_opened_and_ends_by_ctrl_c(folder):
     ],
 )
 def test_what_is_missing_is_named(folder, words, said):
-    done = CliRunner().invoke(app, ["model", *(word.format(folder=folder) for word in words)])
+    done = run("model", *(word.format(folder=folder) for word in words))
     assert done.exit_code == 2
     assert said in done.output
     assert not (folder / "object.json.lock").exists()
@@ -79,14 +78,17 @@ def test_a_data_set_of_a_board_is_a_data_set_of_views(folder):
     np.testing.assert_allclose(np.linalg.det(found.base_from_tool[:, :3, :3]), 1.0)
 
 
-def test_a_calibration_comes_with_its_covariance_where_the_file_has_one(folder, capsys):
-    scene = random_scene(2, 8, paper_points((0.0, 0.02))[::6])
-    fit = fit_joint(scene.data, scene.calibration, noise="trusted")
-    fit.save(folder / "calibration.yaml")
+def test_a_calibration_comes_with_its_covariance_where_the_file_has_one(
+    folder, tmp_path_factory, capsys
+):
+    fitted = calibrated_board(tmp_path_factory).calibration
+    shutil.copy(fitted, folder / "calibration.yaml")
     calibration, estimate = load_calibration(folder, None)
     assert estimate is not None
-    assert estimate.parameter_names == fit.parameter_names
-    assert float(calibration.camera.alpha_u) == float(fit.calibration.camera.alpha_u)
-    fit.calibration.save(folder / "calibration.yaml")
+    known = load_estimate(fitted)
+    assert estimate.parameter_names == known.parameter_names
+    np.testing.assert_array_equal(estimate.covariance, known.covariance)
+    assert float(calibration.camera.alpha_u) == float(known.calibration.camera.alpha_u)
+    calibration.save(folder / "calibration.yaml")
     assert load_calibration(folder, None)[1] is None
     assert "taken as exact" in capsys.readouterr().err

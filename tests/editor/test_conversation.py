@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from smartview_jax.editor import Conversation, ModelSession
-from smartview_jax.simulation import object_example
+from smartview_jax.io import load_object_views, object_sample_folder
+from smartview_jax.simulation import paper_calibration
 
 
 @pytest.fixture
@@ -110,15 +111,11 @@ def test_what_a_page_should_not_ask_is_an_error(session, message, said):
     assert session.document is before
 
 
-@pytest.fixture(scope="module")
-def example():
-    return object_example()
-
-
 @pytest.fixture
-def example_session(example):
-    poses = np.asarray(example.base_from_tool.as_matrix())
-    return ModelSession(example.calibration, poses, example.pictures)
+def example_session():
+    """The package's pictures of the example's object, and the camera that took them."""
+    views = load_object_views(object_sample_folder() / "object")
+    return ModelSession(paper_calibration(), views.command, views.pictures)
 
 
 def test_a_rectangle_limits_what_is_proposed(example_session):
@@ -152,7 +149,6 @@ def test_a_rectangle_limits_what_is_proposed(example_session):
 
 
 def test_proposals_are_accepted_one_by_one(example_session):
-    """On the example's rendered pictures."""
     session = example_session
     conversation = Conversation(session)
     ask(conversation, do="hello")

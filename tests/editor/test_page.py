@@ -6,26 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ARGUMENTS, Page, browser_or_skip, serve_in_process, serve_in_thread
+from browser import Page, serve_in_process, serve_in_thread
+from sessions import open_session
 
 from smartview_jax.io import load_object_model
 
 VIEWS = (0, 1, 2, 3, 4)
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    playwright, path = browser_or_skip()
-    started = []
-
-    def start():
-        started.append(playwright.chromium.launch(executable_path=path, args=ARGUMENTS))
-        return started[-1]
-
-    yield start
-    for browser in started:
-        browser.close()
-    playwright.stop()
 
 
 def separate_views(scene, vertex, wanted=3):
@@ -49,34 +35,48 @@ def click_face(page, scene, face):
     page.key("Enter")
 
 
-def test_a_whole_model_is_built_by_clicks_and_a_killed_browser_loses_nothing(
+def add_points(session, scene, vertices):
+    """The ids of points that are there before the page is opened."""
+    ids = []
+    for vertex in vertices:
+        point = None
+        for view in separate_views(scene, vertex):
+            point = session.click(session.names[view], scene.click(view, vertex), point)
+        ids.append(point)
+    return ids
+
+
+def test_a_model_is_finished_by_clicks_and_a_killed_browser_loses_nothing(
     session, scene, chromium, tmp_path
 ):
+    """Eight points and three faces are there before; the others are clicked."""
+    faces, count = scene.truth.faces, len(scene.truth.vertices)
     rng, address = np.random.default_rng(0), serve_in_thread(session)
-    page = Page(chromium(), address)
-    count = len(scene.truth.vertices)
-    for vertex in range(count):
-        click_vertex(page, scene, vertex, rng)
-    assert page.counts()[0] == count
-    page.key("f")
-    for face in scene.truth.faces[:3]:
-        click_face(page, scene, face)
-    assert page.counts()[2] == 3, page.said()
-    before = session.document
-    page.crash_browser()
+    ids = add_points(session, scene, range(8))
+    for face in (faces[0], faces[2], faces[3]):
+        session.add_face([ids[vertex] for vertex in face.loop])
+    with Page(chromium, address) as page:
+        for vertex in (8, 9):
+            click_vertex(page, scene, vertex, rng)
+        assert page.counts()[0] == count
+        page.key("f")
+        click_face(page, scene, faces[4])
+        assert page.counts()[2] == 4, page.said()
+        before = session.document
+        page.crash_browser()
 
-    page = Page(chromium(), address)
-    assert session.document is before
-    assert page.counts()[:3] == [count, len(before.edges), 3]
-    page.key("f")
-    for face in scene.truth.faces[3:]:
-        click_face(page, scene, face)
-    page.page.fill(".sv-name", "house")
-    page.page.press(".sv-name", "Enter")
-    page.key("Control+s")
-    assert "saved to" in page.said()
-    assert "all saved in house.json" in page.page.inner_text(".sv-kept")
-    assert page.faults == []
+    with Page(chromium, address) as page:
+        assert session.document is before
+        assert page.counts()[:3] == [count, len(before.edges), 4]
+        page.key("f")
+        for face in (faces[1], faces[5], faces[6]):
+            click_face(page, scene, face)
+        page.page.fill(".sv-name", "house")
+        page.page.press(".sv-name", "Enter")
+        page.key("Control+s")
+        assert "saved to" in page.said()
+        assert "all saved in house.json" in page.page.inner_text(".sv-kept")
+        assert page.faults == []
 
     model = load_object_model(tmp_path / "house.json")
     assert model.name == "house"
@@ -93,89 +93,87 @@ def test_a_whole_model_is_built_by_clicks_and_a_killed_browser_loses_nothing(
 
 def test_a_killed_server_loses_nothing(scene, chromium, tmp_path):
     path, folder = tmp_path / "house.json", Path(__file__).parent
-    process, address = serve_in_process(path, 0, folder)
+    process, address = serve_in_process(path, folder)
     port = int(re.search(r":(\d+)/", address)[1])
-    page = Page(chromium(), address)
-    for vertex in (0, 3):
-        for view in separate_views(scene, vertex, 2):
-            page.click(view, scene.pixels[view, vertex], free=True)
-        page.key("n")
-    shown = page.page.evaluate("[...smartviewEditor.model.points]")
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
-    page.page.wait_for_selector(".sv-kept.lost")
-    # A click now is answered by an error, not by silence.
-    page.page.evaluate("smartviewEditor.change({do: 'rename', name: 'x'})")
-    assert "not there" in page.said()
-
-    process, address = serve_in_process(path, port, folder)
-    try:
-        again = Page(chromium(), address)
-        assert again.page.evaluate("[...smartviewEditor.model.points]") == shown
-        assert len(shown) == 2
-    finally:
+    with Page(chromium, address) as page:
+        for vertex in (0, 3):
+            for view in separate_views(scene, vertex, 2):
+                page.click(view, scene.pixels[view, vertex], free=True)
+            page.key("n")
+        shown = page.page.evaluate("[...smartviewEditor.model.points]")
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
+        page.page.wait_for_selector(".sv-kept.lost")
+        # A click now is answered by an error, not by silence.
+        page.page.evaluate("smartviewEditor.change({do: 'rename', name: 'x'})")
+        assert "not there" in page.said()
+
+    with (
+        open_session(scene, path) as session,
+        Page(chromium, serve_in_thread(session, port)) as again,
+    ):
+        assert again.page.evaluate("[...smartviewEditor.model.points]") == shown
+        assert len(shown) == 2
 
 
 def test_hovering_draws_curves_and_depth(session, scene, chromium):
-    page = Page(chromium(), serve_in_thread(session))
-    page.page.mouse.move(*page.place(0, scene.pixels[0, 3]))
-    page.page.wait_for_function("smartviewEditor.curves !== null")
-    curves = page.page.evaluate("smartviewEditor.curves.curves")
-    assert set(curves) == {"v2", "v3", "v4", "v5"}
-    page.click(0, scene.pixels[0, 3], free=True)
-    page.page.mouse.move(*page.place(1, scene.pixels[1, 3]))
-    page.page.wait_for_function("smartviewEditor.views[1].hint.textContent !== ''")
-    depth = float(re.search(r"depth ([\d.]+) mm", page.page.inner_text(".sv-views"))[1])
-    truth = np.linalg.norm(scene.truth.vertices[3] - session.geometry.centres[0])
-    # A pixel of the screen is 1.6 of the picture, and some 0.8 mm of depth.
-    assert depth == pytest.approx(1e3 * truth, abs=4.0)
-    page.click(1, scene.pixels[1, 3], free=True)
-    assert "Point 0" in page.page.inner_text(".detail")
-    assert "±" in page.page.inner_text(".detail")
+    with Page(chromium, serve_in_thread(session)) as page:
+        page.page.mouse.move(*page.place(0, scene.pixels[0, 3]))
+        page.page.wait_for_function("smartviewEditor.curves !== null")
+        curves = page.page.evaluate("smartviewEditor.curves.curves")
+        assert set(curves) == {"v2", "v3", "v4", "v5"}
+        page.click(0, scene.pixels[0, 3], free=True)
+        page.page.mouse.move(*page.place(1, scene.pixels[1, 3]))
+        page.page.wait_for_function("smartviewEditor.views[1].hint.textContent !== ''")
+        depth = float(re.search(r"depth ([\d.]+) mm", page.page.inner_text(".sv-views"))[1])
+        truth = np.linalg.norm(scene.truth.vertices[3] - session.geometry.centres[0])
+        # A pixel of the screen is 1.6 of the picture, and some 0.8 mm of depth.
+        assert depth == pytest.approx(1e3 * truth, abs=4.0)
+        page.click(1, scene.pixels[1, 3], free=True)
+        assert "Point 0" in page.page.inner_text(".detail")
+        assert "±" in page.page.inner_text(".detail")
 
 
 def test_undo_help_errors_and_grasp(session, scene, chromium):
-    rng = np.random.default_rng(1)
-    page = Page(chromium(), serve_in_thread(session))
-    for vertex in range(10):
-        click_vertex(page, scene, vertex, rng)
-    page.key("Control+z")
-    page.key("Control+y")
-    page.key("?")
-    assert page.page.is_visible(".sv-help")
-    page.key("Escape")
-    assert not page.page.is_visible(".sv-help")
-    page.key("f")
-    roof = scene.truth.faces[4]
-    click_face(page, scene, roof)
-    assert page.counts()[2] == 1, page.said()
-    # A face whose corners are not in one plane is refused, in words.
-    for vertex in (0, 1, 2, 8):
-        (view,) = separate_views(scene, vertex, 1)
-        page.click(view, scene.pixels[view, vertex])
-    page.key("Enter")
-    assert "not planar" in page.said()
-    page.key("Escape")
-    page.key("g")
-    view = 0
-    x, y = page.place(view, scene.pixels[view, list(roof.loop)].mean(axis=0))
-    page.page.mouse.move(x, y)
-    page.page.mouse.down()
-    page.page.wait_for_function("smartviewEditor.model.grasps.size === 1")
-    angle = next(iter(session.document.grasps.values())).angle
-    for step in range(1, 6):
-        page.page.mouse.move(x + 8 * step, y + 5 * step)
-    page.page.mouse.up()
-    page.settle()
-    page.page.wait_for_function("smartviewEditor.model.grasps.size === 1")
-    page.settle()
-    (grasp,) = session.document.grasps.values()
-    assert grasp.angle != angle
-    assert page.faults == []
+    add_points(session, scene, range(10))
+    with Page(chromium, serve_in_thread(session)) as page:
+        clicks = session.document
+        page.key("Control+z")
+        assert session.document != clicks
+        page.key("Control+y")
+        assert session.document == clicks
+        page.key("?")
+        assert page.page.is_visible(".sv-help")
+        page.key("Escape")
+        assert not page.page.is_visible(".sv-help")
+        page.key("f")
+        roof = scene.truth.faces[4]
+        click_face(page, scene, roof)
+        assert page.counts()[2] == 1, page.said()
+        # A face whose corners are not in one plane is refused, in words.
+        for vertex in (0, 1, 2, 8):
+            (view,) = separate_views(scene, vertex, 1)
+            page.click(view, scene.pixels[view, vertex])
+        page.key("Enter")
+        assert "not planar" in page.said()
+        page.key("Escape")
+        page.key("g")
+        view = 0
+        x, y = page.place(view, scene.pixels[view, list(roof.loop)].mean(axis=0))
+        page.page.mouse.move(x, y)
+        page.page.mouse.down()
+        page.page.wait_for_function("smartviewEditor.model.grasps.size === 1")
+        angle = next(iter(session.document.grasps.values())).angle
+        for step in (1, 3, 5):
+            page.page.mouse.move(x + 8 * step, y + 5 * step)
+        page.page.mouse.up()
+        page.settle()
+        page.page.wait_for_function("smartviewEditor.model.grasps.size === 1")
+        page.settle()
+        (grasp,) = session.document.grasps.values()
+        assert grasp.angle != angle
+        assert page.faults == []
 
 
 def drag(page, view, start, end):
@@ -188,7 +186,11 @@ def drag(page, view, start, end):
 
 
 def test_a_rectangle_is_drawn_and_proposals_keep_to_it(session, scene, chromium):
-    page = Page(chromium(), serve_in_thread(session))
+    with Page(chromium, serve_in_thread(session)) as page:
+        check_rectangle(page, scene)
+
+
+def check_rectangle(page, scene):
     page.key("r")
     low, high = scene.pixels[0].min(axis=0) - 12.0, scene.pixels[0].max(axis=0) + 12.0
     # From the lower right to the upper left, which is as good.
@@ -211,40 +213,35 @@ def test_a_rectangle_is_drawn_and_proposals_keep_to_it(session, scene, chromium)
 
 
 def test_the_symmetry_is_shown_and_confirmed(session, scene, chromium, tmp_path):
-    ids = []
-    for vertex in range(len(scene.truth.vertices)):
-        point = None
-        for view in separate_views(scene, vertex):
-            point = session.click(session.names[view], scene.click(view, vertex), point)
-        ids.append(point)
+    ids = add_points(session, scene, range(10))
     for face in scene.truth.faces:
         session.add_face([ids[vertex] for vertex in face.loop])
-    page = Page(chromium(), serve_in_thread(session))
-    page.page.wait_for_selector(".symmetry:not([hidden])")
-    shown = page.page.inner_text(".symmetry")
-    assert "2 poses look alike" in shown
-    assert "2-fold about (0, 0, 1)" in shown
-    assert "Is it meant?" in shown
-    page.page.click('.symmetry >> text="Confirm"')
-    page.page.wait_for_selector(".symmetry >> text=confirmed: saved with the model")
-    page.key("Control+s")
-    assert load_object_model(tmp_path / "house.json").symmetry.order == 2
-    page.page.click('.symmetry >> text="Refuse"')
-    page.page.wait_for_selector(".symmetry >> text=all poses can be told apart")
-    page.key("Control+s")
-    assert load_object_model(tmp_path / "house.json").symmetry.order == 1
-    # An object that no turn maps onto itself has nothing to be asked about.
-    session.add_edge(ids[scene.truth.faces[3].loop[0]], ids[scene.truth.faces[3].loop[2]])
-    page.page.reload()
-    page.wait_until_complete()
-    page.page.wait_for_function("smartviewEditor.symmetry?.order === 1")
-    assert not page.page.is_visible(".symmetry")
-    assert page.faults == []
+    with Page(chromium, serve_in_thread(session)) as page:
+        page.page.wait_for_selector(".symmetry:not([hidden])")
+        shown = page.page.inner_text(".symmetry")
+        assert "2 poses look alike" in shown
+        assert "2-fold about (0, 0, 1)" in shown
+        assert "Is it meant?" in shown
+        page.page.click('.symmetry >> text="Confirm"')
+        page.page.wait_for_selector(".symmetry >> text=confirmed: saved with the model")
+        page.key("Control+s")
+        assert load_object_model(tmp_path / "house.json").symmetry.order == 2
+        page.page.click('.symmetry >> text="Refuse"')
+        page.page.wait_for_selector(".symmetry >> text=all poses can be told apart")
+        page.key("Control+s")
+        assert load_object_model(tmp_path / "house.json").symmetry.order == 1
+        # An object that no turn maps onto itself has nothing to be asked about.
+        session.add_edge(ids[scene.truth.faces[3].loop[0]], ids[scene.truth.faces[3].loop[2]])
+        page.page.reload()
+        page.wait_until_complete()
+        page.page.wait_for_function("smartviewEditor.symmetry?.order === 1")
+        assert not page.page.is_visible(".symmetry")
+        assert page.faults == []
 
 
 def test_a_second_page_shows_what_the_first_does(session, scene, chromium):
     """What one page does, another one shows."""
     address = serve_in_thread(session)
-    one, two = Page(chromium(), address), Page(chromium(), address)
-    one.click(0, scene.pixels[0, 3], free=True)
-    two.page.wait_for_function("smartviewEditor.model.points.size === 1")
+    with Page(chromium, address) as one, Page(chromium, address) as two:
+        one.click(0, scene.pixels[0, 3], free=True)
+        two.page.wait_for_function("smartviewEditor.model.points.size === 1")

@@ -4,7 +4,6 @@ import threading
 import time
 
 import pytest
-from editor_scene import drawn_scene
 
 from smartview_jax.editor import ModelSession
 from smartview_jax.editor.server import HOST, PAGE, editor_app, serve
@@ -17,8 +16,7 @@ ORIGIN = f"http://{HOST}:{PORT}"
 
 
 @pytest.fixture(scope="module")
-def session():
-    scene = drawn_scene()
+def session(scene):
     return ModelSession(scene.calibration, scene.base_from_tool, scene.pictures)
 
 

@@ -1,37 +1,58 @@
 """Views of an arm whose joint errors are known: the editor takes the readings, not only poses."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxlie import SE3
 
-from smartview_jax import fit_joint
+from smartview_jax import Calibration, Camera
+from smartview_jax.cameras import Radial
 from smartview_jax.editor import ModelSession
+from smartview_jax.engine import Observability, parameter_names
+from smartview_jax.joint import SavedEstimate
 from smartview_jax.modeling import triangulate_points
-from smartview_jax.robot_errors import JointOffsets
-from smartview_jax.robots import Command
-from smartview_jax.simulation import six_axis_scene
+from smartview_jax.robot_errors import JointOffsets, RobotError
+from smartview_jax.robots import Command, six_axes
 
 POINT = np.array([0.17, 0.12, 0.01])
 VIEWS = 3
 
 
-@pytest.fixture(scope="module")
-def arm_scene():
-    return six_axis_scene(3, views=8, held_out_views=1).with_joint_readings
+READINGS = np.array(
+    [
+        [0.040, -0.210, 0.690, -0.097, 1.059, -0.391],
+        [-0.173, -0.252, 0.608, 0.113, 1.138, -1.347],
+        [0.107, -0.079, 0.605, -0.028, 1.005, -2.937],
+    ]
+)
+"""Joint angles, rad, at which the camera sees what lies on the table before the arm."""
 
 
 @pytest.fixture(scope="module")
-def fit(arm_scene):
-    field = JointOffsets(arm_scene.data.arm)
-    held = ("robot_error.joint_offset.1", "robot_error.joint_offset.6")
-    return fit_joint(
-        arm_scene.data, arm_scene.calibration, noise="trusted", field=field, fixed=held
+def fit():
+    """A calibration of the arm's joints, as good as a fit to many views would be."""
+    camera = Camera(1056.0, 1056.0, 958.0, 587.0, Radial(0.1), (1920, 1200))
+    bare = Calibration.eye_in_hand(
+        camera,
+        SE3.exp(jnp.array([-0.02, 0.06, -0.09, 0.03, -0.05, 0.1])),
+        SE3.exp(jnp.array([0.55, -0.12, 0.05, 0.01, -0.02, 0.15])),
     )
+    offsets = RobotError(JointOffsets(six_axes()), jnp.linspace(-2e-3, 3e-3, 6))
+    calibration = dataclasses.replace(bare, robot_error=offsets)
+    held = ("robot_error.joint_offset.1", "robot_error.joint_offset.6")
+    known = ("camera_from_tool.", "robot_error.")
+    names = [name for name in parameter_names(calibration) if name.startswith(known)]
+    names = tuple(name for name in names if name not in held)
+    root = 1e-4 * np.random.default_rng(0).normal(size=(len(names), 2 * len(names)))
+    determined = Observability(len(names), len(names), (), (), 1.0)
+    return SavedEstimate(calibration, root @ root.T, names, None, 0.1, determined)
 
 
 @pytest.fixture(scope="module")
-def command(arm_scene):
-    poses = type(arm_scene.data.base_from_tool)(arm_scene.data.base_from_tool.wxyz_xyz[:VIEWS])
-    return Command(poses, arm_scene.data.joints[:VIEWS])
+def command():
+    return six_axes().command(READINGS)
 
 
 @pytest.fixture(scope="module")

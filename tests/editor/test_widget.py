@@ -4,8 +4,7 @@ import base64
 import json
 
 import pytest
-from browser import ARGUMENTS, PATIENCE, browser_or_skip
-from editor_scene import drawn_scene
+from browser import PATIENCE
 
 from smartview_jax.editor import ModelSession, editor_widget
 from smartview_jax.editor.widget import widget_script
@@ -30,9 +29,8 @@ async (script) => {
 
 
 @pytest.fixture
-def widget(monkeypatch):
+def widget(scene, monkeypatch):
     pytest.importorskip("anywidget")
-    scene = drawn_scene()
     session = ModelSession(scene.calibration, scene.base_from_tool, scene.pictures)
     widget = editor_widget(session)
     sent = []
@@ -58,30 +56,25 @@ def test_messages_of_a_notebook_are_answered(widget):
     assert list(sent[-1][0]["parts"]["points"]) == [1]
 
 
-def test_the_script_needs_no_network_and_draws(widget):
+def test_the_script_needs_no_network_and_draws(widget, chromium):
     _, shown, sent = widget
-    playwright, path = browser_or_skip()
-    try:
-        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
-        page = browser.new_page(viewport={"width": 1300, "height": 800})
-        requests, queue = [], []
-        page.on("request", lambda request: requests.append(request.url))
-        page.expose_function("toKernel", lambda text: queue.append(json.loads(text)))
-        page.goto("about:blank")
-        page.evaluate(HOST_PAGE, widget_script())
-        complete = "window.smartviewEditor?.complete === true"
-        for _ in range(PATIENCE // 50):
-            while queue:
-                shown._answer(queue.pop(0))
-                answer, buffers = sent[-1]
-                data = base64.b64encode(buffers[0]).decode() if buffers else None
-                page.evaluate("([answer, data]) => receive(answer, data)", [answer, data])
-            if page.evaluate(complete):
-                break
-            page.wait_for_timeout(50)
-        assert page.evaluate(complete)
-        assert page.evaluate("smartviewEditor.views.every((view) => view.levels.length > 0)")
-        assert all(url.startswith(("blob:", "about:", "data:")) for url in requests), requests
-        browser.close()
-    finally:
-        playwright.stop()
+    page = chromium.running().new_page(viewport={"width": 1300, "height": 800})
+    requests, queue = [], []
+    page.on("request", lambda request: requests.append(request.url))
+    page.expose_function("toKernel", lambda text: queue.append(json.loads(text)))
+    page.goto("about:blank")
+    page.evaluate(HOST_PAGE, widget_script())
+    complete = "window.smartviewEditor?.complete === true"
+    for _ in range(PATIENCE // 50):
+        while queue:
+            shown._answer(queue.pop(0))
+            answer, buffers = sent[-1]
+            data = base64.b64encode(buffers[0]).decode() if buffers else None
+            page.evaluate("([answer, data]) => receive(answer, data)", [answer, data])
+        if page.evaluate(complete):
+            break
+        page.wait_for_timeout(50)
+    assert page.evaluate(complete)
+    assert page.evaluate("smartviewEditor.views.every((view) => view.levels.length > 0)")
+    assert all(url.startswith(("blob:", "about:", "data:")) for url in requests), requests
+    page.close()

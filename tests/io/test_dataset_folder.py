@@ -4,35 +4,29 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from detected_sample import copied_views, detected_sample
 from shared_data import shared_data
 from text_files import edit
 
-from smartview_jax.io import import_correspondences, load_dataset, sample_folder, save_dataset
+from smartview_jax.io import import_correspondences, load_dataset, save_dataset
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A copy of the sample with four of its views."""
-    copy = tmp_path / "data"
-    # Without what somebody's run may have left there.
-    shutil.copytree(sample_folder(), copy, ignore=shutil.ignore_patterns("detections.csv"))
-    for view in range(4, 15):
-        (copy / f"images/{view}.png").unlink()
-    lines = (copy / "poses.csv").read_text().splitlines()
-    (copy / "poses.csv").write_text("\n".join(lines[:5]) + "\n")
-    return copy
+    return copied_views(tmp_path / "data")
 
 
 def test_the_sample_is_whole():
-    data = load_dataset(sample_folder(), keep_detections=False)
+    data = detected_sample()
     assert data.view_ids == tuple(map(str, range(15)))
     assert data.observation_count == 1500
     assert data.masked_views == ()
 
 
 def test_the_sample_is_the_original():
-    original = load_dataset(shared_data("rct_circle10x10"))
-    sample = load_dataset(sample_folder(), keep_detections=False)
+    original = load_dataset(shared_data("rct_circle10x10"), keep_detections=False)
+    sample = detected_sample()
     assert sample.view_ids == original.view_ids
     np.testing.assert_allclose(sample.pixels, original.pixels, atol=0.01)
     np.testing.assert_allclose(
@@ -187,11 +181,18 @@ def test_what_is_wrong_is_named_with_its_file(folder, case):
         load_dataset(folder)
 
 
+@pytest.fixture(scope="module")
+def saved_once(tmp_path_factory):
+    """Two views as a folder of detections, without pictures."""
+    folder = tmp_path_factory.mktemp("saved")
+    data = load_dataset(copied_views(folder / "pictures", 2), keep_detections=False)
+    save_dataset(data, folder / "saved")
+    return folder / "saved"
+
+
 @pytest.fixture
-def saved(folder, tmp_path):
-    """The same as a folder of detections, without pictures."""
-    save_dataset(load_dataset(folder, keep_detections=False), tmp_path / "saved")
-    return tmp_path / "saved"
+def saved(saved_once, tmp_path):
+    return shutil.copytree(saved_once, tmp_path / "saved")
 
 
 @pytest.mark.parametrize(
@@ -206,7 +207,7 @@ def saved(folder, tmp_path):
     ],
 )
 def test_a_wrong_detection_is_named(saved, old, new, message):
-    edit(saved / "dataset.yaml", "detections: {rows: 400}\n", "")
+    edit(saved / "dataset.yaml", "detections: {rows: 200}\n", "")
     edit(saved / "detections.csv", old, new)
     with pytest.raises(ValueError, match=rf"detections\.csv: .*{message}"):
         load_dataset(saved)

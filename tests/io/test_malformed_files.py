@@ -3,7 +3,7 @@ import pytest
 from benchmarks.fuzz import campaign, mutated
 from benchmarks.fuzz_formats import FORMATS
 
-BUDGET = 40
+BUDGET = 20
 """Malformed files of each format; `python -m benchmarks fuzz` reads ten thousand."""
 
 

@@ -52,7 +52,7 @@ def test_flat_faces_and_edges_come_back_from_triangles(tmp_path, kind, model):
 
 @given(st.integers(3, 9), st.floats(0.01, 0.2), st.integers(0, 2**32 - 1))
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_any_prism_in_any_pose_comes_back(tmp_path, sides, height, seed):
     pose = np.eye(4)

@@ -85,7 +85,7 @@ coordinates = st.floats(-40.0, 40.0, allow_subnormal=False)
     st.data(),
 )
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_any_wireframe_comes_back_to_the_last_digit(tmp_path, vertices, name, data):
     count = len(vertices)

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from shared_data import shared_data
 
-from smartview_jax import fit_kinematics
 from smartview_jax.io import read_robot_cal_kinematics
 
 ENTRY = """'1':
@@ -31,12 +30,9 @@ def test_wrong_entries_are_named(tmp_path, old, new, message):
         read_robot_cal_kinematics(path)
 
 
-def test_a_real_positioner_is_fitted_as_well_as_it_was_measured():
-    """Bounds: what two free twists reached on the same poses, with 1 m counted as 1 rad."""
+def test_a_real_file_is_read():
+    """How well it is fitted is a claim of `python -m benchmarks kinematics`."""
     folder = shared_data("rct_positioner_kinematic")
     joints, poses = read_robot_cal_kinematics(folder / "positioner_kinematic_measurements.yaml")
     assert joints.shape == (205, 2)
-    fit = fit_kinematics(joints, poses)
-    assert fit.rms_mm < 0.39
-    assert fit.rms_degrees < 0.05
-    np.testing.assert_allclose(fit.ratios, [1.0010, 1.00004], atol=2e-4)
+    np.testing.assert_allclose(np.linalg.norm(poses.wxyz_xyz[:, :4], axis=1), 1.0, atol=1e-12)

@@ -4,6 +4,7 @@ import shutil
 import numpy as np
 import pytest
 import yaml
+from detected_sample import detected_sample
 from typer.testing import CliRunner
 
 from smartview_jax.cli import app
@@ -36,7 +37,7 @@ def plain_sample(tmp_path_factory):
 
 def test_a_plain_grid_is_turned_as_the_folder_or_the_caller_says(plain_sample):
     """The mark of the real grid says how it stands: x along the base's x, z down."""
-    truth = np.asarray(load_dataset(sample_folder(), keep_detections=False).pixels)
+    truth = np.asarray(detected_sample().pixels)
     quarter = CircleGrid(10, 10, 0.0254).symmetries
     messages = []
     data = load_dataset(plain_sample, progress=messages.append)

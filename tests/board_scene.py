@@ -1,0 +1,69 @@
+"""A chessboard in eight simulated views, calibrated by the command once for all tests.
+
+Other scenes of tests that fit have as many views and points, or as many after padding: they are
+then fitted by programs that are compiled already.
+"""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from once_a_run import made_once
+from typer.testing import CliRunner
+
+from smartview_jax.cli import app
+from smartview_jax.targets import Chessboard
+
+BOARD = Chessboard(9, 6, 0.004)
+"""What `smartview simulate` shows to the camera: 54 points."""
+
+VIEWS = 8
+
+
+class CalibratedBoard(NamedTuple):
+    """What `smartview calibrate --json` left.
+
+    Attributes:
+        data: the folder of the data set, with the truth in truth.yaml.
+        out: the folder of the results.
+        stdout: the document that was printed.
+        stderr: what was said meanwhile.
+    """
+
+    data: Path
+    out: Path
+    stdout: str
+    stderr: str
+
+    @property
+    def calibration(self):
+        """The file of the calibration, with its uncertainty."""
+        return self.out / "calibration.yaml"
+
+
+def run(*words):
+    """The command's result in this process."""
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def board_folder(tmp_path_factory):
+    """The simulated data set, which is only to be read."""
+
+    def make(path):
+        ended = run("simulate", path, "--views", VIEWS, "--seed", 2)
+        assert ended.exit_code == 0, ended.output
+
+    return made_once(tmp_path_factory, "board", make)
+
+
+def calibrated_board(tmp_path_factory):
+    """The data set's calibration, with held-out errors; the files are only to be read."""
+    data = board_folder(tmp_path_factory)
+
+    def make(path):
+        ended = run("calibrate", data, "--out", path, "--json")
+        assert ended.exit_code == 0, ended.output
+        (path / "said.json").write_text(json.dumps([ended.stdout, ended.stderr]))
+
+    out = made_once(tmp_path_factory, "calibrated_board", make)
+    return CalibratedBoard(data, out, *json.loads((out / "said.json").read_text()))
