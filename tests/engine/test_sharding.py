@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fits_to_compare import described, many, one_fit
 
 HERE = Path(__file__).parent
 
@@ -28,7 +29,13 @@ def run(processes, devices_each):
     }
     started = [
         subprocess.Popen(
-            [sys.executable, str(HERE / "fit_on_devices.py"), address, str(processes), str(k)],
+            [
+                sys.executable,
+                str(HERE / "fit_on_devices.py"),
+                address,
+                str(processes),
+                str(k),
+            ],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -46,20 +53,26 @@ def run(processes, devices_each):
     return [json.loads(out.splitlines()[-1]) for out, _ in printed]
 
 
-@pytest.mark.parametrize(("processes", "devices_each"), [(1, 2), (2, 1)])
-def test_two_devices_find_what_one_finds(processes, devices_each):
-    for answer in run(processes, devices_each):
+def test_two_processes_find_what_one_finds():
+    alone = described(one_fit(None))
+    assert alone["converged"]
+    for answer in run(processes=2, devices_each=1):
         assert answer["devices"] == 2
         # Seven views and one that shows nothing.
-        assert answer["views_here"] == [4] * devices_each
-        for alone, together in (answer["fits"][:2], answer["fits"][2:]):
-            assert alone["converged"]
-            assert together["converged"]
-            assert together["cost"] == pytest.approx(alone["cost"], rel=1e-11)
-            # Sums in another order end elsewhere by what is nothing next to the noise.
-            gap = np.abs(np.array(together["found"]) - alone["found"]) / alone["std"]
-            assert gap.max() < 1e-3
-            np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
-            np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
-        if answer["many"] is not None:
-            np.testing.assert_allclose(*answer["many"], rtol=1e-10)
+        assert answer["views_here"] == [4]
+        together = answer["fit"]
+        assert together["converged"]
+        assert together["cost"] == pytest.approx(alone["cost"], rel=1e-11)
+        # Sums in another order end elsewhere by what is nothing next to the noise.
+        gap = np.abs(np.array(together["found"]) - alone["found"]) / alone["std"]
+        assert gap.max() < 1e-3
+        np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
+        np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
+
+
+def test_many_fits_on_two_devices_are_those_on_one():
+    (answer,) = run(processes=1, devices_each=2)
+    assert answer["devices"] == 2
+    # Views of a fit without corrections, which has no other arrays by views.
+    assert answer["views_here"] == [4, 4]
+    np.testing.assert_allclose(answer["many"], many(None), rtol=1e-10)

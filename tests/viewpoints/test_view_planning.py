@@ -20,6 +20,7 @@ from smartview_jax.viewpoints import (
     cumulative_criterion,
     d_optimal,
     i_optimal,
+    view_planning,
     views_needed,
 )
 from smartview_jax.viewpoints.candidate_selection import exchange_selection, greedy_selection
@@ -30,6 +31,13 @@ POINTS = paper_points((0.0, 0.02))[::6]
 CENTRE = POINTS.mean(axis=0)
 NOISE = Noise(0.15, 1e-4, float(np.deg2rad(0.01)))
 RANGE = ViewRange(CENTRE, (0.17, 0.25), 0.7)
+CANDIDATES, CHOSEN = 12, 4
+"""Everything is chosen from so many and so few, so that the tests share programs."""
+
+
+@pytest.fixture(autouse=True)
+def few_random_candidates(monkeypatch):
+    monkeypatch.setattr(view_planning, "DEFAULT_CANDIDATE_COUNT", CANDIDATES)
 
 
 def views(seed, count, tilt=0.7):
@@ -49,7 +57,7 @@ def survey():
 @pytest.fixture(scope="module")
 def tests():
     """Views that the error is judged on; their points are all in the picture."""
-    return views(99, 12, 0.3)
+    return views(99, CANDIDATES, 0.3)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +67,7 @@ def goal(survey, tests):
 
 @pytest.fixture(scope="module")
 def candidates(survey):
-    poses = views(0, 12)
+    poses = views(0, CANDIDATES)
     return poses, survey.information(poses)
 
 
@@ -102,28 +110,29 @@ def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
     survey, goal, candidates
 ):
     _, information = candidates
-    free = jnp.ones(12, dtype=bool)
-    found = greedy_selection(information, survey.prior_information, goal, 5, free)
-    assert len(set(np.asarray(found).tolist())) == 5
-    total = jax.jit(lambda index: goal(jnp.sum(information[index], axis=0)))
-    for k in (3, 4):
-        others = [i for i in range(12) if i not in np.asarray(found[:k])]
-        tried = [float(total(jnp.array([*np.asarray(found[:k]), i]))) for i in others]
-        assert others[int(np.nanargmin(tried))] == int(found[k])
-    sets = np.array(list(itertools.combinations(range(12), 5)))
-    every = np.asarray(jax.lax.map(total, jnp.asarray(sets)))
+    free = jnp.ones(CANDIDATES, dtype=bool)
+    found = greedy_selection(information, survey.prior_information, goal, CHOSEN, free)
+    assert len(set(np.asarray(found).tolist())) == CHOSEN
+    total = jax.jit(jax.vmap(lambda index: goal(jnp.sum(information[index], axis=0))))
+    sets = np.array(list(itertools.combinations(range(CANDIDATES), CHOSEN)))
+    every = np.asarray(total(jnp.asarray(sets)))
+    values = dict(zip(map(frozenset, sets.tolist()), every.tolist(), strict=True))
+    first, last = np.asarray(found).tolist()[:-1], int(found[-1])
+    others = [i for i in range(CANDIDATES) if i not in first]
+    assert min(others, key=lambda i: values[frozenset((*first, i))]) == last
     better = exchange_selection(information, survey.prior_information, goal, found, free)
-    assert float(total(better)) <= float(total(found))
-    assert float(total(better)) <= np.nanquantile(every, 0.01)
+    value, improved = (values[frozenset(np.asarray(x).tolist())] for x in (found, better))
+    assert improved <= value
+    assert improved <= np.nanquantile(every, 0.01)
     # What may not be taken is not.
     barred = greedy_selection(
-        information, survey.prior_information, goal, 5, free.at[found].set(False)
+        information, survey.prior_information, goal, CHOSEN, free.at[found].set(False)
     )
     assert not set(np.asarray(barred).tolist()) & set(np.asarray(found).tolist())
 
 
 def test_the_gradient_of_the_goal_is_that_of_differences(survey, goal):
-    numbers = RANGE.sample(np.random.default_rng(1), 5)
+    numbers = RANGE.sample(np.random.default_rng(1), CHOSEN)
 
     def value(step):
         moved = RANGE.to_unbounded(numbers) + step * direction
@@ -137,8 +146,8 @@ def test_the_gradient_of_the_goal_is_that_of_differences(survey, goal):
 
 
 def test_chosen_views_keep_their_limits_and_are_better_than_those_they_came_from(survey, goal):
-    rough = choose_views(survey, goal, 4, RANGE, border_margin=5.0, refine=False)
-    fine = choose_views(survey, goal, 4, RANGE, border_margin=5.0)
+    rough = choose_views(survey, goal, CHOSEN, RANGE, border_margin=5.0, refine=False)
+    fine = choose_views(survey, goal, CHOSEN, RANGE, border_margin=5.0)
     assert float(fine.value) < float(rough.value)
     assert fine.unit == "px"
     told = jnp.sum(survey.information(fine.camera_from_world), axis=0)
@@ -158,8 +167,10 @@ def test_the_gradient_does_not_take_a_view_to_where_it_may_not_be(survey, goal):
         ways = some.inverse().translation() - jnp.broadcast_to(CENTRE, some.translation().shape)
         return ways[:, 2] / jnp.linalg.norm(ways, axis=1) > np.cos(0.4)
 
-    rough = choose_views(survey, goal, 4, RANGE, border_margin=5.0, allowed=upright, refine=False)
-    fine = choose_views(survey, goal, 4, RANGE, border_margin=5.0, allowed=upright)
+    rough = choose_views(
+        survey, goal, CHOSEN, RANGE, border_margin=5.0, allowed=upright, refine=False
+    )
+    fine = choose_views(survey, goal, CHOSEN, RANGE, border_margin=5.0, allowed=upright)
     assert bool(upright(fine.camera_from_world).all())
     assert float(fine.value) <= float(rough.value)
 
@@ -171,7 +182,7 @@ def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(survey, go
         return some.inverse().translation()[:, 0] < CENTRE[0]
 
     found = choose_views(
-        survey, goal, 3, poses, allowed=left, min_visible_fraction=0.3
+        survey, goal, CHOSEN, poses, allowed=left, min_visible_fraction=0.3
     ).camera_from_world
     assert bool(left(found).all())
     with pytest.raises(ValueError, match=r"13 views asked for; of 12 candidates \d+ may be taken"):
