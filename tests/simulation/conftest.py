@@ -1,4 +1,4 @@
-"""What the tests of this room share: a camera of small pictures and one rendering of the example."""
+"""What the tests of this room share: a camera of small pictures, and the example."""
 
 import dataclasses
 import importlib
@@ -12,7 +12,7 @@ from smartview_jax.simulation import object_example, paper_calibration, render_s
 
 @pytest.fixture(scope="session")
 def small_truth():
-    """The paper's set-up with pixels twice as large: a picture is rendered in a quarter of the time."""
+    """The paper's set-up with pixels twice as large: a quarter of the rays."""
     camera = Camera(1066.5, 1066.5, 160.75, 118.75, Radial(0.3), image_size=(320, 240))
     return dataclasses.replace(paper_calibration(), camera=camera)
 
