@@ -16,9 +16,12 @@ def scene():
     return random_scene(2, 7, POINTS, translation_noise=1e-4)
 
 
+def start():
+    return nudged(scene().calibration)
+
+
 def one_fit(devices):
-    start = nudged(scene().calibration)
-    return sv.fit_joint(scene().data, start, noise=NOISE, devices=devices)
+    return sv.fit_joint(scene().data, start(), noise=NOISE, devices=devices)
 
 
 def problem_without_corrections():
@@ -40,9 +43,11 @@ def described(fit):
     }
 
 
+def sets():
+    """Three, which do not go evenly into two devices."""
+    return [random_scene(k, 7, POINTS).data for k in range(3)]
+
+
 def many(devices):
-    """Three fits, which do not go evenly into two devices."""
-    sets = [random_scene(k, 7, POINTS).data for k in range(3)]
-    start = nudged(random_scene(0, 7, POINTS).calibration)
-    fits = sv.fit_many(sets, start, noise=NOISE, devices=devices)
+    fits = sv.fit_many(sets(), start(), noise=NOISE, devices=devices)
     return np.asarray(fits.calibrations.camera.alpha_u).tolist()

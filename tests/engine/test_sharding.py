@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fits_to_compare import described, many, one_fit
+from fits_to_compare import NOISE, described, one_fit, sets, start
+
+from smartview_jax import fit_joint
 
 HERE = Path(__file__).parent
 
@@ -75,4 +77,8 @@ def test_many_fits_on_two_devices_are_those_on_one():
     assert answer["devices"] == 2
     # Views of a fit without corrections, which has no other arrays by views.
     assert answer["views_here"] == [4, 4]
-    np.testing.assert_allclose(answer["many"], many(None), rtol=1e-10)
+    for found, data in zip(answer["many"], sets(), strict=True):
+        alone = fit_joint(data, start(), noise=NOISE)
+        # Another solver's last step: nothing next to the noise.
+        gap = abs(found - float(alone.calibration.camera.alpha_u))
+        assert gap < 1e-3 * alone.std["camera.alpha_u"]

@@ -48,4 +48,5 @@ def test_a_view_without_points_stays_finite_and_empty(noisy_robot):
     assert np.isnan(found.px[1]).all()
     assert found.unpredicted_count == 0
     everything = free_pose_errors(scene.calibration, scene.data)
-    np.testing.assert_allclose(found.px[2:], everything.px[2:])
+    # Iterations that end elsewhere by rounding, far below the noise of 0.15 px.
+    np.testing.assert_allclose(found.px[2:], everything.px[2:], atol=1e-6)

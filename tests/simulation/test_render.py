@@ -19,7 +19,7 @@ TARGETS = [
     Chessboard(6, 7, 0.006),
     Charuco(7, 6, 0.006, 0.0045, "DICT_4X4_50"),
     Charuco(7, 6, 0.006, 0.0045, "DICT_4X4_50", legacy=True),
-    TagGrid(2, 3, 0.012, 0.004, first_id=3),
+    TagGrid(1, 2, 0.018, 0.005, first_id=3),
     TagGrid(2, 3, 0.012, 0.004, "DICT_5X5_100"),
 ]
 

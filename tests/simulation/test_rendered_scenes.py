@@ -9,7 +9,7 @@ from smartview_jax.targets import CircleGrid, StackedTarget
 def test_detected_centres_lie_on_the_truth_once_corrected(small_truth):
     """A plain grid looks the same after half a turn: one view is turned so that it comes so."""
     truth = small_truth
-    target = StackedTarget(CircleGrid(3, 4, 0.008, radius=0.002), (0.0, 0.01))
+    target = StackedTarget(CircleGrid(3, 4, 0.008, radius=0.003), (0.0, 0.01))
     middle = target.points.mean(axis=0)
     views = look_at_from_above(middle, 0.2, np.deg2rad([5.0, 19.0]), 0.3, np.array([0.0, np.pi]))
     told = []

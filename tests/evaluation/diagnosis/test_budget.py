@@ -112,6 +112,8 @@ def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain():
     board = np.asarray(arm_scene.data.points[0])[::5]
     pixels = np.array(truth.project(six_axes().command(arm_scene.joints), board)[0])
     pixels += 0.05 * np.random.default_rng(0).normal(size=pixels.shape)
+    inside = ((pixels > 0.0) & (pixels < [639.0, 479.0])).all(axis=-1)
+    pixels[~inside] = np.nan
     data = Dataset.from_arrays(board, pixels, arm_scene.data.base_from_tool, (640, 480))
     fit = fit_joint(data, nudged(truth.uncorrected), noise="estimated")
     assert isinstance(fit.calibration.robot_error.field, GenericSixAxisArm)

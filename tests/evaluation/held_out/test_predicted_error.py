@@ -77,7 +77,7 @@ def test_pixels_that_err_together_move_a_views_pose_alone(fitted):
     def pixels(twist):
         return calibration.camera.project((SE3.exp(twist) @ pose) @ data.points[2])[0][seen]
 
-    columns = np.asarray(jax.jacfwd(pixels)(jnp.zeros(6))).reshape(-1, 6)
+    columns = np.asarray(jax.jit(jax.jacfwd(pixels))(jnp.zeros(6))).reshape(-1, 6)
     onto = columns @ np.linalg.pinv(columns)
     pixel = 0.2**2 * np.eye(len(onto)) + (0.9**2 - 0.2**2) * onto
     noises = [Noise(0.9, 2e-4, 5e-4, white_pixel=0.2), Noise(0.2, 2e-4, 5e-4)]
