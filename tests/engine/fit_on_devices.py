@@ -9,20 +9,27 @@ import sys
 import jax
 
 address, count, number = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-if count > 1:
-    jax.distributed.initialize(address, num_processes=count, process_id=number)
+jax.distributed.initialize(address, num_processes=count, process_id=number)
 
 from fits_to_compare import described, many, one_fit, problem_without_corrections  # noqa: E402
 
 from smartview_jax.engine.sharding import shard  # noqa: E402
 
-answer = {"devices": jax.device_count(), "fit": None, "many": None}
-if count > 1:
-    fit = one_fit(jax.devices())
-    problem, answer["fit"] = fit.problem, described(fit)
-else:
+fit = one_fit(jax.devices())
+
+
+def views_on_each(problem, devices):
+    dealt = shard(problem, devices).observations.visible.addressable_shards
+    return [len(part.data) for part in dealt]
+
+
+answer = {
+    "devices": jax.device_count(),
+    "fit": described(fit),
+    "views_here": views_on_each(fit.problem, jax.devices()),
+    # Without corrections there are no other arrays by views.
+    "uncorrected_views_here": views_on_each(problem_without_corrections(), jax.local_devices()),
     # Results of many fits stay with the process that made them.
-    problem, answer["many"] = problem_without_corrections(), many(jax.devices())
-dealt = shard(problem, jax.devices()).observations.visible.addressable_shards
-answer["views_here"] = [len(part.data) for part in dealt]
+    "many": many(jax.local_devices()) if number == 0 else None,
+}
 sys.stdout.write(f"{json.dumps(answer)}\n")

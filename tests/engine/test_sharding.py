@@ -1,4 +1,4 @@
-"""Views dealt out to two devices, of one process and of two, against one device."""
+"""Views dealt out to the devices of two processes, against one device."""
 
 import json
 import os
@@ -55,13 +55,16 @@ def run(processes, devices_each):
     return [json.loads(out.splitlines()[-1]) for out, _ in printed]
 
 
-def test_two_processes_find_what_one_finds():
+def test_two_processes_find_what_one_device_finds():
+    """Each of two devices."""
     alone = described(one_fit(None))
     assert alone["converged"]
-    for answer in run(processes=2, devices_each=1):
-        assert answer["devices"] == 2
-        # Seven views and one that shows nothing.
-        assert answer["views_here"] == [4]
+    answers = run(processes=2, devices_each=2)
+    for answer in answers:
+        assert answer["devices"] == 4
+        # Seven views and one that shows nothing, among all devices or those of one process.
+        assert answer["views_here"] == [2, 2]
+        assert answer["uncorrected_views_here"] == [4, 4]
         together = answer["fit"]
         assert together["converged"]
         assert together["cost"] == pytest.approx(alone["cost"], rel=1e-11)
@@ -70,15 +73,7 @@ def test_two_processes_find_what_one_finds():
         assert gap.max() < 1e-3
         np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
         np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
-
-
-def test_many_fits_on_two_devices_are_those_on_one():
-    (answer,) = run(processes=1, devices_each=2)
-    assert answer["devices"] == 2
-    # Views of a fit without corrections, which has no other arrays by views.
-    assert answer["views_here"] == [4, 4]
-    for found, data in zip(answer["many"], sets(), strict=True):
-        alone = fit_joint(data, start(), noise=NOISE)
+    for found, data in zip(answers[0]["many"], sets(), strict=True):
+        one = fit_joint(data, start(), noise=NOISE)
         # Another solver's last step: nothing next to the noise.
-        gap = abs(found - float(alone.calibration.camera.alpha_u))
-        assert gap < 1e-3 * alone.std["camera.alpha_u"]
+        assert abs(found - float(one.calibration.camera.alpha_u)) < 1e-3 * one.std["camera.alpha_u"]

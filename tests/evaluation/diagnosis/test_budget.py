@@ -1,5 +1,6 @@
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -129,6 +130,17 @@ def test_few_views_come_before_all_else(misprinted):
     assert found.dominant_cause == TOO_FEW_VIEWS
     assert found.scale_hypotheses == ()
     assert "6 views" in found.summary
+
+
+def test_a_view_that_was_rejected_does_not_count(misprinted, monkeypatch):
+    scene, fit, found = misprinted
+    monkeypatch.setattr(budget_module, "scale_hypotheses", lambda *_: found.scale_hypotheses)
+    without = scene.data.mask_views([3])
+    used = fit.problem.observations.visible.at[3].set(False)
+    refused = eqx.tree_at(lambda f: f.problem.observations.visible, fit, used)
+    wrong = eqx.tree_at(lambda d: d.pixels, scene.data, scene.data.pixels.at[3].add(40.0))
+    assert error_budget(wrong, refused).total_rms == error_budget(without, fit).total_rms
+    assert error_budget(wrong, fit).total_rms > 2.0 * found.total_rms
 
 
 def test_a_fit_that_trusts_the_robot_has_no_budget(misprinted):

@@ -42,7 +42,7 @@ def test_a_fit_whose_model_is_true_is_as_far_off_as_it_expects():
     """Over fits to few views, where the parameters' own errors are no small part."""
     poses = noisy_scene(1000).base_from_tool
     squares = []
-    for seed in range(12):
+    for seed in range(8):
         found = fit(noisy_scene(seed).data.mask_views(range(6, VIEWS)))
         unseen = simulate(TRUTH, poses, POINTS, 100 + seed, 0.15, 2e-4, 5e-4).data
         both = (
