@@ -224,6 +224,7 @@ def _minimise_bfgs(
     return optx.minimise(cost, solver, initial, max_steps=MAX_BFGS_STEPS, throw=False).value
 
 
+@compiled_optimised
 def _total_criterion(
     criterion: OptimalityCriterion,
     information: Float[Array, "views free free"],

@@ -81,18 +81,21 @@ def test_the_goals_are_those_of_the_bound_of_the_chosen_views(survey, goal, test
     some = SE3(poses.wxyz_xyz[:6])
     bound = cramer_rao(TRUTH, taken(some), NOISE)
     told = jnp.sum(information[:6], axis=0)
+    criteria = goal, a_optimal(survey, 0.2), d_optimal()
+    values = jax.jit(lambda told: [criterion(told) for criterion in criteria])(told)
+    value, a_value, d_value = map(float, values)
     assert survey.parameter_names == bound.parameter_names
     spread = std_of(bound, lambda calibration: pixels_of(calibration, tests))
     expected = np.sqrt(np.mean(np.sum(np.asarray(spread) ** 2, axis=-1)))
-    assert float(goal(told)) == pytest.approx(float(expected), rel=1e-6)
+    assert value == pytest.approx(float(expected), rel=1e-6)
     assert goal.unit == "px"
     shifts = [bound.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"]
     turns = [bound.std[f"camera_from_tool.rotation.{axis}"] for axis in "xyz"]
     expected = np.sqrt(np.sum(np.square(shifts)) + 2.0 / 3.0 * 0.2**2 * np.sum(np.square(turns)))
-    assert float(a_optimal(survey, 0.2)(told)) == pytest.approx(float(expected), rel=1e-6)
+    assert a_value == pytest.approx(float(expected), rel=1e-6)
     _, logarithm = np.linalg.slogdet(bound.covariance)
     size = 0.5 * logarithm / len(bound.covariance)
-    assert float(jnp.log(d_optimal()(told))) == pytest.approx(size, abs=1e-6)
+    assert float(np.log(d_value)) == pytest.approx(size, abs=1e-6)
 
 
 def test_priors_past_views_and_an_exact_robot_count_as_in_the_bound(candidates):
