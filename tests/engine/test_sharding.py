@@ -62,7 +62,7 @@ def test_two_processes_find_what_one_device_finds():
     answers = run(processes=2, devices_each=2)
     for answer in answers:
         assert answer["devices"] == 4
-        # Seven views and one that shows nothing, among all devices or those of one process.
+        # Seven views and one that shows nothing, among all devices or within one process.
         assert answer["views_here"] == [2, 2]
         assert answer["uncorrected_views_here"] == [4, 4]
         together = answer["fit"]

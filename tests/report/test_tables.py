@@ -147,7 +147,7 @@ def test_the_errors_found_are_in_the_units_people_use(moved_view):
 
 @pytest.fixture(scope="module")
 def moved_view():
-    """Views of which one was moved, with everything that is said of them."""
+    """Views, one of them moved, with everything that is said of them."""
     scene = random_scene(3, VIEWS, POINTS, translation_noise=1e-4)
     poses = scene.data.base_from_tool.wxyz_xyz
     wrong = SE3(poses[6]) @ SE3.exp(jnp.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.02]))

@@ -129,6 +129,11 @@ def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
     value, improved = (values[frozenset(np.asarray(x).tolist())] for x in (found, better))
     assert improved <= value
     assert improved <= np.nanquantile(every, 0.01)
+    # A view that tells more than all others together is taken once.
+    strong, prior = information.at[0].multiply(1e4), survey.prior_information
+    index = greedy_selection(strong, prior, goal, CHOSEN, free)
+    for chosen in (index, exchange_selection(strong, prior, goal, index, free)):
+        assert len(set(np.asarray(chosen).tolist())) == CHOSEN
     # What may not be taken is not.
     barred = greedy_selection(
         information, survey.prior_information, goal, CHOSEN, free.at[found].set(False)
