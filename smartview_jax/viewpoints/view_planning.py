@@ -151,6 +151,7 @@ def choose_views(
     )
 
 
+@compiled_optimised
 def visible_fraction(
     information_model: InformationModel, camera_from_world: SE3, border_margin: float
 ) -> Float[Array, "views"]:
@@ -180,11 +181,15 @@ def refine_views(
     accepted_fraction = jnp.zeros(len(coordinates))
     # From small to large fractions: for each view the last one that is admissible remains.
     for fraction in BACKTRACKING_FRACTIONS[::-1]:
-        poses = views.poses(views.from_unbounded(initial + fraction * (minimiser - initial)))
+        poses = _poses_at(views, initial + fraction * (minimiser - initial))
         accepted_fraction = jnp.where(is_admissible(poses), fraction, accepted_fraction)
-    return views.poses(
-        views.from_unbounded(initial + accepted_fraction[:, None] * (minimiser - initial))
-    )
+    return _poses_at(views, initial + accepted_fraction[:, None] * (minimiser - initial))
+
+
+@compiled_optimised
+def _poses_at(views: ViewRange, unbounded: Float[Array, "count 6"]) -> SE3:
+    """Return the poses at unbounded coordinates."""
+    return views.poses(views.from_unbounded(unbounded))
 
 
 @compiled_optimised
@@ -200,7 +205,7 @@ def _minimise_bfgs(
     required_points = int(np.ceil(min_visible_fraction * len(information_model.points) - 1e-9))
 
     def cost(unbounded: Float[Array, "count 6"], _: Any) -> Float[Array, ""]:
-        poses = views.poses(views.from_unbounded(unbounded))
+        poses = _poses_at(views, unbounded)
         inner_distance = information_model.border_distance(poses) - border_margin
         # Only the required number of points counts, those farthest inside: the others may leave.
         # A point that cannot be projected is at minus infinity, which has no finite square.
@@ -219,6 +224,7 @@ def _minimise_bfgs(
     return optx.minimise(cost, solver, initial, max_steps=MAX_BFGS_STEPS, throw=False).value
 
 
+@compiled_optimised
 def _total_criterion(
     criterion: OptimalityCriterion,
     information: Float[Array, "views free free"],

@@ -1,4 +1,4 @@
-"""Views dealt out to two devices, of one process and of two, against one device."""
+"""Views dealt out to the devices of two processes, against one device."""
 
 import json
 import os
@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fits_to_compare import NOISE, described, one_fit, sets, start
+
+from smartview_jax import fit_joint
 
 HERE = Path(__file__).parent
 
@@ -28,7 +31,13 @@ def run(processes, devices_each):
     }
     started = [
         subprocess.Popen(
-            [sys.executable, str(HERE / "fit_on_devices.py"), address, str(processes), str(k)],
+            [
+                sys.executable,
+                str(HERE / "fit_on_devices.py"),
+                address,
+                str(processes),
+                str(k),
+            ],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -46,20 +55,25 @@ def run(processes, devices_each):
     return [json.loads(out.splitlines()[-1]) for out, _ in printed]
 
 
-@pytest.mark.parametrize(("processes", "devices_each"), [(1, 2), (2, 1)])
-def test_two_devices_find_what_one_finds(processes, devices_each):
-    for answer in run(processes, devices_each):
-        assert answer["devices"] == 2
-        # Seven views and one that shows nothing.
-        assert answer["views_here"] == [4] * devices_each
-        for alone, together in (answer["fits"][:2], answer["fits"][2:]):
-            assert alone["converged"]
-            assert together["converged"]
-            assert together["cost"] == pytest.approx(alone["cost"], rel=1e-11)
-            # Sums in another order end elsewhere by what is nothing next to the noise.
-            gap = np.abs(np.array(together["found"]) - alone["found"]) / alone["std"]
-            assert gap.max() < 1e-3
-            np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
-            np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
-        if answer["many"] is not None:
-            np.testing.assert_allclose(*answer["many"], rtol=1e-10)
+def test_two_processes_find_what_one_device_finds():
+    """Each of two devices."""
+    alone = described(one_fit(None))
+    assert alone["converged"]
+    answers = run(processes=2, devices_each=2)
+    for answer in answers:
+        assert answer["devices"] == 4
+        # Seven views and one that shows nothing, among all devices or within one process.
+        assert answer["views_here"] == [2, 2]
+        assert answer["uncorrected_views_here"] == [4, 4]
+        together = answer["fit"]
+        assert together["converged"]
+        assert together["cost"] == pytest.approx(alone["cost"], rel=1e-11)
+        # Sums in another order end elsewhere by what is nothing next to the noise.
+        gap = np.abs(np.array(together["found"]) - alone["found"]) / alone["std"]
+        assert gap.max() < 1e-3
+        np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
+        np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
+    for found, data in zip(answers[0]["many"], sets(), strict=True):
+        one = fit_joint(data, start(), noise=NOISE)
+        # Another solver's last step: nothing next to the noise.
+        assert abs(found - float(one.calibration.camera.alpha_u)) < 1e-3 * one.std["camera.alpha_u"]

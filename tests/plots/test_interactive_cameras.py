@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from standard_scene import POINTS, VIEWS
 
 from smartview_jax import plots
 from smartview_jax.evaluation import reprojection_errors
@@ -13,7 +14,7 @@ from smartview_jax.simulation import random_scene
 
 @pytest.fixture(scope="module")
 def scene():
-    return random_scene(1, views=6)
+    return random_scene(1, VIEWS, POINTS)
 
 
 def trace(drawn, name):
@@ -32,7 +33,7 @@ def test_cameras_stand_where_the_chain_puts_them_and_say_their_error(scene):
 
 
 def test_the_page_needs_no_network_and_no_name_ends_its_script(scene):
-    named = dataclasses.replace(scene.data, view_ids=("</script>", *"12345"))
+    named = dataclasses.replace(scene.data, view_ids=("</script>", *map(str, range(1, VIEWS))))
     html = plots.interactive_cameras(named, scene.calibration).html("here")
     assert html.count("</script>") == 2
     description = html.rpartition("...")[2].partition(", {responsive")[0]

@@ -6,16 +6,17 @@ import jax
 import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
+from standard_scene import POINTS, VIEWS
 
-from smartview_jax import plots
-from smartview_jax.evaluation import reprojection_errors
+from smartview_jax import Dataset, plots
+from smartview_jax.evaluation import ReprojectionErrors, reprojection_errors
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.targets import CircleGrid, StackedTarget
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return random_scene(1, views=6, outlier_fraction=0.05)
+    return random_scene(1, VIEWS, POINTS, outlier_fraction=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +123,10 @@ def test_the_band_is_that_of_the_draws_and_what_is_open_is_not_drawn():
 
 
 def test_names_of_many_views_do_not_overlap():
-    scene = random_scene(1, views=130)
-    errors = {"joint": reprojection_errors(scene.calibration, scene.data)}
-    figure = plots.view_errors(scene.data, errors)
+    poses = np.broadcast_to(np.eye(4), (130, 4, 4))
+    data = Dataset.from_arrays(np.zeros((1, 3)), np.zeros((130, 1, 2)), poses, (640, 480))
+    errors = {"joint": ReprojectionErrors(*np.ones((2, 130, 1)))}
+    figure = plots.view_errors(data, errors)
     figure.canvas.draw()
     boxes = [tick.get_window_extent() for tick in figure.axes[0].get_xticklabels()]
     assert len(boxes) > 30

@@ -5,25 +5,26 @@ import re
 
 import numpy as np
 import pytest
+from standard_scene import POINTS, VIEWS
 
 from smartview_jax import Noise, calibrate
 from smartview_jax.fit_result import FitCode, FitResult
 from smartview_jax.report import error_summaries
 from smartview_jax.report.next_steps import hand_eye_half_widths, hand_eye_sentence, next_steps
-from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.simulation import random_scene
 
 NOISE = Noise(pixel=0.1, translation=1e-3, rotation=1e-3)
+LENS = "radial"
 
 
 @pytest.fixture(scope="module")
 def data():
-    points = paper_points((0.0, 0.02))[::6]
-    return random_scene(2, 8, points, translation_noise=1e-3, rotation_noise=1e-3).data
+    return random_scene(2, VIEWS, POINTS, translation_noise=1e-3, rotation_noise=1e-3).data
 
 
 @pytest.fixture(scope="module")
 def fit(data):
-    return calibrate(data, noise=NOISE)
+    return calibrate(data, LENS, noise=NOISE)
 
 
 def test_the_least_known_axis_is_said(fit):
@@ -40,13 +41,13 @@ def test_a_robot_that_errs_more_than_the_camera_is_what_limits(fit, data):
         float(x) for x in re.findall(r"about (\S+) mm instead of (\S+) mm", sentences[1])[0]
     )
     assert now == pytest.approx(then / np.sqrt(2.0), rel=0.05)
-    assert "16 views of the same kind instead of 8" in sentences[1]
+    assert "32 views of the same kind instead of 16" in sentences[1]
     assert "held-out errors" in sentences[2]
 
 
 def test_an_exact_robot_leaves_the_camera_to_limit(data):
-    exact = random_scene(2, 8, paper_points((0.0, 0.02))[::6]).data
-    fit = calibrate(exact, noise="trusted")
+    exact = random_scene(2, VIEWS, POINTS).data
+    fit = calibrate(exact, LENS, noise=Noise(pixel=0.15, translation=1e-7, rotation=1e-7))
     sentences = next_steps(fit, exact, error_summaries(fit, exact))
     assert sentences[0].startswith("The camera and the detected points limit the error")
 

@@ -10,7 +10,7 @@ from smartview_jax import Dataset
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.simulation import six_axis_scene
 
-SHAPE = {"views": 25, "held_out_views": 40}
+SHAPE = {"views": 16, "held_out_views": 16}
 QUIET = {"pixel_noise": 0.0, "translation_noise": 0.0, "rotation_noise": 0.0}
 FLAT = {"warp_range": (0.0, 0.0)}
 

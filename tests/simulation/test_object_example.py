@@ -7,14 +7,12 @@ import trimesh
 from smartview_jax import features
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_dataset, load_object_views, object_sample_folder
-from smartview_jax.simulation import example_solid, object_example, object_example_boards
+from smartview_jax.simulation import example_solid, object_example_boards
 
 pytest.importorskip("embreex")
 
-
-@pytest.fixture(scope="module")
-def example():
-    return object_example()
+RENDERED = (0, 3)
+"""Which of the example's pictures are rendered; see `conftest`."""
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +22,9 @@ def sample():
 
 def test_the_packages_sample_is_this_example(example, sample):
     """As JPEG: grey levels differ a little, poses do not."""
-    assert len(sample.pictures) == 5
-    for stored, rendered in zip(sample.pictures, example.pictures, strict=True):
-        difference = stored.astype(float) - rendered
+    assert len(sample.pictures) == len(example.pictures) == 5
+    for k in RENDERED:
+        difference = sample.pictures[k].astype(float) - example.pictures[k]
         assert np.abs(difference).mean() < 2.0
         assert abs(difference.mean()) < 0.1
     stored, reported = host_matrices(sample.base_from_tool), host_matrices(example.reported)
@@ -49,7 +47,7 @@ def test_visible_vertices_are_corners_of_the_pictures(example):
     mesh = trimesh.Trimesh(solid.vertices, solid.triangles, process=False)
     poses = host_matrices(example.base_from_tool)
     gaps = []
-    for picture, pose in zip(example.pictures, poses, strict=True):
+    for picture, pose in ((example.pictures[k], poses[k]) for k in RENDERED):
         camera_from_world = host_matrices(calibration.camera_from_world(pose))
         centre = np.linalg.inv(camera_from_world)[:3, 3]
         # A vertex is seen if the way to the camera from just above it is free.
@@ -59,7 +57,7 @@ def test_visible_vertices_are_corners_of_the_pictures(example):
         found = features.find(picture, calibration.camera)
         pixels = np.asarray(calibration.project(pose, solid.vertices)[0])
         gaps += list(np.linalg.norm(found.corners[:, None] - pixels[seen], axis=2).min(axis=0))
-    assert len(gaps) > 40
+    assert len(gaps) > 16
     # The others lie where two faces are equally bright.
     assert np.mean(np.array(gaps) < 1.5) > 0.75
     assert np.median(gaps) < 0.3

@@ -7,7 +7,6 @@ from smartview_jax.detection import detect
 from smartview_jax.io import load_dataset
 from smartview_jax.simulation import (
     look_at_from_above,
-    paper_calibration,
     render,
     write_pictures,
 )
@@ -15,16 +14,18 @@ from smartview_jax.targets import Charuco, Chessboard, CircleGrid, StackedTarget
 
 TARGETS = [
     CircleGrid(6, 7, 0.006),
-    CircleGrid(6, 7, 0.006, light_on_dark=True),
     CircleGrid(6, 7, 0.006, origin_mark=True),
-    CircleGrid(9, 4, 0.004, asymmetric=True),
     CircleGrid(9, 4, 0.004, asymmetric=True, light_on_dark=True),
     Chessboard(6, 7, 0.006),
     Charuco(7, 6, 0.006, 0.0045, "DICT_4X4_50"),
     Charuco(7, 6, 0.006, 0.0045, "DICT_4X4_50", legacy=True),
-    TagGrid(2, 3, 0.012, 0.004, first_id=3),
+    TagGrid(1, 2, 0.018, 0.005, first_id=3),
     TagGrid(2, 3, 0.012, 0.004, "DICT_5X5_100"),
 ]
+
+
+SAMPLES = 3
+"""Rays in a pixel, in each direction: one program renders all pictures."""
 
 
 def facing(target, tilt=0.2, roll=0.3):
@@ -37,11 +38,11 @@ def facing(target, tilt=0.2, roll=0.3):
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=repr)
-def test_a_detector_finds_the_points_where_the_calibration_puts_them(target):
+def test_a_detector_finds_the_points_where_the_calibration_puts_them(small_truth, target):
     """Pattern, lens and frame conventions at once: everything but the detector is ours."""
-    truth = paper_calibration()
+    truth = small_truth
     pose = truth.command_for(facing(target))
-    found = detect(render(truth, pose, target, samples=3), target)
+    found = detect(render(truth, pose, target, samples=SAMPLES), target)
     assert found.reason is None
     assert found.visible.mean() > 0.9
     known = np.asarray(truth.project(pose, target.points)[0])
@@ -50,45 +51,39 @@ def test_a_detector_finds_the_points_where_the_calibration_puts_them(target):
     assert min(gaps) < (0.3 if isinstance(target, TagGrid | Charuco) else 0.12)
 
 
-def test_from_behind_there_is_nothing_to_see():
-    truth = paper_calibration()
+def test_from_behind_there_is_nothing_to_see(small_truth):
+    truth = small_truth
     target = TagGrid(1, 1, 0.02)
     behind = truth.command_for(look_at_from_above(np.zeros(3), 0.2, np.pi, 0.0))
-    assert np.ptp(render(truth, behind, target, noise=0.0)) == 0
+    assert np.ptp(render(truth, behind, target, noise=0.0, samples=SAMPLES)) == 0
 
 
-def test_a_board_at_five_heights_from_pictures_to_a_calibration(tmp_path):
+def test_a_board_at_two_heights_from_pictures_to_a_data_set(small_truth, tmp_path):
     """Its grid is plain, so every height of every view may come in either order."""
-    truth = paper_calibration()
-    target = StackedTarget(CircleGrid(6, 7, 0.005), (0.0, 0.005, 0.01, 0.015, 0.02))
+    truth = small_truth
+    target = StackedTarget(CircleGrid(6, 7, 0.005), (0.0, 0.02))
     # A board whose own y points down is turned to y up: its points lie at negative y.
     shift = SE3.from_translation(np.array([0.003, 0.0275, 0.0]))
     roll = np.random.default_rng(1).uniform(-0.6, 0.6, 5)
     views = sv.five_viewpoints(np.array([0.018, 0.015, 0.01]), 0.2, roll, pattern="L")
     poses = truth.command_for(views @ shift)
-    folder = write_pictures(tmp_path / "paper", truth, poses, target, samples=2)
-    assert len(list((folder / "images").iterdir())) == 25
+    folder = write_pictures(tmp_path / "paper", truth, poses, target, samples=SAMPLES)
+    assert len(list((folder / "images").iterdir())) == 10
     data = load_dataset(folder)
     assert data.view_count == 5
-    assert data.observation_count == 5 * 5 * 42
+    assert data.observation_count == 5 * 2 * 42
     predicted = np.asarray(truth.project(poses, target.points)[0])
     gaps = [
         np.abs(np.asarray(data.pixels) - predicted[:, order]).max() for order in target.symmetries
     ]
     assert min(gaps) < 0.25
-    staged = sv.fit_staged(data)
-    assert staged.result.converged
-    seen = np.linalg.norm(np.asarray(staged.residuals), axis=-1)[np.asarray(data.visible)]
-    assert np.sqrt(np.mean(seen**2)) < 0.2
-    focal = float(staged.calibration.camera.alpha_u)
-    assert focal == pytest.approx(float(truth.camera.alpha_u), rel=0.02)
 
 
-def test_pictures_of_several_heights_need_their_number(tmp_path):
-    truth = paper_calibration()
+def test_pictures_of_several_heights_need_their_number(small_truth, tmp_path):
+    truth = small_truth
     target = StackedTarget(CircleGrid(3, 3, 0.006), (0.0, 0.01))
     pose = truth.command_for(look_at_from_above(np.array([0.006, -0.006, 0.0]), 0.2, 0.1, 0.0))
-    folder = write_pictures(tmp_path, truth, SE3(pose.wxyz_xyz[None]), target, samples=1)
+    folder = write_pictures(tmp_path, truth, SE3(pose.wxyz_xyz[None]), target, samples=SAMPLES)
     text = (folder / "dataset.yaml").read_text()
     (folder / "dataset.yaml").write_text(text.replace("_{height}", ""))
     with pytest.raises(ValueError, match=r"2 heights need \{height\}"):

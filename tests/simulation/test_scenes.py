@@ -3,11 +3,11 @@ import numpy as np
 import pytest
 from jaxlie import SE3
 from scipy.spatial.transform import Rotation
+from standard_scene import POINTS, VIEWS
 
 from smartview_jax.simulation import (
     look_at_from_above,
     paper_calibration,
-    paper_points,
     random_scene,
     random_viewpoints,
     simulate,
@@ -31,21 +31,22 @@ def test_look_at_from_straight_above_has_u_along_x_and_v_along_minus_y():
 
 
 def test_noise_has_the_stated_size():
-    scene = random_scene(
-        seed=5, views=60, pixel_noise=0.3, translation_noise=1e-3, rotation_noise=2e-3
-    )
-    truth, _ = scene.calibration.project(scene.base_from_tool, scene.data.points)
-    errors = np.asarray(scene.data.pixels - truth)[np.asarray(scene.data.visible)]
-    assert errors.std() == pytest.approx(0.3, rel=0.05)
-    # tool_from_base = exp(c) @ reported
-    reported = scene.data.base_from_tool.inverse()
-    corrections = np.asarray((scene.base_from_tool.inverse() @ reported.inverse()).log())
+    errors, corrections = [], []
+    for seed in range(4):
+        scene = random_scene(seed, VIEWS, POINTS, None, 0.6, (0.17, 0.25), 0.3, 1e-3, 2e-3)
+        truth, _ = scene.calibration.project(scene.base_from_tool, scene.data.points)
+        errors.append(np.asarray(scene.data.pixels - truth)[np.asarray(scene.data.visible)])
+        # tool_from_base = exp(c) @ reported
+        reported = scene.data.base_from_tool.inverse()
+        corrections.append((scene.base_from_tool.inverse() @ reported.inverse()).log())
+    assert np.concatenate(errors).std() == pytest.approx(0.3, rel=0.05)
+    corrections = np.concatenate(corrections)
     assert corrections[:, :3].std() == pytest.approx(1e-3, rel=0.25)
     assert corrections[:, 3:].std() == pytest.approx(2e-3, rel=0.25)
 
 
 def test_without_noise_the_data_are_the_projection():
-    scene = random_scene(seed=1, views=4, pixel_noise=0.0)
+    scene = random_scene(1, VIEWS, POINTS, pixel_noise=0.0)
     predicted, _ = scene.calibration.project(scene.data.base_from_tool, scene.data.points)
     seen = np.asarray(scene.data.visible)
     np.testing.assert_allclose(np.asarray(scene.data.pixels)[seen], predicted[seen], atol=1e-9)
@@ -53,29 +54,28 @@ def test_without_noise_the_data_are_the_projection():
 
 
 def test_outliers_are_marked_and_gross():
-    scene = random_scene(seed=2, views=10, pixel_noise=0.1, outlier_fraction=0.1)
+    scene = random_scene(2, VIEWS, POINTS, pixel_noise=0.1, outlier_fraction=0.1)
     truth, _ = scene.calibration.project(scene.base_from_tool, scene.data.points)
     seen, marked = np.asarray(scene.data.visible), np.asarray(scene.outliers)
     distance = np.linalg.norm(np.asarray(scene.data.pixels - truth), axis=-1)
     assert distance[seen & marked].min() > 4.0
     assert distance[seen & ~marked].max() < 1.0
-    assert marked.sum() / seen.sum() == pytest.approx(0.1, abs=0.03)
+    # A binomial share of some 330 points: three standard deviations.
+    assert marked.sum() / seen.sum() == pytest.approx(0.1, abs=0.05)
 
 
 def test_the_same_seed_gives_the_same_scene():
-    first, second = random_scene(seed=9, views=3), random_scene(seed=9, views=3)
+    first, second, other = (random_scene(seed, VIEWS, POINTS) for seed in (9, 9, 10))
     np.testing.assert_array_equal(first.data.pixels, second.data.pixels)
-    assert not np.array_equal(
-        first.base_from_tool.wxyz_xyz, random_scene(seed=10, views=3).base_from_tool.wxyz_xyz
-    )
+    assert not np.array_equal(first.base_from_tool.wxyz_xyz, other.base_from_tool.wxyz_xyz)
 
 
 def test_points_behind_the_camera_are_not_seen():
     calibration = paper_calibration()
     away = random_viewpoints(
-        np.random.default_rng(0), 3, np.array([0.0, 0.0, 1.0]), (0.1, 0.2), 0.1
+        np.random.default_rng(0), VIEWS, np.array([0.0, 0.0, 1.0]), (0.1, 0.2), 0.1
     )
-    behind = paper_points() + np.array([0.0, 0.0, 2.0])
+    behind = POINTS + np.array([0.0, 0.0, 2.0])
     scene = simulate(calibration, calibration.command_for(away), behind)
     assert scene.data.observation_count == 0
     assert isinstance(scene.base_from_tool, SE3)

@@ -141,13 +141,13 @@ def test_textures_are_albedos_and_seeds_repeat_them():
     assert np.abs(near).max() < 0.02
 
 
-def test_a_picture_is_bytes_of_the_cameras_size_and_noise_has_a_seed():
+def test_a_picture_is_bytes_of_the_cameras_size_and_noise_has_a_seed(small_truth):
     scene = SolidScene((Surface.of_polyhedron(SOLID, matt(0.6)),))
     first, same, other = (
-        render_solids(CALIBRATION, POSE, scene, seed=seed, samples=4) for seed in (0, 0, 1)
+        render_solids(small_truth, POSE, scene, seed=seed, samples=4) for seed in (0, 0, 1)
     )
     assert first.dtype == np.uint8
-    assert first.shape == CALIBRATION.camera.image_size[::-1]
+    assert first.shape == (240, 320)
     np.testing.assert_array_equal(first, same)
     assert (first != other).any()
 
@@ -160,7 +160,7 @@ def test_wrong_scenes_are_refused():
         render_solids(CALIBRATION, poses, SolidScene((Surface.of_plane(0.1, matt(0.5)),)))
 
 
-def test_coarse_to_fine_gives_the_same_edges_for_fewer_rays():
+def test_coarse_to_fine_gives_the_same_edges_for_fewer_rays(small_truth):
     scene = SolidScene(
         (
             Surface.of_plane(0.3, speckled(0.5, 0.05, 0.01)),
@@ -168,11 +168,11 @@ def test_coarse_to_fine_gives_the_same_edges_for_fewer_rays():
         )
     )
     full, coarse = (
-        scene_brightness(CALIBRATION, POSE, scene, samples=8, stride=stride) for stride in (1, 3)
+        scene_brightness(small_truth, POSE, scene, samples=8, stride=stride) for stride in (1, 3)
     )
     # Contours are hit by the same rays; between them nothing differs by what counts as smooth.
     strong = cv2.dilate(full, np.ones((3, 3))) - cv2.erode(full, np.ones((3, 3))) > 8.0
-    assert strong.sum() > 1000
+    assert strong.sum() > 400
     assert np.abs(full - coarse)[strong].max() < 1e-9
     assert np.abs(full - coarse).max() < 4.0
     assert np.abs(full - coarse).mean() < 0.05

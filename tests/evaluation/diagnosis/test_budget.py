@@ -1,22 +1,26 @@
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from standard_scene import POINTS, VIEWS
 from starts import nudged
 
-from smartview_jax import error_budget, fit_joint, fit_staged, held_out
+from smartview_jax import Camera, Dataset, Noise, error_budget, fit_joint, held_out
+from smartview_jax.cameras import Radial
 from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.evaluation.diagnosis import budget as budget_module
 from smartview_jax.evaluation.diagnosis.budget import (
     SCALE_ERROR,
     SYSTEMATIC_ROBOT_ERROR,
     TOO_FEW_VIEWS,
 )
+from smartview_jax.evaluation.diagnosis.scale_hypotheses import region_held_out_rms
 from smartview_jax.robot_errors import GenericSixAxisArm, LinearInPose, RobotError
-from smartview_jax.simulation import paper_calibration, paper_points, random_scene, six_axis_scene
+from smartview_jax.robots import six_axes
+from smartview_jax.simulation import paper_calibration, random_scene, six_axis_scene
 
-VIEWS_TAKEN = 16
-POINTS = paper_points((0.0, 0.02))[::4]
 SMALL = {"translation_noise": 2e-5, "rotation_noise": 5e-5}
 PRINTED = 0.97
 
@@ -35,7 +39,7 @@ def sizes(found):
 def misprinted():
     """A target smaller than it is said to be, and the fit does not know."""
     truth = dataclasses.replace(paper_calibration(), target_scale=jnp.asarray(PRINTED))
-    return budget(random_scene(2, VIEWS_TAKEN, POINTS, truth, **SMALL))
+    return budget(random_scene(2, VIEWS, POINTS, truth, **SMALL))
 
 
 def test_a_misprinted_target_is_one_of_two_explanations(misprinted):
@@ -54,17 +58,26 @@ def test_a_misprinted_target_is_one_of_two_explanations(misprinted):
     assert target.log_likelihood_ratio > 10.0
 
 
-def test_what_explains_predicts_regions_that_it_never_saw(misprinted):
+def test_what_explains_predicts_regions_that_it_never_saw(misprinted, monkeypatch):
     """Better than a chain that leaves the error to the mount; no better than its pixels."""
-    scene, fit, _ = misprinted
-    target = error_budget(scene.data, fit, held_out_by_region=True).scale_hypotheses[0]
-    bare = held_out(scene.data, lambda part: trusting(part, fit), 5, by="region").errors.rms
-    assert target.region_rms is not None
+    scene, fit, found = misprinted
+    bare = held_out(scene.data, lambda part: trusting(part, fit), 3, by="region").errors.rms
+
+    def in_three_regions(data, fit, name):
+        """Only for the target: its fits are like the robot's."""
+        return region_held_out_rms(data, fit, name, 3) if name == "target scale" else 7.0
+
+    monkeypatch.setattr(budget_module, "scale_hypotheses", lambda *_: found.scale_hypotheses)
+    monkeypatch.setattr(budget_module, "region_held_out_rms", in_three_regions)
+    target, robot = error_budget(scene.data, fit, held_out_by_region=True).scale_hypotheses
     assert 0.15 < target.region_rms < bare
+    assert robot.region_rms == 7.0
 
 
 def trusting(data, fit):
-    return fit_joint(data, fit.calibration.uncorrected, noise="trusted", gross_errors="keep")
+    """Poses that are exact, by the program that knows corrections."""
+    exact = Noise(0.15, 1e-9, 1e-9)
+    return fit_joint(data, fit.calibration.uncorrected, noise=exact, gross_errors="keep")
 
 
 def test_its_parts_make_up_the_whole(misprinted):
@@ -75,13 +88,13 @@ def test_its_parts_make_up_the_whole(misprinted):
 
 
 def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
-    poses = random_scene(0, VIEWS_TAKEN, POINTS).data.base_from_tool
+    poses = random_scene(0, VIEWS, POINTS).data.base_from_tool
     field = LinearInPose.from_poses(poses)
     by_group = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
     coefficients = by_group * np.random.default_rng(1).normal(size=field.size)
     error = RobotError(field, jnp.asarray(coefficients))
     truth = dataclasses.replace(paper_calibration(), robot_error=error)
-    _, _, found = budget(random_scene(0, VIEWS_TAKEN, POINTS, truth, **SMALL))
+    _, _, found = budget(random_scene(0, VIEWS, POINTS, truth, **SMALL))
     assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
     assert sizes(found)[SCALE_ERROR] == 0.0
     assert "have the robot calibrated" in found.summary
@@ -93,8 +106,17 @@ def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
 
 def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain():
     """Its own bare chain is farther off: lengths take from the mount what they give."""
-    data = six_axis_scene(0).data
-    fit = fit_joint(data, fit_staged(data, "opencv4").calibration, noise="estimated")
+    arm_scene = six_axis_scene(0, VIEWS, held_out_views=1)
+    # The same arm and board with a lens and a number of points that the other fits have, too.
+    camera = Camera(800.0, 800.0, 322.0, 238.0, Radial(0.05), (640, 480))
+    truth = dataclasses.replace(arm_scene.calibration, camera=camera)
+    board = np.asarray(arm_scene.data.points[0])[::5]
+    pixels = np.array(truth.project(six_axes().command(arm_scene.joints), board)[0])
+    pixels += 0.05 * np.random.default_rng(0).normal(size=pixels.shape)
+    inside = ((pixels > 0.0) & (pixels < [639.0, 479.0])).all(axis=-1)
+    pixels[~inside] = np.nan
+    data = Dataset.from_arrays(board, pixels, arm_scene.data.base_from_tool, (640, 480))
+    fit = fit_joint(data, nudged(truth.uncorrected), noise="estimated")
     assert isinstance(fit.calibration.robot_error.field, GenericSixAxisArm)
     found = error_budget(data, fit)
     assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
@@ -103,11 +125,22 @@ def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain():
 
 def test_few_views_come_before_all_else(misprinted):
     scene, fit, _ = misprinted
-    few = scene.data.mask_views(range(6, VIEWS_TAKEN))
+    few = scene.data.mask_views(range(6, VIEWS))
     found = error_budget(few, fit)
     assert found.dominant_cause == TOO_FEW_VIEWS
     assert found.scale_hypotheses == ()
     assert "6 views" in found.summary
+
+
+def test_a_view_that_was_rejected_does_not_count(misprinted, monkeypatch):
+    scene, fit, found = misprinted
+    monkeypatch.setattr(budget_module, "scale_hypotheses", lambda *_: found.scale_hypotheses)
+    without = scene.data.mask_views([3])
+    used = fit.problem.observations.visible.at[3].set(False)
+    refused = eqx.tree_at(lambda f: f.problem.observations.visible, fit, used)
+    wrong = eqx.tree_at(lambda d: d.pixels, scene.data, scene.data.pixels.at[3].add(40.0))
+    assert error_budget(wrong, refused).total_rms == error_budget(without, fit).total_rms
+    assert error_budget(wrong, fit).total_rms > 1.1 * found.total_rms
 
 
 def test_a_fit_that_trusts_the_robot_has_no_budget(misprinted):

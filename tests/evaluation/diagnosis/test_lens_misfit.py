@@ -4,12 +4,6 @@ import numpy as np
 import pytest
 
 from smartview_jax.evaluation import lens_misfit
-from smartview_jax.simulation import paper_points, random_scene
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return random_scene(0, views=12, points=paper_points((0.0, 0.02)))
 
 
 def everything(data):

@@ -2,7 +2,6 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from smartview_jax.evaluation import (
     UNCORRECTED_SUFFIX,
@@ -16,12 +15,6 @@ from smartview_jax.evaluation import (
     standard_methods,
 )
 from smartview_jax.robot_errors import LinearInPosition, RobotError
-from smartview_jax.simulation import paper_points, random_scene
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return random_scene(0, views=8, points=paper_points((0.0,))[::4])
 
 
 class Fit:

@@ -1,32 +1,33 @@
 """The maps against `std_of`, which differentiates the chain by JAX instead of by differences."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smartview_jax import evaluation, fit_joint
+from smartview_jax import Noise, cramer_rao, evaluation
 from smartview_jax.engine import Parameters, Step, host_retract
-from smartview_jax.robot_errors import LinearInPosition
-from smartview_jax.simulation import paper_points, random_scene
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return random_scene(4, 8, paper_points((0.0, 0.02))[::4], translation_noise=1e-4)
+from smartview_jax.robot_errors import LinearInPosition, RobotError
 
 
 @pytest.fixture(scope="module")
 def fit(scene):
+    """What a fit of a robot with an error would be: its bound is an estimate, too."""
     field = LinearInPosition.from_poses(scene.data.base_from_tool)
-    return fit_joint(scene.data, scene.calibration, field=field)
+    error = RobotError(field, 1e-3 * jnp.asarray(np.random.default_rng(2).normal(size=field.size)))
+    calibration = dataclasses.replace(scene.calibration, robot_error=error)
+    noise = Noise(0.15, 1e-4, 1e-4, field=(1e-3, 1e-3))
+    return cramer_rao(calibration, scene.data, noise, field=field)
 
 
 def test_a_step_on_the_host_is_that_of_the_engine(fit):
     assert fit.calibration.robot_error is not None
     parameters = Parameters(fit.calibration)
     step = 0.01 * np.random.default_rng(0).normal(size=parameters.layout.size)
-    expected, _ = parameters.retract(Step(jnp.asarray(step), jnp.zeros((0, 6))))
+    retract = jax.jit(lambda shared: parameters.retract(Step(shared, jnp.zeros((0, 6))))[0])
+    expected = retract(step)
     found = host_retract(fit.calibration, step)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -21,9 +23,18 @@ BLOCK = CellObject("block", box(0.06, 0.04, 0.03))
 STEP = CellObject("step", stepped_block(0.05))
 
 
+def small_cell(seed, **options):
+    """A cell whose camera has pixels four times as large: a sixteenth of the rays."""
+    truth = random_truth(seed)
+    camera = truth.calibration.camera
+    small = sv.Camera(350.0, 349.8, 161.0, 97.6, camera.lens, (320, 200))
+    calibration = dataclasses.replace(truth.calibration, camera=small)
+    return SimulatedCell(seed, truth=dataclasses.replace(truth, calibration=calibration), **options)
+
+
 @pytest.fixture(scope="module")
 def cell():
-    return SimulatedCell(1)
+    return small_cell(1)
 
 
 def view(cell, tilt=0.2, azimuth=0.5, distance=0.45):
@@ -67,7 +78,7 @@ def test_out_of_reach_says_so(cell):
 
 
 def test_the_board_is_found_in_its_pictures_where_the_truth_puts_it():
-    cell = SimulatedCell(2)
+    cell = small_cell(2)
     cell.move(view(cell))
     found = sv.detection.detect(cell.picture(), cell.board.board)
     assert found.pixels.shape == (63, 2)
@@ -79,7 +90,7 @@ def test_the_board_is_found_in_its_pictures_where_the_truth_puts_it():
 
 
 def test_a_picture_of_an_object_shows_it_where_the_judge_says():
-    cell = SimulatedCell(3, bin=None, clutter=False, noise=0.0)
+    cell = small_cell(3, bin=None, clutter=False, noise=0.0)
     corner = np.eye(4)
     corner[:3, 3] = cell.centre
     cell.place([BLOCK], [corner])
@@ -94,20 +105,20 @@ def test_a_picture_of_an_object_shows_it_where_the_judge_says():
     # The middle of the top, and a place beside everything.
     changed = np.abs(with_object - without) > 20.0
     assert changed[int(v) - 5 : int(v) + 6, int(u) - 5 : int(u) + 6].all()
-    assert not changed[:50, :50].any()
+    assert not changed[:12, :12].any()
 
 
 def test_the_same_seed_gives_the_same_scene_and_picture():
     pictures, poses = [], []
     for _ in range(2):
-        cell = SimulatedCell(4)
+        cell = small_cell(4)
         cell.drop([BLOCK, STEP], seed=5)
         cell.move(view(cell))
         pictures.append(cell.picture())
         poses.append(cell.judge().world_from_object)
     assert np.array_equal(*pictures)
     assert all(np.array_equal(poses[0][name], poses[1][name]) for name in poses[0])
-    cell.drop([BLOCK, STEP], seed=6)
+    cell.drop([BLOCK], seed=6)
     assert not np.allclose(cell.judge().world_from_object["block"], poses[0]["block"])
 
 
@@ -122,7 +133,7 @@ def test_dropped_objects_lie_in_the_bin(cell):
 
 
 def test_an_object_is_held_only_between_the_fingers_and_above_the_bin():
-    cell = SimulatedCell(6, bin=Bin((0.12, -0.09), (0.2, 0.16, 0.04)))
+    cell = small_cell(6, bin=Bin((0.12, -0.09), (0.2, 0.16, 0.04)))
     corner = np.eye(4)
     corner[:3, 3] = cell.centre
     cell.place([BLOCK], [corner])
@@ -177,7 +188,7 @@ def test_bad_input_is_named(cell):
     ],
 )
 def test_a_cell_that_refused_objects_is_as_it_was(objects, poses, named):
-    cell = SimulatedCell(7)
+    cell = small_cell(7)
     corner = np.eye(4)
     corner[:3, 3] = cell.centre
     for before in ((), (BLOCK,)):
