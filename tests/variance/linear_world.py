@@ -1,12 +1,12 @@
 """A linear world: what views would tell of a chain that is linear, and the errors in it.
 
-Small enough for the textbook's formulas on dense matrices.
+Small enough for the textbook's formulas on dense matrices. Everything is NumPy, as the library's
+own searches are; tests of what JAX makes of it convert it first.
 """
 
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from smartview_jax.engine.parameters import Step
@@ -52,7 +52,7 @@ def linear_world():
     return LinearWorld(information, design, noise_root, normal_matrix)
 
 
-TRUTH = StandardDeviations(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
+TRUTH = StandardDeviations.from_vector(np.array([0.7, 0.4, 0.2, 0.5, 0.3]))
 GROUP = np.repeat([-1, 0, 1], [CAMERA + MOUNT, *FIELD])
 
 
@@ -78,44 +78,46 @@ def linearised(world, observed, at=None):
     own = whole[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6)[range(VIEWS), :, range(VIEWS)]
     return LinearisedViews(
         matrix=BlockArrow(
-            jnp.asarray(whole[:SHARED, :SHARED]),
-            jnp.asarray(whole[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED)),
-            jnp.asarray(own),
+            whole[:SHARED, :SHARED], whole[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED), own
         ),
-        gradient=Step(jnp.asarray(slope[:SHARED]), jnp.asarray(slope[SHARED:].reshape(VIEWS, 6))),
-        residual_sum_of_squares=jnp.asarray(residual @ information @ residual),
-        offset_from_prior=Step(
-            jnp.asarray(at[:SHARED]), jnp.asarray(at[SHARED:].reshape(VIEWS, 6))
-        ),
-        known_weight=jnp.zeros(SHARED),
-        group_index=jnp.asarray(GROUP),
-        per_view_free=jnp.ones((VIEWS, 6), dtype=bool),
-        statistic_count=jnp.asarray(float(len(observed))),
-        white_sigma=jnp.asarray(1e-6),
+        gradient=Step(slope[:SHARED], slope[SHARED:].reshape(VIEWS, 6)),
+        residual_sum_of_squares=residual @ information @ residual,
+        offset_from_prior=Step(at[:SHARED], at[SHARED:].reshape(VIEWS, 6)),
+        known_weight=np.zeros(SHARED),
+        group_index=GROUP,
+        per_view_free=np.ones((VIEWS, 6), dtype=bool),
+        statistic_count=np.asarray(float(len(observed))),
+        white_sigma=np.asarray(1e-6),
     )
 
 
 GROUP_FIXED = np.concatenate([GROUP < 0, np.zeros(6 * VIEWS, dtype=bool)])
 
 OTHERS = (
-    StandardDeviations(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
-    StandardDeviations(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
+    StandardDeviations.from_vector(np.array([0.3, 0.9, 0.05, 2.0, 0.01])),
+    StandardDeviations.from_vector(np.array([2.0, 0.1, 0.6, 0.1, 1.0])),
 )
 
 
 def moved(sizes, k, share):
     """One of the sizes larger by a share of it."""
-    numbers = sizes.vector.at[k].multiply(1.0 + share)
+    numbers = np.array(sizes.vector)
+    numbers[k] *= 1.0 + share
     return StandardDeviations.from_vector(numbers)
 
 
 def with_held(views, free):
     """What `JointProblem` makes of corrections that are held: no columns."""
-    own = jnp.where(free[..., None] & free[:, None], views.matrix.per_view, 0.0)
-    border = jnp.where(free[..., None], views.matrix.border, 0.0)
-    gradient = jnp.where(free, views.gradient.per_view, 0.0)
+    own = np.where(free[..., None] & free[:, None], views.matrix.per_view, 0.0)
+    border = np.where(free[..., None], views.matrix.border, 0.0)
+    gradient = np.where(free, views.gradient.per_view, 0.0)
     return eqx.tree_at(
         lambda v: (v.matrix.per_view, v.matrix.border, v.gradient.per_view, v.per_view_free),
         views,
         (own, border, gradient, free),
     )
+
+
+def some_held():
+    """Whether each of the views' own numbers is free; three in ten are held."""
+    return np.random.default_rng(9).random((VIEWS, 6)) < 0.7
