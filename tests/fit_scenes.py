@@ -15,6 +15,11 @@ POINTS = paper_points((0.0, 0.02))[::6]
 
 
 @functools.cache
-def scene_of(seed, views=VIEWS, calibration=None, **noise):
-    """The paper's camera over the points; scenes are immutable and each is made once."""
-    return random_scene(seed, views, POINTS, calibration, **noise)
+def scene_of(seed, views=VIEWS, **noise):
+    """The paper's set-up over the points; scenes are immutable, and each is made once."""
+    return random_scene(seed, views, POINTS, **noise)
+
+
+def scene_with(truth, seed, views=VIEWS, **noise):
+    """The same for another calibration."""
+    return random_scene(seed, views, POINTS, truth, **noise)

@@ -12,10 +12,9 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3
 from scipy.optimize import least_squares
 from shared_data import shared_pairs
-from starts import nudged
+from starts import nudged, reference_start
 
-from smartview_jax import Calibration, Noise, Prior, fit_joint
-from smartview_jax.cameras import Camera, OpenCV4
+from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.engine import StructuredLM, optimum
 from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.evaluation import cramer_rao, reprojection_errors
@@ -34,18 +33,6 @@ def flattened(problem):
     return lambda z: np.asarray(both(z)[1]), lambda z: np.asarray(both(z)[0])
 
 
-def reference_start(reference, distortion):
-    """A start near the reference's answer: its `X` is the camera's pose in the mount."""
-    camera = Camera(*reference["K"][:4], OpenCV4(*distortion), tuple(reference["image_size"]))
-    poses = []
-    for key in ("X_fixedK", "Y_fixedK"):
-        numbers = np.asarray(reference[key])
-        rotation = jaxlie.SO3.exp(jnp.asarray(numbers[:3]))
-        poses.append(SE3.from_rotation_and_translation(rotation, jnp.asarray(numbers[3:])))
-    mount = "eye_in_hand" if reference["eye_in_hand"] else "eye_to_hand"
-    return nudged(Calibration(camera, poses[0].inverse(), poses[1], mount), 2e-3)
-
-
 SETS = [("rct_circle10x10", ""), ("tampere_synthetic", "cs1_")]
 """The others are in `benchmarks/real_sets.py`: each shape costs its own compilation."""
 
@@ -54,7 +41,7 @@ SETS = [("rct_circle10x10", ""), ("tampere_synthetic", "cs1_")]
 def test_real_sets_reach_the_reference(name, prefix):
     """joint_px with everything free, he_only_refined_px with the camera held."""
     data, reference = shared_pairs(name, prefix)
-    start = reference_start(reference, reference["K"][4:])
+    start = reference_start(reference)
     joint = fit_joint(data, start, noise="trusted")
     assert joint.result.converged
     rounding = 5e-4
@@ -221,7 +208,8 @@ def test_paths_fix_free_and_bind(scene, trusted):
         scene.data, start, priors={"camera.u0": Prior(mean=300.0, std=1e-6)}, noise="trusted"
     )
     assert float(bound.calibration.camera.u0) == pytest.approx(300.0, abs=1e-3)
-    assert float(trusted.calibration.camera.u0) == pytest.approx(322.0, abs=5.0)
+    u0 = float(trusted.calibration.camera.u0)
+    assert u0 == pytest.approx(322.0, abs=4.0 * trusted.std["camera.u0"])
 
 
 def test_any_optimistix_solver_will_do(scene, trusted):

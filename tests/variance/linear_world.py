@@ -7,6 +7,8 @@ own searches are; tests of what JAX makes of it convert it first.
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from smartview_jax.engine.parameters import Step
@@ -26,7 +28,7 @@ class LinearWorld(NamedTuple):
     information: np.ndarray
     design: np.ndarray
     noise_root: np.ndarray
-    normal_matrix: np.ndarray
+    normal_matrix: BlockArrow
 
 
 def linear_world():
@@ -45,11 +47,13 @@ def linear_world():
     design[CAMERA:, SHARED:] = np.eye(6 * VIEWS)
     noise_root = np.linalg.cholesky(np.linalg.inv(information))
     normal_matrix = design.T @ information @ design
-    off = normal_matrix[SHARED:, SHARED:].copy()
-    for k in range(VIEWS):
-        off[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = 0.0
+    off = normal_matrix[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6).copy()
+    own = off[range(VIEWS), :, range(VIEWS)]
+    off[range(VIEWS), :, range(VIEWS)] = 0.0
     assert np.abs(off).max() < 1e-12
-    return LinearWorld(information, design, noise_root, normal_matrix)
+    border = normal_matrix[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED)
+    blocks = BlockArrow(*map(jnp.asarray, (normal_matrix[:SHARED, :SHARED], border, own)))
+    return LinearWorld(information, design, noise_root, jax.tree.map(np.asarray, blocks))
 
 
 TRUTH = StandardDeviations.from_vector(np.array([0.7, 0.4, 0.2, 0.5, 0.3]))
@@ -71,15 +75,12 @@ def drawn(world, seed, held=None):
 
 def linearised(world, observed, at=None):
     """What the library is given: normal equations at a point of all parameters."""
-    information, design, _, whole = world
+    information, design, _, matrix = world
     at = np.zeros(design.shape[1]) if at is None else at
     residual = observed - design @ at
-    slope = -design.T @ information @ residual
-    own = whole[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6)[range(VIEWS), :, range(VIEWS)]
+    slope = -design.T @ (information @ residual)
     return LinearisedViews(
-        matrix=BlockArrow(
-            whole[:SHARED, :SHARED], whole[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED), own
-        ),
+        matrix=matrix,
         gradient=Step(slope[:SHARED], slope[SHARED:].reshape(VIEWS, 6)),
         residual_sum_of_squares=residual @ information @ residual,
         offset_from_prior=Step(at[:SHARED], at[SHARED:].reshape(VIEWS, 6)),

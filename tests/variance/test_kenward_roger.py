@@ -102,7 +102,7 @@ def test_derivatives_are_those_of_automatic_differentiation(world):
 def test_stated_chances_are_true(world):
     """Fields of two and of three draws: taken as known, their sizes promise too much."""
     stated, without = [], []
-    for seed in range(800):
+    for seed in range(500):
         views = linearised(world, drawn(world, seed))
         step, whole, doubted = of_fitted(*found_and_doubted(views, np.ones(4, dtype=bool)))
         offset = step - effects(world, seed)
