@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from field_programs import actual_pose, motion_between, tool_command
 from jaxlie import SE3, SO3
 
 from smartview_jax import Calibration
@@ -32,10 +33,7 @@ def error(request, poses):
     return RobotError(field, jnp.asarray(sizes * rng.normal(size=field.size)))
 
 
-# One program for all three; commands are found without `jit`.
-actual_pose = eqx.filter_jit(lambda error, poses: error.actual_pose(poses))
 all_joints = eqx.filter_jit(puma_joints)
-motion_between = jax.jit(lambda first, second: (first.inverse() @ second).log())
 
 
 def test_it_is_the_arms_own_error_at_the_joints_that_poses_imply(error, poses):
@@ -57,7 +55,7 @@ def test_without_errors_poses_are_as_reported(error, poses):
 
 
 def test_true_and_reported_poses_are_each_others_inverse(error, poses):
-    back = error.command(actual_pose(error, poses)).base_from_tool
+    back = tool_command(error, actual_pose(error, poses))
     np.testing.assert_allclose(motion_between(poses, back), 0.0, atol=1e-12)
 
 
@@ -85,7 +83,8 @@ def test_an_axis_that_is_none_is_named(poses):
 def test_beyond_its_reach_the_arm_is_stretched_out_and_turns_the_hand(error):
     """Where it ends its errors go on; with none, poses are as reported."""
     far = SE3.from_rotation_and_translation(
-        SO3.from_x_radians(jnp.array([3.0, 2.5])), jnp.array([[9.0, 1.0, 0.5], [0.0, 0.0, 0.0]])
+        SO3.from_x_radians(jnp.tile(jnp.array([3.0, 2.5]), 6)),
+        jnp.tile(jnp.array([[9.0, 1.0, 0.5], [0.0, 0.0, 0.0]]), (6, 1)),
     )
     moved = np.abs(motion_between(far, actual_pose(error, far)))
     assert 1e-5 < moved.max() < 0.02
@@ -94,26 +93,27 @@ def test_beyond_its_reach_the_arm_is_stretched_out_and_turns_the_hand(error):
 
 
 @eqx.filter_jit
-def actual_one_by_one(error, poses):
-    return jax.vmap(lambda x: error.actual_pose(SE3(x)).wxyz_xyz)(poses)
+def slope_of_height(error, poses):
+    """The derivative of how high the tools are by where they are said to be, and their poses."""
 
+    def height(shift):
+        moved = (SE3.from_translation(shift) @ poses).wxyz_xyz
+        found = jax.vmap(lambda x: error.actual_pose(SE3(x)).wxyz_xyz)(moved)
+        return jnp.sum(found[:, 6]), found
 
-@eqx.filter_jit
-def height(shift, error, poses):
-    moved = SE3.from_translation(shift) @ poses
-    return jnp.sum(error.actual_pose(moved).translation()[:, 2])
-
-
-slope_of_height = eqx.filter_jit(jax.grad(height))
+    return jax.grad(height, has_aux=True)(jnp.zeros(3))
 
 
 def test_works_under_jit_vmap_and_grad(error, poses):
-    np.testing.assert_allclose(
-        actual_one_by_one(error, poses.wxyz_xyz), actual_pose(error, poses).wxyz_xyz, atol=1e-13
-    )
-    slope = slope_of_height(np.zeros(3), error, poses)
+    slope, one_by_one = slope_of_height(error, poses)
+    np.testing.assert_allclose(one_by_one, actual_pose(error, poses).wxyz_xyz, atol=1e-13)
+
+    def height(shift):
+        moved = SE3(poses.wxyz_xyz.at[:, 4:].add(jnp.asarray(shift)))
+        return np.sum(actual_pose(error, moved).wxyz_xyz[:, 6])
+
     step = 1e-6 * np.eye(3)
-    expected = [(height(s, error, poses) - height(-s, error, poses)) / 2e-6 for s in step]
+    expected = [(height(s) - height(-s)) / 2e-6 for s in step]
     np.testing.assert_allclose(slope, expected, atol=1e-6)
 
 

@@ -5,10 +5,18 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from field_jacobians import both_jacobians
+from field_programs import (
+    actual_pose,
+    motion_between,
+    own_jacobian,
+    tool_command,
+    twists_by_differences,
+)
+from fit_scenes import POINTS, scene_of
 from jaxlie import SE3
 
 from smartview_jax import Calibration
+from smartview_jax.geometry import host_matrices
 from smartview_jax.robot_errors import (
     GenericSixAxisArm,
     LinearInPose,
@@ -17,23 +25,21 @@ from smartview_jax.robot_errors import (
     RobotError,
     ScaleError,
 )
-from smartview_jax.robots import as_command
-from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+from smartview_jax.simulation import paper_calibration
 
 SHARE = 0.03
-POINTS = paper_points((0.0,))[::5]
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return random_scene(0, 6, POINTS, pixel_noise=0.0)
+    return scene_of(0, 12, pixel_noise=0.0)
 
 
 def error(scene, group, counts=None):
     """A robot whose error is one of the stretches, of a camera that the scene's has."""
     poses = scene.data.base_from_tool
     camera = scene.calibration.camera_from_tool.inverse().translation()
-    counts = jnp.ones(6) if counts is None else jnp.asarray(counts)
+    counts = jnp.ones(12) if counts is None else jnp.asarray(counts)
     field = LinearInPoseWithScales(LinearInPose.from_poses(poses), camera, counts)
     place = field.names.index(f"{group}.0")
     return RobotError(field, jnp.zeros(56).at[place].set(SHARE * float(field.linear_in_pose.reach)))
@@ -44,7 +50,7 @@ def test_a_stretch_shortens_every_way_by_its_share(scene):
     found = error(scene, LinearInPoseWithScales.ROBOT_SCALE)
     centre = np.asarray(poses.translation()).mean(axis=0)
     expected = centre + (1.0 - SHARE) * (np.asarray(poses.translation()) - centre)
-    true = found.actual_pose(poses)
+    true = actual_pose(found, poses)
     np.testing.assert_allclose(true.translation(), expected, atol=1e-12)
     np.testing.assert_allclose(true.rotation().wxyz, poses.rotation().wxyz, atol=1e-12)
 
@@ -65,7 +71,7 @@ def test_a_target_of_another_size_looks_like_the_cameras_stretch(scene):
 
 def test_what_does_not_count_does_nothing(scene):
     poses = scene.data.base_from_tool
-    off = error(scene, LinearInPoseWithScales.TARGET_SCALE, [1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    off = error(scene, LinearInPoseWithScales.TARGET_SCALE, [1.0] * 11 + [0.0])
     np.testing.assert_array_equal(off.field.twist(poses, off.coefficients), 0.0)
     basis = np.asarray(off.field.basis(poses))
     np.testing.assert_array_equal(basis[..., :54], off.field.linear_in_pose.basis(poses))
@@ -85,24 +91,24 @@ def stretched(request, scene):
 def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, scene):
     """The tool comes closer to the centre by the share of what is reported."""
     poses, inner = scene.data.base_from_tool, stretched.field.field
-    before = RobotError(inner, stretched.coefficients[:-1]).actual_pose(poses)
-    moved = stretched.actual_pose(poses).translation() - before.translation()
+    before = actual_pose(RobotError(inner, stretched.coefficients[:-1]), poses)
+    moved = actual_pose(stretched, poses).translation() - before.translation()
     # Carried along by the tool, which the field has turned.
-    turned = (before.rotation() @ poses.rotation().inverse()).as_matrix()
+    turned = host_matrices(before)[:, :3, :3] @ host_matrices(poses)[:, :3, :3].swapaxes(1, 2)
     way = np.asarray(poses.translation()) - np.asarray(stretched.field.centre)
     expected = -SHARE * np.einsum("vij,vj->vi", turned, way)
     np.testing.assert_allclose(moved, expected, atol=1e-12)
-    none = RobotError(stretched.field, stretched.coefficients.at[-1].set(0.0)).actual_pose(poses)
-    np.testing.assert_allclose((before.inverse() @ none).log(), 0.0, atol=1e-14)
+    none = actual_pose(RobotError(stretched.field, stretched.coefficients.at[-1].set(0.0)), poses)
+    np.testing.assert_allclose(motion_between(before, none), 0.0, atol=1e-14)
 
 
 def test_its_twists_are_the_derivatives_and_its_commands_the_inverse(stretched, scene):
-    reported = as_command(scene.data.base_from_tool)
-    found, expected = both_jacobians(stretched.field, reported, stretched.coefficients)
-    np.testing.assert_allclose(found, expected, atol=1e-10)
+    poses = scene.data.base_from_tool
+    found = own_jacobian(stretched, poses)
+    np.testing.assert_allclose(found, twists_by_differences(stretched, poses), atol=1e-10)
     assert len(stretched.field.names) == stretched.field.size == found.shape[-1]
-    back = stretched.command(stretched.actual_pose(reported)).base_from_tool
-    np.testing.assert_allclose((reported.base_from_tool.inverse() @ back).log(), 0.0, atol=1e-10)
+    back = tool_command(stretched, actual_pose(stretched, poses))
+    np.testing.assert_allclose(motion_between(poses, back), 0.0, atol=1e-10)
 
 
 def test_files_keep_what_is_stretched(stretched, tmp_path):
