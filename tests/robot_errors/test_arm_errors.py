@@ -67,12 +67,12 @@ def test_a_joint_goes_its_ratio_times_its_reading_and_its_offset():
 
 def test_a_command_keeps_readings_within_their_limits(joints):
     """What a joint goes may pass the limit that its reading keeps."""
-    reading = joints[0] * 0.9
+    readings = joints * 0.9
     arm = dataclasses.replace(six_axes(), limits=jnp.tile(jnp.array([-1.0, 1.0]), (6, 1)))
     error = RobotError(JointRatios(arm), jnp.concatenate([jnp.zeros(6), jnp.full(6, 0.3)]))
-    assert np.abs(1.3 * reading).max() > 1.0
-    told = error.command(error.actual_pose(arm.command(reading)), reading)
-    np.testing.assert_allclose(told.joints, reading, atol=1e-7)
+    assert np.abs(1.3 * readings).max() > 1.0
+    told = error.command(actual_pose(error, arm.command(readings)), readings)
+    np.testing.assert_allclose(told.joints, readings, atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", [JointRatios, DHErrors])
@@ -155,18 +155,16 @@ def test_differentiable_through_the_inversion(joints):
     """The joints move against what the errors move: implicit differentiation, by hand."""
     arm = six_axes()
     coefficients = jnp.asarray(1e-3 * np.random.default_rng(0).normal(size=12))
-    error, command = RobotError(JointRatios(arm), coefficients), arm.command(joints[:1])
+    error, command = RobotError(JointRatios(arm), coefficients), arm.command(joints)
     wanted, along = actual_pose(error, command), jnp.ones(12)
 
-    @jax.jit
-    def moved(coefficients):
-        def told(coefficients):
-            return RobotError(error.field, coefficients).command(wanted, joints[:1]).joints
+    def told(coefficients):
+        return RobotError(error.field, coefficients).command(wanted, joints).joints
 
-        return jax.jvp(told, (coefficients,), (along,))[1]
-
+    _, moved = jax.jvp(told, (coefficients,), (along,))
     ratios = error.field.joint_scale_factors(coefficients)
     corrected = error.field.actual_arm(coefficients)
-    by_joints = np.asarray(corrected.jacobian(joints[0] * ratios) * ratios[None])
-    by_coefficients = np.asarray(own_jacobian(error, command))[0] @ np.asarray(along)
-    np.testing.assert_allclose(by_joints @ moved(coefficients)[0], -by_coefficients, atol=1e-6)
+    by_joints = np.asarray(corrected.jacobian(joints * ratios[None]) * ratios[None, None])
+    by_coefficients = np.asarray(own_jacobian(error, command)) @ np.asarray(along)
+    by_moved = np.einsum("vij,vj->vi", by_joints, moved)
+    np.testing.assert_allclose(by_moved, -by_coefficients, atol=1e-6)
