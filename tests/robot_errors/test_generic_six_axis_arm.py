@@ -10,7 +10,7 @@ from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.robot_errors import DHErrors, GenericSixAxisArm, RobotError
 from smartview_jax.robot_errors.generic_six_axis_arm import MAX_POSE_REACH_FRACTION
-from smartview_jax.robots import puma_joints, six_axes
+from smartview_jax.robots import as_command, puma_joints, six_axes
 from smartview_jax.robots.puma_inverse_kinematics import BRANCHES
 from smartview_jax.simulation import six_axis_scene
 
@@ -120,9 +120,7 @@ def test_works_under_jit_vmap_and_grad(error, poses):
 def test_extent_is_one_at_about_the_edge(poses):
     field = GenericSixAxisArm.from_poses(poses)
     edge = SE3.from_translation(field.centre + jnp.array([0.0, 1.0, 0.0]) * field.reach)
-    assert float(field.normalised_distance(RobotError.zero(field).command(edge))) == pytest.approx(
-        1.0
-    )
+    assert float(field.normalised_distance(as_command(edge))) == pytest.approx(1.0)
 
 
 def test_files_keep_it(error, tmp_path):

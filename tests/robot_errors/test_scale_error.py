@@ -79,13 +79,16 @@ def test_what_does_not_count_does_nothing(scene):
     assert basis[..., 54].any()
 
 
-@pytest.fixture(scope="module", params=[LinearInPosition, GenericSixAxisArm])
-def stretched(request, scene):
-    """Another field's error besides."""
-    poses = scene.data.base_from_tool
-    field = ScaleError.from_poses(request.param.from_poses(poses), poses)
+def error_besides(kind, poses):
+    """Another field's error, and a stretch."""
+    field = ScaleError.from_poses(kind.from_poses(poses), poses)
     coefficients = 1e-3 * np.random.default_rng(1).normal(size=field.size)
     return RobotError(field, jnp.asarray(coefficients).at[-1].set(SHARE * float(field.reach)))
+
+
+@pytest.fixture(scope="module")
+def stretched(scene):
+    return error_besides(LinearInPosition, scene.data.base_from_tool)
 
 
 def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, scene):
@@ -107,23 +110,20 @@ def test_its_twists_are_the_derivatives_and_its_commands_the_inverse(stretched, 
     found = own_jacobian(stretched, poses)
     np.testing.assert_allclose(found, twists_by_differences(stretched, poses), atol=1e-10)
     assert len(stretched.field.names) == stretched.field.size == found.shape[-1]
-    if isinstance(stretched.field.field, LinearInPosition):
-        back = tool_command(stretched, actual_pose(stretched, poses))
-        np.testing.assert_allclose(motion_between(poses, back), 0.0, atol=1e-10)
+    back = tool_command(stretched, actual_pose(stretched, poses))
+    np.testing.assert_allclose(motion_between(poses, back), 0.0, atol=1e-10)
 
 
-def test_files_keep_what_is_stretched(stretched, tmp_path):
-    calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
-    calibration.save(tmp_path / "calibration.yaml")
-    found = Calibration.load(tmp_path / "calibration.yaml")
-    assert eqx.tree_equal(found, calibration)
-    assert isinstance(found.robot_error.field.field, type(stretched.field.field))
-
-
-def test_files_of_earlier_versions_have_other_names_for_two_fields(stretched, tmp_path):
+@pytest.mark.parametrize("kind", [LinearInPose, GenericSixAxisArm])
+def test_files_keep_what_is_stretched(scene, tmp_path, kind):
+    """Also under the names that two fields had in earlier versions."""
+    stretched = error_besides(kind, scene.data.base_from_tool)
     calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
     path = tmp_path / "calibration.yaml"
     calibration.save(path)
+    found = Calibration.load(path)
+    assert eqx.tree_equal(found, calibration)
+    assert isinstance(found.robot_error.field.field, kind)
     text = path.read_text()
     assert "scale_error" in text
     text = re.sub(r"\n# checksum.*|\nchecksum:.*", "", text)
