@@ -40,7 +40,7 @@ def thinned(data):
 
 @pytest.fixture(scope="module")
 def arms():
-    made = [six_axis_scene(seed, MANY_VIEWS) for seed in (0, 1, 3)]
+    made = [six_axis_scene(seed, MANY_VIEWS, error_scale=1.5) for seed in (0, 1, 3)]
     return [dataclasses.replace(scene, data=thinned(scene.data)) for scene in made]
 
 

@@ -23,11 +23,17 @@ from smartview_jax.robot_errors import (
 from smartview_jax.simulation import paper_calibration
 
 VIEWS = MANY_VIEWS
-TRANSLATION, ROTATION, PIXEL = 2e-4, 5e-4, 0.15
+TRANSLATION, ROTATION, PIXEL = 2e-4, 5e-4, 0.1
 
 
 def white_scene(seed):
-    return scene_of(seed, VIEWS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
+    return scene_of(
+        seed,
+        VIEWS,
+        pixel_noise=PIXEL,
+        translation_noise=TRANSLATION,
+        rotation_noise=ROTATION,
+    )
 
 
 def fit(scene, **options):
@@ -108,7 +114,7 @@ def crooked():
     sizes = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
     error = RobotError(field, jnp.asarray(sizes * rng.normal(size=field.size)))
     truth = dataclasses.replace(paper_calibration(), robot_error=error)
-    small = {"translation_noise": 2e-5, "rotation_noise": 5e-5}
+    small = {"pixel_noise": PIXEL, "translation_noise": 2e-5, "rotation_noise": 5e-5}
     seen, unseen = (scene_with(truth, k, VIEWS, **small) for k in (0, 7))
     return seen, unseen, fit(dataclasses.replace(seen, calibration=paper_calibration()))
 
