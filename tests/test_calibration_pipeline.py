@@ -4,17 +4,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import MANY_VIEWS, scene_of
 from jaxlie import SE3
 
 from smartview_jax import calibrate, fit_joint
 from smartview_jax.calibration_pipeline import refit_uncorrected
-from smartview_jax.simulation import paper_points, random_scene
-
-POINTS = paper_points((0.0, 0.02))[::4]
 
 
 def test_calibrate_goes_all_the_way():
-    scene = random_scene(6, views=8, outlier_fraction=0.05)
+    scene = scene_of(6, outlier_fraction=0.05)
     messages = []
     fit = calibrate(scene.data, progress=messages.append)
     assert fit.result.converged
@@ -27,13 +25,13 @@ def test_calibrate_goes_all_the_way():
 
 def test_what_either_fit_left_out_is_listed_once():
     """A point that Step 2 sets aside, and a view that was moved, by too little for Step 2."""
-    scene = random_scene(3, 20, POINTS, outlier_fraction=0.02, translation_noise=2e-4)
+    scene = scene_of(3, MANY_VIEWS, outlier_fraction=0.02, translation_noise=2e-4)
     poses = scene.data.base_from_tool.wxyz_xyz
     moved = SE3(poses[6]) @ SE3.exp(jnp.array([6e-3, 0.0, 0.0, 0.0, 0.0, 0.01]))
     data = eqx.tree_at(
         lambda d: d.base_from_tool.wxyz_xyz, scene.data, poses.at[6].set(moved.wxyz_xyz)
     )
-    fit = calibrate(data, field=None)
+    fit = calibrate(data, "radial", field=None)
     assert fit.staged.rejected
     names = [entry[:2] for entry in fit.rejected]
     assert len(set(names)) == len(names)
@@ -53,6 +51,6 @@ def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):
     monkeypatch.setattr(
         "smartview_jax.calibration_pipeline.precompile", lambda *_: pytest.fail("rehearsed")
     )
-    scene = random_scene(0, views=2)
+    scene = scene_of(0, 2)
     with pytest.raises(ValueError, match="a calibration needs at least 3 views"):
         calibrate(scene.data)

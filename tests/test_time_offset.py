@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import POINTS
 from jaxlie import SE3
 from moving_camera import circling_commands
 
@@ -10,12 +11,11 @@ import smartview_jax as sv
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.robots import Trajectory
-from smartview_jax.simulation import paper_calibration, paper_points, simulate
+from smartview_jax.simulation import paper_calibration, simulate
 from smartview_jax.time_offset import at_time_offset
 
 OFFSET = 0.035
 LOG_TIMES = 1000.0 + np.arange(0.0, 20.0, 0.02)
-POINTS = paper_points((0.0, 0.02))[::4]
 
 
 def simulated(seed, views=15):
@@ -29,7 +29,7 @@ def simulated(seed, views=15):
     times = np.sort(rng.uniform(LOG_TIMES[0] + 1.0, LOG_TIMES[-1] - 1.0, views))
     errors = rng.normal(size=(views, 6)) * np.repeat([1e-4, 2e-4], 3)
     actual = commands(times) @ SE3.exp(jnp.asarray(errors))
-    data = simulate(calibration, actual, POINTS, pixel_noise=0.15, seed=seed).data
+    data = simulate(calibration, actual, POINTS, pixel_noise=0.12, seed=seed).data
     return data, Trajectory.of(LOG_TIMES, commands(LOG_TIMES)), times - OFFSET
 
 

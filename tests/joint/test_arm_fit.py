@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from shared_data import shared_data, shared_pairs
+from starts import reference_start
 
-from smartview_jax import fit_joint, fit_staged
+from smartview_jax import fit_joint
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.robot_errors import JointOffsets
 from smartview_jax.robots import kuka_lwr4
@@ -18,8 +19,8 @@ def data():
 
 
 @pytest.fixture(scope="module")
-def start(data):
-    return fit_staged(data, "opencv4").calibration
+def start():
+    return reference_start(shared_pairs("lwr4_joint")[1])
 
 
 def test_offsets_and_scale_are_those_of_the_reference(data, start):

@@ -5,6 +5,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import VIEWS, scene_of
 from jaxlie import SE3
 
 import smartview_jax as sv
@@ -13,12 +14,10 @@ from smartview_jax.joint import batch_least_squares, fit_camera
 from smartview_jax.simulation import paper_points, random_scene
 from smartview_jax.staged import kalman_filter
 
-VIEWS = 8
-
 
 @pytest.fixture(scope="module")
 def scene():
-    return random_scene(6, VIEWS, paper_points((0.0, 0.02))[::2])
+    return scene_of(6)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +47,7 @@ def test_it_is_the_optimum_that_the_filter_settles_at(scene, start):
 
 
 def test_opencv_finds_the_same_camera_and_poses(scene, start):
-    flat = random_scene(6, VIEWS, paper_points((0.0,)))
+    flat = random_scene(6, VIEWS, paper_points((0.0,))[::3])
     seen = np.asarray(flat.data.visible)
     points = [np.asarray(p, np.float32)[s] for p, s in zip(flat.data.points, seen, strict=True)]
     pixels = [np.asarray(p, np.float32)[s] for p, s in zip(flat.data.pixels, seen, strict=True)]
@@ -72,13 +71,17 @@ def test_opencv_finds_the_same_camera_and_poses(scene, start):
 
 
 def test_outliers_are_set_aside_and_good_points_kept(start):
-    scene = random_scene(6, VIEWS, paper_points((0.0, 0.02))[::2], outlier_fraction=0.1)
+    scene = scene_of(6, outlier_fraction=0.1)
     fit = batch_least_squares(scene.data.observations, *start)
     assert fit.converged
     assert not np.asarray(fit.inliers & scene.outliers).any()
     lost = scene.data.visible & ~scene.outliers & ~fit.inliers
     assert int(jnp.sum(lost)) <= 2
-    assert fit.rms == pytest.approx(0.15 * np.sqrt(2.0), rel=0.05)
+    # Five numbers of the camera and six of every view are fitted; the sigma is told by the rest.
+    used = 2 * int(jnp.sum(fit.inliers))
+    dof = used - 5 - 6 * VIEWS
+    expected = 0.15 * np.sqrt(2.0 * dof / used)
+    assert fit.rms == pytest.approx(expected, rel=3.0 / np.sqrt(2.0 * dof))
 
 
 def test_a_point_that_cannot_be_projected_is_set_aside(scene, start):
@@ -110,8 +113,8 @@ def test_a_known_camera_is_held_and_a_blind_view_keeps_its_pose(scene, start):
 
 
 def test_calibrate_may_start_from_the_batch(scene):
-    by_filter = sv.calibrate(scene.data, noise="trusted")
-    by_batch = sv.calibrate(scene.data, noise="trusted", step2="batch")
+    by_filter = sv.calibrate(scene.data, "radial", noise="trusted")
+    by_batch = sv.calibrate(scene.data, "radial", noise="trusted", step2="batch")
     assert by_batch.result.converged
     gap = by_batch.calibration.camera_from_tool.inverse() @ by_filter.calibration.camera_from_tool
     assert float(jnp.linalg.norm(gap.log())) < 1e-5

@@ -7,15 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from smartview_jax import calibrate, fit_joint
+from smartview_jax import fit_joint
 from smartview_jax.joint import parameter_estimates
-from smartview_jax.simulation import paper_points, random_scene
 
 
-@pytest.fixture(scope="module")
-def fit():
-    scene = random_scene(2, 8, paper_points((0.0, 0.02))[::6], translation_noise=1e-4)
-    return calibrate(scene.data)
+@pytest.fixture
+def fit(calibrated):
+    return calibrated
 
 
 def test_every_transform_is_said_in_mm_and_degrees_with_its_interval(fit):
@@ -48,9 +46,8 @@ def test_the_short_form_is_one_line(fit):
     assert repr(fit.joint) == repr(fit)
 
 
-def test_what_is_held_or_trusted_is_said(fit):
-    data = random_scene(2, 8, paper_points((0.0, 0.02))[::6]).data
-    held = fit_joint(data, fit.calibration, noise="trusted", fixed=("camera",))
+def test_what_is_held_or_trusted_is_said(scene, trusted):
+    held = fit_joint(scene.data, trusted.calibration, noise="trusted", fixed=("camera",))
     assert re.search(r"alpha_u +\S+ px \(held\)", str(held))
     assert "the robot's poses are trusted" in str(held)
 

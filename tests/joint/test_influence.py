@@ -2,22 +2,33 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import MANY_VIEWS, scene_of
 from jaxlie import SE3
 from scipy import stats
 from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint, view_influence
 from smartview_jax.joint.influence import pose_outlier_test
-from smartview_jax.simulation import paper_points, random_scene
 
 VIEWS = 10
-POINTS = paper_points((0.0, 0.02))[::4]
-NOISE = Noise(0.15, 2e-4, 5e-4)
+NOISE = Noise(0.05, 7e-5, 1.7e-4)
+"""Small, so that what is of second order is."""
+ROBOT = {"translation_noise": 2e-4, "rotation_noise": 5e-4}
+
+
+def known_scene(seed):
+    return scene_of(
+        seed,
+        VIEWS,
+        pixel_noise=NOISE.pixel,
+        translation_noise=NOISE.translation,
+        rotation_noise=NOISE.rotation,
+    )
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return random_scene(2, VIEWS, POINTS, translation_noise=2e-4, rotation_noise=5e-4)
+    return known_scene(2)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +55,7 @@ def numbers(calibration, other):
 @pytest.mark.parametrize("noise", [NOISE, "trusted"])
 def test_moves_are_those_of_refits(scene, noise):
     if noise == "trusted":
-        scene = random_scene(2, VIEWS, POINTS)
+        scene = scene_of(2, VIEWS, pixel_noise=NOISE.pixel)
     start = nudged(scene.calibration)
     whole = fit_joint(scene.data, start, noise=noise)
     found = view_influence(whole)
@@ -104,7 +115,7 @@ def test_the_distance_is_that_to_a_pose_predicted_without_the_report(scene, fit)
 def test_where_the_model_is_true_the_chances_are_uniform():
     chances = []
     for seed in range(12):
-        scene = random_scene(seed, VIEWS, POINTS, translation_noise=2e-4, rotation_noise=5e-4)
+        scene = known_scene(seed)
         fit = fit_joint(scene.data, scene.calibration, noise=NOISE)
         chances.append(np.asarray(scored(fit.problem, fit.solution.z, True).p_value))
     assert stats.kstest(np.concatenate(chances), "uniform").pvalue > 0.01
@@ -120,7 +131,7 @@ def bumped(data, view, correction):
 
 def test_a_view_that_was_moved_is_named_and_left_out():
     """By 4 mm and 0.6 degrees: too little to stand out by itself, twenty of the robot's errors."""
-    scene = random_scene(3, 20, POINTS, translation_noise=2e-4, rotation_noise=5e-4)
+    scene = scene_of(3, MANY_VIEWS, **ROBOT)
     data = bumped(scene.data, 6, [4e-3, 0.0, 0.0, 0.0, 0.0, 0.01])
     found = fit_joint(data, nudged(scene.calibration), noise="estimated", field=None)
     (entry,) = [entry for entry in found.rejected if entry[1] is None]

@@ -7,21 +7,18 @@ import jaxlie
 import numpy as np
 import optimistix as optx
 import pytest
+from fit_scenes import POINTS, VIEWS, scene_of
 from jax.flatten_util import ravel_pytree
 from jaxlie import SE3
 from scipy.optimize import least_squares
 from shared_data import shared_pairs
-from starts import nudged
+from starts import nudged, reference_start
 
-from smartview_jax import Calibration, Noise, Prior, fit_joint
-from smartview_jax.cameras import Camera, OpenCV4
+from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.engine import StructuredLM, optimum
 from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.evaluation import cramer_rao, reprojection_errors
 from smartview_jax.fit_result import FitCode
-from smartview_jax.simulation import paper_points, random_scene
-
-POINTS = paper_points((0.0, 0.02))[::4]
 
 
 def flattened(problem):
@@ -29,45 +26,20 @@ def flattened(problem):
     _, unravel = ravel_pytree(problem.zero_step())
 
     def residuals(z):
-        return ravel_pytree(problem.residuals(unravel(z)))[0]
+        found = ravel_pytree(problem.residuals(unravel(z)))[0]
+        return found, found
 
-    return jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
-
-
-@pytest.fixture(scope="module")
-def noisy():
-    scene = random_scene(0, views=10, points=POINTS)
-    thorough = StructuredLM(rtol=1e-12)
-    return scene, fit_joint(scene.data, nudged(scene.calibration), solver=thorough, noise="trusted")
+    both = jax.jit(jax.jacfwd(residuals, has_aux=True))
+    return lambda z: np.asarray(both(z)[1]), lambda z: np.asarray(both(z)[0])
 
 
-def reference_start(reference, distortion):
-    """A start near the reference's answer: its `X` is the camera's pose in the mount."""
-    camera = Camera(*reference["K"][:4], OpenCV4(*distortion), tuple(reference["image_size"]))
-    poses = []
-    for key in ("X_fixedK", "Y_fixedK"):
-        numbers = np.asarray(reference[key])
-        rotation = jaxlie.SO3.exp(jnp.asarray(numbers[:3]))
-        poses.append(SE3.from_rotation_and_translation(rotation, jnp.asarray(numbers[3:])))
-    mount = "eye_in_hand" if reference["eye_in_hand"] else "eye_to_hand"
-    return nudged(Calibration(camera, poses[0].inverse(), poses[1], mount), 2e-3)
+def test_a_real_set_reaches_the_reference():
+    """joint_px with everything free, he_only_refined_px with the camera held.
 
-
-SETS = [
-    ("rct_circle10x10", ""),
-    ("tampere_kuka_2", ""),
-    ("koide_charuco", "20231006_"),
-    ("visp_franka_eih", ""),
-    ("tampere_synthetic", "cs1_"),
-]
-"""The others are in `benchmarks/real_sets.py`: each shape costs its own compilation."""
-
-
-@pytest.mark.parametrize(("name", "prefix"), SETS)
-def test_real_sets_reach_the_reference(name, prefix):
-    """joint_px with everything free, he_only_refined_px with the camera held."""
-    data, reference = shared_pairs(name, prefix)
-    start = reference_start(reference, reference["K"][4:])
+    The others are in `benchmarks/real_sets.py`: each shape costs its own compilation.
+    """
+    data, reference = shared_pairs("rct_circle10x10")
+    start = reference_start(reference)
     joint = fit_joint(data, start, noise="trusted")
     assert joint.result.converged
     rounding = 5e-4
@@ -75,15 +47,9 @@ def test_real_sets_reach_the_reference(name, prefix):
         reference["joint_px"], rel=0.01, abs=rounding
     )
     held = fit_joint(data, start, fixed=("camera",), noise="trusted")
-    tolerance = 0.15 if name == "tampere_synthetic" else 0.01
     assert reprojection_errors(held.calibration, data).rms == pytest.approx(
-        reference["he_only_refined_px"], rel=tolerance, abs=rounding
+        reference["he_only_refined_px"], rel=0.01, abs=rounding
     )
-    if name == "tampere_synthetic":
-        truth = SE3.from_rotation(jaxlie.SO3.from_x_radians(jnp.pi))
-        error = np.asarray((joint.calibration.camera_from_tool @ truth).log())
-        assert np.linalg.norm(error[:3]) < 4e-4
-        assert np.rad2deg(np.linalg.norm(error[3:])) < 0.01
 
 
 def test_eye_to_hand_with_the_camera_held():
@@ -97,7 +63,7 @@ def test_eye_to_hand_with_the_camera_held():
 
 
 def test_without_noise_it_finds_the_truth():
-    scene = random_scene(1, views=8, points=POINTS, pixel_noise=0.0)
+    scene = scene_of(1, pixel_noise=0.0)
     fit = fit_joint(scene.data, nudged(scene.calibration), noise="trusted")
     assert fit.result.converged
     assert fit.calibration.region is not None
@@ -109,88 +75,67 @@ def test_without_noise_it_finds_the_truth():
         np.testing.assert_allclose(found, truth, rtol=1e-7, atol=1e-9)
 
 
-def test_scipy_reaches_the_same_cost_and_covariance(noisy):
-    scene, fit = noisy
+def test_scipy_reaches_the_same_cost_and_covariance(scene, trusted):
     problem = build_problem(scene.data, nudged(scene.calibration)).problem
     residuals, jacobian = flattened(problem)
     found = least_squares(
-        lambda z: np.asarray(residuals(z)),
+        residuals,
         np.zeros(len(problem.free)),
-        jac=lambda z: np.asarray(jacobian(z)),
+        jac=jacobian,
         x_scale="jac",
         xtol=1e-14,
         ftol=1e-14,
         gtol=1e-14,
     )
-    assert fit.solution.costs[-1] == pytest.approx(found.cost, rel=1e-9)
+    assert trusted.solution.costs[-1] == pytest.approx(found.cost, rel=1e-9)
     dof = 2 * scene.data.observation_count - len(problem.free)
     covariance = np.linalg.inv(found.jac.T @ found.jac) * 2.0 * found.cost / dof
     std = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(list(fit.std.values()), std, rtol=1e-5)
-    assert fit.pixel_sigma == pytest.approx(0.15, rel=0.05)
+    np.testing.assert_allclose(list(trusted.std.values()), std, rtol=1e-5)
+    # The deviation is told by `dof` residuals: three deviations of their root mean square.
+    assert trusted.pixel_sigma == pytest.approx(0.15, rel=3.0 / np.sqrt(2.0 * dof))
 
 
-def test_errors_have_the_size_that_is_stated(noisy):
-    """The normalised error of all parameters, over many noisy copies, is chi-square."""
-    scene, _ = noisy
-    problem = build_problem(scene.data, scene.calibration).problem
-    clean, _ = scene.calibration.project(scene.base_from_tool, scene.data.points)
-    rng = np.random.default_rng(0)
-    noise = jnp.asarray(0.15 * rng.normal(size=(60, *clean.shape)))
-    pixels = jnp.where(scene.data.visible[None, ..., None], clean[None] + noise, jnp.nan)
+def test_the_optimum_is_differentiable_in_the_data_and_solved_in_batches(scene):
+    """d hand-eye / d pixels of two data sets at once: forward, reverse, and by refitting."""
+    start, pixels, visible = scene.calibration, scene.data.pixels, scene.data.visible[..., None]
+    problem = build_problem(scene.data, start).problem
+    rng, thorough = np.random.default_rng(0), StructuredLM(rtol=1e-15)
+    direction = jnp.where(visible, jnp.asarray(rng.normal(size=pixels.shape)), 0.0)
+    weights = jnp.asarray(rng.normal(size=3))
 
-    @jax.jit
-    def solved(pixels):
-        return optimum(eqx.tree_at(lambda p: p.observations.pixels, problem, pixels)).shared
-
-    z = np.asarray(jax.lax.map(solved, pixels))
-    J = np.asarray(flattened(problem)[1](jnp.zeros(len(problem.free))))
-    nees = np.einsum("ki,ij,kj->k", z, J.T @ J / 0.15**2, z)
-    n = len(problem.free)
-    assert nees.mean() == pytest.approx(n, abs=4.0 * np.sqrt(2.0 * n / 60))
-
-
-def test_the_optimum_is_differentiable_in_the_data(noisy):
-    """d hand-eye / d one pixel: forward, reverse, and by refitting."""
-    scene, fit = noisy
-    problem = build_problem(scene.data, fit.calibration).problem
-    pixels = jnp.where(scene.data.visible[..., None], scene.data.pixels, 0.0)
-
-    def hand_eye(shift):
-        moved = eqx.tree_at(lambda p: p.observations.pixels, problem, pixels.at[2, 3].add(shift))
-        calibration, _ = moved.calibration(optimum(moved, StructuredLM(rtol=1e-15)))
+    def hand_eye(pixels):
+        moved = eqx.tree_at(lambda p: p.observations.pixels, problem, pixels)
+        calibration, _ = moved.calibration(optimum(moved, thorough))
         return calibration.camera_from_tool.translation()
 
-    forward = jax.jacfwd(hand_eye)(jnp.zeros(2))
-    reverse = jax.jacrev(hand_eye)(jnp.zeros(2))
-    # The equations are ill-conditioned: small derivatives have the errors of the largest.
-    size = float(jnp.abs(reverse).max())
-    np.testing.assert_allclose(forward, reverse, rtol=1e-6, atol=1e-6 * size)
-    for k in range(2):
-        step = jnp.zeros(2).at[k].set(0.05)
-        numeric = (hand_eye(step) - hand_eye(-step)) / 0.1
-        size = float(jnp.linalg.norm(numeric))
-        np.testing.assert_allclose(forward[:, k], numeric, rtol=2e-3, atol=1e-4 * size)
+    @jax.jit
+    @jax.vmap
+    def together(pixels):
+        found, derivative = jax.linearize(hand_eye, pixels)
+        (reverse,) = jax.linear_transpose(derivative, pixels)(weights)
+        return found, derivative(direction), jnp.sum(reverse * direction)
+
+    def refitted(pixels):
+        data = dataclasses.replace(scene.data, pixels=pixels)
+        fit = fit_joint(data, start, noise="trusted", solver=thorough)
+        return np.asarray(fit.calibration.camera_from_tool.translation())
+
+    shifted, h = [pixels, pixels + 0.3], 1e-3
+    for moved, found, forward, reverse in zip(shifted, *together(jnp.stack(shifted)), strict=True):
+        np.testing.assert_allclose(found, refitted(moved), rtol=1e-6, atol=1e-9)
+        # The equations are ill-conditioned: small derivatives have the errors of the largest.
+        size = np.abs(forward).max()
+        np.testing.assert_allclose(reverse, weights @ forward, rtol=1e-6, atol=1e-6 * size)
+        ahead, behind = (refitted(moved + step * direction) for step in (h, -h))
+        expected = (ahead - behind) / (2.0 * h)
+        np.testing.assert_allclose(forward, expected, rtol=1e-4, atol=1e-3 * np.abs(expected).max())
 
 
-def test_a_batch_of_problems_is_solved_by_vmap(noisy):
-    scene, _ = noisy
-    problem = build_problem(scene.data, scene.calibration).problem
-    shifts = jnp.array([0.0, 0.3])
-
-    def moved(shift):
-        return optimum(
-            eqx.tree_at(lambda p: p.observations.pixels, problem, scene.data.pixels + shift)
-        )
-
-    together = jax.vmap(moved)(shifts)
-    for k, shift in enumerate(shifts):
-        np.testing.assert_allclose(together.shared[k], moved(shift).shared, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("loss", ["huber", "cauchy", "geman_mcclure", "student_t"])
+@pytest.mark.parametrize("loss", ["cauchy", "geman_mcclure"])
 def test_robust_losses_shrug_at_outliers(loss):
-    scene = random_scene(3, views=10, points=POINTS, outlier_fraction=0.1)
+    """The others differ by their cost alone, which `test_view_normal_equations` looks at."""
+    scene = scene_of(3, outlier_fraction=0.1)
     visible = scene.data.visible & ~scene.outliers
     clean = eqx.tree_at(lambda d: d.visible, scene.data, visible)
     start = nudged(scene.calibration)
@@ -207,7 +152,7 @@ def test_robust_losses_shrug_at_outliers(loss):
 
 
 def test_robot_noise_that_is_known_makes_the_mount_better():
-    scene = random_scene(4, views=12, translation_noise=2e-3, rotation_noise=1e-4)
+    scene = scene_of(4, translation_noise=2e-3, rotation_noise=1e-4)
     start = nudged(scene.calibration)
     trusted = fit_joint(scene.data, start, noise="trusted")
     known = fit_joint(scene.data, start, noise=Noise(0.15, 2e-3, 1e-4))
@@ -216,22 +161,15 @@ def test_robot_noise_that_is_known_makes_the_mount_better():
         return abs(float(fit.calibration.camera.alpha_u - 2133.0))
 
     assert error(known) < 0.5 * error(trusted)
-    assert known.pose_corrections.shape == (12, 6)
+    assert known.pose_corrections.shape == (VIEWS, 6)
     # Residuals are through the chain as reported: corrections never flatter them.
+    seen = np.asarray(known.residuals)[np.asarray(scene.data.visible)]
     assert reprojection_errors(known.calibration, scene.data).rms == pytest.approx(
-        float(
-            np.sqrt(
-                np.mean(
-                    np.sum(np.asarray(known.residuals)[np.asarray(scene.data.visible)] ** 2, -1)
-                )
-            )
-        ),
-        rel=1e-9,
+        np.sqrt(np.mean(np.sum(seen**2, axis=-1))), rel=1e-9
     )
 
 
-def test_paths_fix_free_and_bind(noisy):
-    scene, fit = noisy
+def test_paths_fix_free_and_bind(scene, trusted):
     start = nudged(scene.calibration)
     held = fit_joint(
         scene.data, start, fixed=("camera", "base_from_world.translation.z"), noise="trusted"
@@ -249,33 +187,31 @@ def test_paths_fix_free_and_bind(noisy):
         scene.data, start, priors={"camera.u0": Prior(mean=300.0, std=1e-6)}, noise="trusted"
     )
     assert float(bound.calibration.camera.u0) == pytest.approx(300.0, abs=1e-3)
-    assert float(fit.calibration.camera.u0) == pytest.approx(322.0, abs=5.0)
+    u0 = float(trusted.calibration.camera.u0)
+    assert u0 == pytest.approx(322.0, abs=4.0 * trusted.std["camera.u0"])
 
 
-def test_any_optimistix_solver_will_do(noisy):
-    scene, fit = noisy
+def test_any_optimistix_solver_will_do(scene, trusted):
     other = fit_joint(
         scene.data,
         nudged(scene.calibration),
         solver=optx.Dogleg(rtol=1e-10, atol=1e-10),
         noise="trusted",
     )
-    assert other.solution.costs[-1] == pytest.approx(fit.solution.costs[-1], rel=1e-8)
+    assert other.solution.costs[-1] == pytest.approx(trusted.solution.costs[-1], rel=1e-8)
 
 
-def test_a_fit_that_stopped_early_says_so_and_raises_on_request(noisy):
-    scene, fit = noisy
-    assert fit.result.code is FitCode.CONVERGED
-    fit.result.require_convergence()
-    careless = optx.LevenbergMarquardt(rtol=1e9, atol=1e9)
+def test_a_fit_that_stopped_early_says_so_and_raises_on_request(scene, trusted):
+    assert trusted.result.code is FitCode.CONVERGED
+    trusted.result.require_convergence()
+    careless = StructuredLM(rtol=1e9, atol=1e9)
     stopped = fit_joint(scene.data, nudged(scene.calibration), solver=careless, noise="trusted")
     assert stopped.result.code is FitCode.STOPPED_EARLY
     with pytest.raises(RuntimeError, match=r"stopped_early: .* would still lower the cost"):
         stopped.result.require_convergence()
 
 
-def test_one_rotation_axis_is_named(noisy):
-    scene, _ = noisy
+def test_one_rotation_axis_is_named(scene):
     turns = np.zeros((6, 6))
     turns[:, 5] = np.linspace(-0.6, 0.6, 6)
     turns[:, :2] = 0.01 * np.random.default_rng(0).normal(size=(6, 2))
@@ -304,7 +240,7 @@ def test_one_rotation_axis_is_named(noisy):
     [
         ({"noise": "guessed"}, 'noise is "trusted", "estimated" or a Noise'),
         ({"fixed": ("camera.alpha",)}, r"no parameter is called 'camera.alpha'; did you mean"),
-        ({"loss": "l7"}, "loss is one of huber, cauchy"),
+        ({"loss": "l7", "noise": "trusted"}, "loss is one of huber, cauchy"),
         ({"lens": "bottle"}, "lens is one of pinhole"),
         (
             {"priors": {"camera_from_tool.rotation": Prior(std=0.1, mean=0.0)}},
@@ -312,14 +248,12 @@ def test_one_rotation_axis_is_named(noisy):
         ),
     ],
 )
-def test_wrong_options_are_named(noisy, options, message):
-    scene, _ = noisy
+def test_wrong_options_are_named(scene, options, message):
     with pytest.raises(ValueError, match=message):
         fit_joint(scene.data, scene.calibration, **options)
 
 
-def test_a_start_that_sees_nothing_is_refused(noisy):
-    scene, _ = noisy
+def test_a_start_that_sees_nothing_is_refused(scene):
     behind = eqx.tree_at(
         lambda c: c.camera_from_mount,
         scene.calibration,
@@ -338,7 +272,7 @@ def test_noise_and_priors_must_be_positive():
 
 @pytest.mark.parametrize("sigma", [0.02, 1.5])
 def test_priors_weigh_as_much_as_they_say_where_the_residuals_tell_the_sigma(sigma):
-    scene = random_scene(5, 10, POINTS, pixel_noise=sigma)
+    scene = scene_of(5, pixel_noise=sigma)
     priors = {"camera.u0": Prior(1.0), "camera_from_tool.translation.z": Prior(1e-4)}
     fit = fit_joint(scene.data, scene.calibration, noise="trusted", priors=priors)
     assert fit.pixel_sigma == pytest.approx(sigma, rel=0.05)
@@ -349,7 +283,7 @@ def test_priors_weigh_as_much_as_they_say_where_the_residuals_tell_the_sigma(sig
 
 def test_priors_about_the_start_stay_there_while_the_noise_is_estimated():
     """What is estimated moves the start; a prior that moved along would weigh half."""
-    scene = random_scene(1, 8, POINTS, translation_noise=1e-4)
+    scene = scene_of(1, translation_noise=1e-4)
     free = fit_joint(scene.data, scene.calibration, field=None)
     path = "camera_from_tool.rotation.x"
     std, mount = free.std[path], free.calibration.camera_from_tool
@@ -373,12 +307,12 @@ def test_priors_about_the_start_stay_there_while_the_noise_is_estimated():
 
 def test_a_robust_loss_has_its_scale_in_deviations_of_the_residuals():
     """The same picture, a tenth of the size: the same answer, and the same sigmas."""
-    scene = random_scene(3, views=10, points=POINTS, pixel_noise=0.15, outlier_fraction=0.06)
+    scene = scene_of(3, outlier_fraction=0.06)
     predicted, _ = scene.calibration.project(scene.data.base_from_tool, scene.data.points)
     errors, found = scene.data.pixels - predicted, []
     for share in (1.0, 0.1):
         data = eqx.tree_at(lambda d: d.pixels, scene.data, predicted + share * errors)
-        fit = fit_joint(data, scene.calibration, noise="trusted", loss="geman_mcclure")
+        fit = fit_joint(data, scene.calibration, noise="trusted", loss="cauchy")
         assert fit.pixel_sigma == pytest.approx(0.15 * share, rel=0.15)
         off = float(fit.calibration.camera.u0 - scene.calibration.camera.u0)
         assert abs(off) < 4.0 * fit.std["camera.u0"]

@@ -8,22 +8,21 @@ import pytest
 import yaml
 
 import smartview_jax as sv
-from smartview_jax import Calibration, calibrate, fit_joint
+from smartview_jax import Calibration, fit_joint
 from smartview_jax.evaluation import std_of
 from smartview_jax.joint import load_estimate
 from smartview_jax.modeling import SeenViews
 from smartview_jax.modeling.calibration_uncertainty import CalibrationUncertainty
-from smartview_jax.simulation import paper_points, random_scene
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return random_scene(2, 8, paper_points((0.0, 0.02))[::6], translation_noise=1e-4)
+@pytest.fixture
+def scene(shaky_scene):
+    return shaky_scene
 
 
-@pytest.fixture(scope="module")
-def fit(scene):
-    return calibrate(scene.data)
+@pytest.fixture
+def fit(calibrated):
+    return calibrated
 
 
 def position(calibration: Calibration):

@@ -5,10 +5,18 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from field_jacobians import both_jacobians
+from field_programs import (
+    actual_pose,
+    motion_between,
+    own_jacobian,
+    tool_command,
+    twists_by_differences,
+)
+from fit_scenes import POINTS, scene_of
 from jaxlie import SE3
 
 from smartview_jax import Calibration
+from smartview_jax.geometry import host_matrices
 from smartview_jax.robot_errors import (
     GenericSixAxisArm,
     LinearInPose,
@@ -17,16 +25,14 @@ from smartview_jax.robot_errors import (
     RobotError,
     ScaleError,
 )
-from smartview_jax.robots import as_command
-from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+from smartview_jax.simulation import paper_calibration
 
 SHARE = 0.03
-POINTS = paper_points((0.0,))[::5]
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return random_scene(0, 6, POINTS, pixel_noise=0.0)
+    return scene_of(0, 12, pixel_noise=0.0)
 
 
 def error(scene, group, counts=None):
@@ -44,7 +50,7 @@ def test_a_stretch_shortens_every_way_by_its_share(scene):
     found = error(scene, LinearInPoseWithScales.ROBOT_SCALE)
     centre = np.asarray(poses.translation()).mean(axis=0)
     expected = centre + (1.0 - SHARE) * (np.asarray(poses.translation()) - centre)
-    true = found.actual_pose(poses)
+    true = actual_pose(found, poses)
     np.testing.assert_allclose(true.translation(), expected, atol=1e-12)
     np.testing.assert_allclose(true.rotation().wxyz, poses.rotation().wxyz, atol=1e-12)
 
@@ -73,50 +79,51 @@ def test_what_does_not_count_does_nothing(scene):
     assert basis[..., 54].any()
 
 
-@pytest.fixture(scope="module", params=[LinearInPosition, LinearInPose, GenericSixAxisArm])
-def stretched(request, scene):
-    """Another field's error besides."""
-    poses = scene.data.base_from_tool
-    field = ScaleError.from_poses(request.param.from_poses(poses), poses)
+def error_besides(kind, poses):
+    """Another field's error, and a stretch."""
+    field = ScaleError.from_poses(kind.from_poses(poses), poses)
     coefficients = 1e-3 * np.random.default_rng(1).normal(size=field.size)
     return RobotError(field, jnp.asarray(coefficients).at[-1].set(SHARE * float(field.reach)))
+
+
+@pytest.fixture(scope="module")
+def stretched(scene):
+    return error_besides(LinearInPosition, scene.data.base_from_tool)
 
 
 def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, scene):
     """The tool comes closer to the centre by the share of what is reported."""
     poses, inner = scene.data.base_from_tool, stretched.field.field
-    before = RobotError(inner, stretched.coefficients[:-1]).actual_pose(poses)
-    moved = stretched.actual_pose(poses).translation() - before.translation()
+    before = actual_pose(RobotError(inner, stretched.coefficients[:-1]), poses)
+    moved = actual_pose(stretched, poses).translation() - before.translation()
     # Carried along by the tool, which the field has turned.
-    turned = (before.rotation() @ poses.rotation().inverse()).as_matrix()
+    turned = host_matrices(before)[:, :3, :3] @ host_matrices(poses)[:, :3, :3].swapaxes(1, 2)
     way = np.asarray(poses.translation()) - np.asarray(stretched.field.centre)
     expected = -SHARE * np.einsum("vij,vj->vi", turned, way)
     np.testing.assert_allclose(moved, expected, atol=1e-12)
-    none = RobotError(stretched.field, stretched.coefficients.at[-1].set(0.0)).actual_pose(poses)
-    np.testing.assert_allclose((before.inverse() @ none).log(), 0.0, atol=1e-14)
+    none = actual_pose(RobotError(stretched.field, stretched.coefficients.at[-1].set(0.0)), poses)
+    np.testing.assert_allclose(motion_between(before, none), 0.0, atol=1e-14)
 
 
 def test_its_twists_are_the_derivatives_and_its_commands_the_inverse(stretched, scene):
-    reported = as_command(scene.data.base_from_tool)
-    found, expected = both_jacobians(stretched.field, reported, stretched.coefficients)
-    np.testing.assert_allclose(found, expected, atol=1e-10)
+    poses = scene.data.base_from_tool
+    found = own_jacobian(stretched, poses)
+    np.testing.assert_allclose(found, twists_by_differences(stretched, poses), atol=1e-10)
     assert len(stretched.field.names) == stretched.field.size == found.shape[-1]
-    back = stretched.command(stretched.actual_pose(reported)).base_from_tool
-    np.testing.assert_allclose((reported.base_from_tool.inverse() @ back).log(), 0.0, atol=1e-10)
+    back = tool_command(stretched, actual_pose(stretched, poses))
+    np.testing.assert_allclose(motion_between(poses, back), 0.0, atol=1e-10)
 
 
-def test_files_keep_what_is_stretched(stretched, tmp_path):
-    calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
-    calibration.save(tmp_path / "calibration.yaml")
-    found = Calibration.load(tmp_path / "calibration.yaml")
-    assert eqx.tree_equal(found, calibration)
-    assert isinstance(found.robot_error.field.field, type(stretched.field.field))
-
-
-def test_files_of_earlier_versions_have_other_names_for_two_fields(stretched, tmp_path):
+@pytest.mark.parametrize("kind", [LinearInPose, GenericSixAxisArm])
+def test_files_keep_what_is_stretched(scene, tmp_path, kind):
+    """Also under the names that two fields had in earlier versions."""
+    stretched = error_besides(kind, scene.data.base_from_tool)
     calibration = dataclasses.replace(paper_calibration(), robot_error=stretched)
     path = tmp_path / "calibration.yaml"
     calibration.save(path)
+    found = Calibration.load(path)
+    assert eqx.tree_equal(found, calibration)
+    assert isinstance(found.robot_error.field.field, kind)
     text = path.read_text()
     assert "scale_error" in text
     text = re.sub(r"\n# checksum.*|\nchecksum:.*", "", text)

@@ -1,11 +1,13 @@
 """A linear world: what views would tell of a chain that is linear, and the errors in it.
 
-Small enough for the textbook's formulas on dense matrices.
+Small enough for the textbook's formulas on dense matrices. Everything is NumPy, as the library's
+own searches are; tests of what JAX makes of it convert it first.
 """
 
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,7 +28,7 @@ class LinearWorld(NamedTuple):
     information: np.ndarray
     design: np.ndarray
     noise_root: np.ndarray
-    normal_matrix: np.ndarray
+    normal_matrix: BlockArrow
 
 
 def linear_world():
@@ -45,14 +47,16 @@ def linear_world():
     design[CAMERA:, SHARED:] = np.eye(6 * VIEWS)
     noise_root = np.linalg.cholesky(np.linalg.inv(information))
     normal_matrix = design.T @ information @ design
-    off = normal_matrix[SHARED:, SHARED:].copy()
-    for k in range(VIEWS):
-        off[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = 0.0
+    off = normal_matrix[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6).copy()
+    own = off[range(VIEWS), :, range(VIEWS)]
+    off[range(VIEWS), :, range(VIEWS)] = 0.0
     assert np.abs(off).max() < 1e-12
-    return LinearWorld(information, design, noise_root, normal_matrix)
+    border = normal_matrix[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED)
+    blocks = BlockArrow(*map(jnp.asarray, (normal_matrix[:SHARED, :SHARED], border, own)))
+    return LinearWorld(information, design, noise_root, jax.tree.map(np.asarray, blocks))
 
 
-TRUTH = StandardDeviations(*map(jnp.asarray, (0.7, 0.4, 0.2)), jnp.array([0.5, 0.3]))
+TRUTH = StandardDeviations.from_vector(np.array([0.7, 0.4, 0.2, 0.5, 0.3]))
 GROUP = np.repeat([-1, 0, 1], [CAMERA + MOUNT, *FIELD])
 
 
@@ -71,51 +75,50 @@ def drawn(world, seed, held=None):
 
 def linearised(world, observed, at=None):
     """What the library is given: normal equations at a point of all parameters."""
-    information, design, _, whole = world
+    information, design, _, matrix = world
     at = np.zeros(design.shape[1]) if at is None else at
     residual = observed - design @ at
-    slope = -design.T @ information @ residual
-    own = whole[SHARED:, SHARED:].reshape(VIEWS, 6, VIEWS, 6)[range(VIEWS), :, range(VIEWS)]
+    slope = -design.T @ (information @ residual)
     return LinearisedViews(
-        matrix=BlockArrow(
-            jnp.asarray(whole[:SHARED, :SHARED]),
-            jnp.asarray(whole[SHARED:, :SHARED].reshape(VIEWS, 6, SHARED)),
-            jnp.asarray(own),
-        ),
-        gradient=Step(jnp.asarray(slope[:SHARED]), jnp.asarray(slope[SHARED:].reshape(VIEWS, 6))),
-        residual_sum_of_squares=jnp.asarray(residual @ information @ residual),
-        offset_from_prior=Step(
-            jnp.asarray(at[:SHARED]), jnp.asarray(at[SHARED:].reshape(VIEWS, 6))
-        ),
-        known_weight=jnp.zeros(SHARED),
-        group_index=jnp.asarray(GROUP),
-        per_view_free=jnp.ones((VIEWS, 6), dtype=bool),
-        statistic_count=jnp.asarray(float(len(observed))),
-        white_sigma=jnp.asarray(1e-6),
+        matrix=matrix,
+        gradient=Step(slope[:SHARED], slope[SHARED:].reshape(VIEWS, 6)),
+        residual_sum_of_squares=residual @ information @ residual,
+        offset_from_prior=Step(at[:SHARED], at[SHARED:].reshape(VIEWS, 6)),
+        known_weight=np.zeros(SHARED),
+        group_index=GROUP,
+        per_view_free=np.ones((VIEWS, 6), dtype=bool),
+        statistic_count=np.asarray(float(len(observed))),
+        white_sigma=np.asarray(1e-6),
     )
 
 
 GROUP_FIXED = np.concatenate([GROUP < 0, np.zeros(6 * VIEWS, dtype=bool)])
 
 OTHERS = (
-    StandardDeviations(*map(jnp.asarray, (0.3, 0.9, 0.05)), jnp.array([2.0, 0.01])),
-    StandardDeviations(*map(jnp.asarray, (2.0, 0.1, 0.6)), jnp.array([0.1, 1.0])),
+    StandardDeviations.from_vector(np.array([0.3, 0.9, 0.05, 2.0, 0.01])),
+    StandardDeviations.from_vector(np.array([2.0, 0.1, 0.6, 0.1, 1.0])),
 )
 
 
 def moved(sizes, k, share):
     """One of the sizes larger by a share of it."""
-    numbers = sizes.vector.at[k].multiply(1.0 + share)
+    numbers = np.array(sizes.vector)
+    numbers[k] *= 1.0 + share
     return StandardDeviations.from_vector(numbers)
 
 
 def with_held(views, free):
     """What `JointProblem` makes of corrections that are held: no columns."""
-    own = jnp.where(free[..., None] & free[:, None], views.matrix.per_view, 0.0)
-    border = jnp.where(free[..., None], views.matrix.border, 0.0)
-    gradient = jnp.where(free, views.gradient.per_view, 0.0)
+    own = np.where(free[..., None] & free[:, None], views.matrix.per_view, 0.0)
+    border = np.where(free[..., None], views.matrix.border, 0.0)
+    gradient = np.where(free, views.gradient.per_view, 0.0)
     return eqx.tree_at(
         lambda v: (v.matrix.per_view, v.matrix.border, v.gradient.per_view, v.per_view_free),
         views,
         (own, border, gradient, free),
     )
+
+
+def some_held():
+    """Whether each of the views' own numbers is free; three in ten are held."""
+    return np.random.default_rng(9).random((VIEWS, 6)) < 0.7

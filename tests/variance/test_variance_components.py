@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+from fit_scenes import MANY_VIEWS, scene_of, scene_with
 from jaxlie import SE3, SO3
 from shared_data import shared_pairs
 from starts import nudged
@@ -19,15 +20,20 @@ from smartview_jax.robot_errors import (
     RobotPrior,
     ScaleError,
 )
-from smartview_jax.simulation import paper_calibration, paper_points, random_scene
+from smartview_jax.simulation import paper_calibration
 
-VIEWS = 20
-POINTS = paper_points((0.0, 0.02))[::3]
-TRANSLATION, ROTATION, PIXEL = 2e-4, 5e-4, 0.15
+VIEWS = MANY_VIEWS
+TRANSLATION, ROTATION, PIXEL = 2e-4, 5e-4, 0.1
 
 
 def white_scene(seed):
-    return random_scene(seed, VIEWS, POINTS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
+    return scene_of(
+        seed,
+        VIEWS,
+        pixel_noise=PIXEL,
+        translation_noise=TRANSLATION,
+        rotation_noise=ROTATION,
+    )
 
 
 def fit(scene, **options):
@@ -36,19 +42,22 @@ def fit(scene, **options):
 
 @pytest.fixture(scope="module")
 def white():
-    return [fit(white_scene(seed), field=None) for seed in range(12)]
+    return [fit(white_scene(seed), field=None, gross_errors="keep") for seed in range(12)]
 
 
 def test_white_noise_is_found_at_its_size(white):
-    """Variances are unbiased; twelve sets of twenty views tell them to a tenth or so."""
+    """Variances are unbiased; twelve sets of sixteen views tell them to a tenth or so."""
     found = [[f.noise.translation, f.noise.rotation, f.noise.white_pixel] for f in white]
     sizes = np.sqrt(np.mean(np.square(found), axis=0))
     np.testing.assert_allclose(sizes, [TRANSLATION, ROTATION, PIXEL], rtol=0.15)
 
 
 def test_margins_are_wider_for_sizes_that_were_found(white):
-    """Student's t on the degrees of freedom that twenty views of six numbers leave, or fewer."""
-    one, name = white[0], "camera_from_tool.translation.x"
+    """Student's t on the degrees of freedom that sixteen views of six numbers leave, or fewer."""
+    one = white[0]
+    # Of the mount's numbers the one that rests most on what the robot errs by.
+    mount = [name for name in one.degrees_of_freedom if name.startswith("camera_from_tool.")]
+    name = min(mount, key=one.degrees_of_freedom.get)
     freedom = one.degrees_of_freedom[name]
     assert 5.0 < freedom < 6 * VIEWS
     times = one.confidence_half_width(name, 0.9) / one.std[name]
@@ -103,13 +112,13 @@ def test_a_robot_with_white_noise_is_not_given_a_field():
 def crooked():
     """A robot whose error is smooth, and views of it on which to judge."""
     rng = np.random.default_rng(1)
-    poses = random_scene(0, VIEWS, POINTS).data.base_from_tool
+    poses = scene_of(0, VIEWS).data.base_from_tool
     field = LinearInPose.from_poses(poses)
     sizes = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
     error = RobotError(field, jnp.asarray(sizes * rng.normal(size=field.size)))
     truth = dataclasses.replace(paper_calibration(), robot_error=error)
-    small = {"translation_noise": 2e-5, "rotation_noise": 5e-5}
-    seen, unseen = (random_scene(k, VIEWS, POINTS, truth, **small) for k in (0, 7))
+    small = {"pixel_noise": PIXEL, "translation_noise": 2e-5, "rotation_noise": 5e-5}
+    seen, unseen = (scene_with(truth, k, VIEWS, **small) for k in (0, 7))
     return seen, unseen, fit(dataclasses.replace(seen, calibration=paper_calibration()))
 
 
@@ -118,7 +127,8 @@ def test_a_smooth_error_is_found_and_corrected(crooked):
     assert found.noise_estimate.name == "pose"
     gains = {one.name: one.log_likelihood_ratio for one in found.noise_estimate.candidates}
     assert gains["pose"] > gains["white"] + 50.0
-    trusting = fit_joint(seen.data, nudged(paper_calibration()), noise="trusted")
+    exact = Noise(PIXEL, 1e-9, 1e-9)
+    trusting = fit_joint(seen.data, nudged(paper_calibration()), noise=exact)
     errors = [reprojection_errors(f.calibration, unseen.data).rms for f in (found, trusting)]
     assert errors[0] < 0.5 * errors[1]
 
@@ -129,9 +139,11 @@ def test_its_twist_is_the_true_one_up_to_what_no_data_tell(crooked):
     poses = seen.data.base_from_tool
     true, fitted = (c.camera_from_world(poses) for c in (seen.calibration, found.calibration))
     bare = found.calibration.camera_from_world(poses, corrected=False)
-    left = np.linalg.norm(np.asarray((true @ fitted.inverse()).translation()), axis=-1)
-    before = np.linalg.norm(np.asarray((true @ bare.inverse()).translation()), axis=-1)
-    assert np.median(left) < 0.5 * np.median(before)
+    scatter = []
+    for predicted in (fitted, bare):
+        apart = np.asarray((true @ predicted.inverse()).translation())
+        scatter.append(np.median(np.linalg.norm(apart - apart.mean(axis=0), axis=1)))
+    assert scatter[0] < 0.5 * scatter[1]
 
 
 def test_a_field_is_kept_with_the_calibration_and_priors_say_its_size(crooked):
@@ -143,25 +155,25 @@ def test_a_field_is_kept_with_the_calibration_and_priors_say_its_size(crooked):
 
 
 def test_a_field_that_is_asked_for_is_taken(crooked):
-    seen, _, _ = crooked
-    field = LinearInPosition.from_poses(seen.data.base_from_tool)
+    data = crooked[0].data.select(range(8))
+    field = LinearInPosition.from_poses(data.base_from_tool)
     start = nudged(paper_calibration())
-    found = fit_joint(seen.data, start, noise="estimated", field=field)
+    found = fit_joint(data, start, noise="estimated", field=field)
     assert found.noise_estimate.name == "position"
     assert eqx.tree_equal(found.calibration.robot_error.field, field)
-    none = fit_joint(seen.data, start, noise="estimated", field=None)
+    none = fit_joint(crooked[0].data, start, noise="estimated", field=None)
     assert none.calibration.robot_error is None
 
 
 def test_with_few_views_white_noise_is_believed_where_pixels_agree():
-    scene = random_scene(3, 6, POINTS, translation_noise=TRANSLATION, rotation_noise=ROTATION)
+    scene = scene_of(3, 6, translation_noise=TRANSLATION, rotation_noise=ROTATION)
     found = fit(scene)
     assert found.noise_estimate.name == "white"
     assert found.noise.pixel < 3.0 * found.noise.white_pixel
 
 
 def test_data_without_any_noise_are_fitted_exactly():
-    scene = random_scene(0, VIEWS, POINTS, pixel_noise=0.0)
+    scene = scene_of(0, VIEWS, pixel_noise=0.0)
     found = fit(scene)
     assert found.result.converged
     assert all(np.isfinite(size) for size in found.std.values())
@@ -171,7 +183,7 @@ def test_data_without_any_noise_are_fitted_exactly():
 
 
 def test_a_prior_on_what_is_estimated_is_refused():
-    scene = random_scene(0, VIEWS, POINTS)
+    scene = scene_of(0, VIEWS)
     with pytest.raises(ValueError, match=r"prior on 'pose_corrections.3': .* give a Noise"):
         fit(scene, priors={"pose_corrections.3": Prior(1e-3)})
 
@@ -187,16 +199,15 @@ def test_a_field_of_given_size_needs_a_deviation_for_each_group(crooked):
 
 def test_a_real_target_is_smaller_than_it_is_said_to_be():
     """rct: ways of an arm are not 2 % off. What its field has left is half of the chain's error."""
-    data, _ = shared_pairs("rct_circle10x10")
-    staged = fit_staged(data)
-    found = fit_joint(data, staged.calibration, lens="opencv4", noise="estimated")
+    data, reference = shared_pairs("rct_circle10x10")
+    start = fit_staged(data).calibration
+    found = fit_joint(data, start, lens="opencv4", noise="estimated")
     scale = found.noise_estimate.target_scale
     assert scale.probability > 0.9
     assert float(found.calibration.target_scale) == pytest.approx(0.976, abs=0.003)
-    trusting = fit_joint(data, staged.calibration, lens="opencv4", noise="trusted")
     assert found.noise.white_pixel < 0.2 < found.noise.pixel
-    errors = [reprojection_errors(f.calibration, data).rms for f in (found, trusting)]
-    assert errors[0] < 0.6 * errors[1]
+    # The reference trusts the robot.
+    assert reprojection_errors(found.calibration, data).rms < 0.6 * reference["joint_px"]
 
 
 def test_a_start_that_corrects_the_robot_is_not_corrected_where_no_field_is_asked_for(crooked):
@@ -219,16 +230,17 @@ def test_with_everything_held_the_sizes_are_found_all_the_same():
 
 
 def test_ways_that_are_too_long_are_a_field_for_who_asks():
-    """Of eight views, by a share that a field alone takes for one of eighteen numbers."""
-    poses = random_scene(2, 8, POINTS).data.base_from_tool
-    inner = LinearInPosition.from_poses(poses)
+    """Of eight views, by a share that a field alone takes for one of its many numbers."""
+    poses = scene_of(2).data.base_from_tool
+    inner = LinearInPose.from_poses(poses)
     field = ScaleError.from_poses(inner, poses)
-    other = np.repeat([2e-4, 4e-4], 9) * np.random.default_rng(3).normal(size=18)
+    other = np.zeros(inner.size)
+    other[:18] = np.repeat([2e-4, 4e-4], 9) * np.random.default_rng(3).normal(size=18)
     coefficients = jnp.asarray([*other, 0.13 * float(field.reach)])
     truth = dataclasses.replace(paper_calibration(), robot_error=RobotError(field, coefficients))
     small = {"pixel_noise": 0.1, "translation_noise": 2e-5, "rotation_noise": 4e-5}
-    data = random_scene(2, 8, POINTS, truth, **small).data
-    unseen = random_scene(50, 30, POINTS, truth, pixel_noise=0.0).data
+    data = scene_with(truth, 2, **small).data
+    unseen = scene_with(truth, 50, 30, pixel_noise=0.0).data
     prior = RobotPrior(wrong_target_probability=0.0)
     inner, stretched = (
         fit_joint(data, truth.uncorrected, noise="estimated", field=one, robot_prior=prior)

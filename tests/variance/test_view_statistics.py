@@ -1,12 +1,12 @@
 import jax
 import numpy as np
 import pytest
+from fit_scenes import scene_of
 from starts import nudged
 
 from smartview_jax import Noise, Prior
 from smartview_jax.engine import build_problem, solve
 from smartview_jax.robot_errors import LinearInPosition
-from smartview_jax.simulation import paper_points, random_scene
 from smartview_jax.variance.likelihood import StandardDeviations
 from smartview_jax.variance.view_statistics import (
     ViewStatistics,
@@ -18,7 +18,7 @@ from smartview_jax.variance.view_statistics import (
 @pytest.fixture(scope="module")
 def statistics():
     """With priors about values other than the start's, a view left out, and a correction held."""
-    scene = random_scene(2, 8, paper_points((0.0, 0.02))[::3], translation_noise=1e-4)
+    scene = scene_of(2, translation_noise=1e-4)
     built = build_problem(
         scene.data.mask_views([5]),
         nudged(scene.calibration),
