@@ -16,6 +16,15 @@ from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import SeenViews
 
+IMAGE_SIZE = (640, 480)
+"""Of all pictures in the tests of this room, so that they share compiled programs."""
+
+SAMPLES = 512
+"""Number of points along the edges of all wireframes that are fitted, for the same reason.
+
+They are so near each other that an object takes all edge points between them.
+"""
+
 STEP = 1.0
 """Distance between edge points along an edge, px."""
 
@@ -23,9 +32,12 @@ predicted = compiled(predict_view)
 
 
 def camera():
-    return sv.Camera(
-        1500.0, 1505.0, 645.0, 472.0, OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0), (1280, 960)
-    )
+    return sv.Camera(1500.0, 1505.0, 325.0, 236.0, OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0), IMAGE_SIZE)
+
+
+def pinhole(alpha_u=1500.0, alpha_v=1505.0):
+    """A camera without distortion, whose lens has the numbers that the others have."""
+    return sv.Camera(alpha_u, alpha_v, 325.0, 236.0, OpenCV5(0.0, 0.0, 0.0, 0.0, 0.0), IMAGE_SIZE)
 
 
 def calibration():
@@ -50,7 +62,7 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
         hidden: edges that have no points.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    wireframe = Wireframe.of(model, 4096)
+    wireframe = Wireframe.of(model, 1024)
     pictures = []
     for camera_from_world in views.camera_from_world:
         view = predicted(

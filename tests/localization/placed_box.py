@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from drawn_edges import seen_views
 from solids import box
 
 from smartview_jax.engine import Noise
@@ -20,6 +21,15 @@ def placed(points, pose=POSE):
 
 
 MIDDLE = placed(MODEL.vertices.mean(axis=0))
+
+BESIDE = POSE.copy()
+"""Of a second box, with some room between both."""
+BESIDE[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
+
+
+def views_of_both():
+    """Two views from so far away that the box and another one beside it are in the picture."""
+    return seen_views(MIDDLE + 0.5 * (BESIDE - POSE)[:3, 3], distance=0.6)
 
 
 def projected(views, points):
