@@ -3,6 +3,8 @@
 Their noise has the correlation that smoothing gives to neighbouring points.
 """
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -112,18 +114,20 @@ def seen_views(model_middle, directions=TWO_DIRECTIONS, distance=0.4):
     return SeenViews.of(calibration(), poses_towards(model_middle, directions, distance))
 
 
-def no_features():
+@functools.cache
+def nothing_found():
+    """No features, and the maps of their edges."""
     empty = np.zeros((0, 2))
-    return Features(
+    features = Features(
         empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
-        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
+        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), IMAGE_SIZE,
     )  # fmt: skip
+    return features, edge_maps(features, camera())
 
 
 def evidence(pictures):
     """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
-    features = no_features()
-    maps = edge_maps(features, camera())
+    features, maps = nothing_found()
     return [PictureEvidence(features, points, lone_points(points), maps) for points in pictures]
 
 

@@ -32,10 +32,15 @@ def views_of_both():
     return seen_views(MIDDLE + 0.5 * (BESIDE - POSE)[:3, 3], distance=0.6)
 
 
+@jax.jit
+def _project(camera, points):
+    return camera.project(points)[0]
+
+
 def projected(views, points):
     """Pixels of points in the world, in every view, by nothing but the camera."""
     moved = [points @ m[:3, :3].T + m[:3, 3] for m in views.camera_from_world]
-    return np.asarray(jax.jit(lambda p: views.camera.project(p))(jnp.asarray(moved))[0])
+    return np.asarray(_project(views.camera, jnp.asarray(moved)))
 
 
 def corner_matches(pixels, sigma=SIGMA):
