@@ -61,9 +61,7 @@ def test_points_that_another_edge_displaces_count_where_others_are_too_few(
     ]
     size = views.camera.image_size
     lines, unaware = (
-        measured_lines(
-            wireframe, views, EdgeLookup.of(disturbed, size, lone=lone), POSE, RADIUS
-        )
+        measured_lines(wireframe, views, EdgeLookup.of(disturbed, size, lone=lone), POSE, RADIUS)
         for lone in ([~off for off in is_displaced], [np.ones_like(off) for off in is_displaced])
     )
     used = lines.measured

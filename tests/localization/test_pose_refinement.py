@@ -39,7 +39,6 @@ from smartview_jax.localization.heavy_tails import solve_heavy_tailed
 from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
 
-
 RUNS = 10
 """Number of simulated sets of pictures of each study; of a NEES of 6 their mean errs by 1.1."""
 
