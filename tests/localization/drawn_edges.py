@@ -34,9 +34,8 @@ predicted = compiled(predict_view)
 
 
 def camera():
-    return sv.Camera(
-        1500.0, 1505.0, 325.0, 236.0, OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0), IMAGE_SIZE
-    )
+    lens = OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0)
+    return sv.Camera(1500.0, 1505.0, 325.0, 236.0, lens, IMAGE_SIZE)
 
 
 def pinhole(alpha_u=1500.0, alpha_v=1505.0):

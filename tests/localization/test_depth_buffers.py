@@ -29,7 +29,7 @@ from smartview_jax.modeling import Face, ObjectModel
 from smartview_jax.simulation import random_polyhedron, roofed_block, stepped_block
 
 BACK = dataclasses.replace(box(0.12, 0.08, 0.05), name="back")
-FRONT = dataclasses.replace(box(0.05, 0.05, 0.03), name="front")
+FRONT = dataclasses.replace(box(0.07, 0.07, 0.03), name="front")
 POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
 MIDDLE = POSE[:3, :3] @ BACK.vertices.mean(axis=0) + POSE[:3, 3]
 VIEWS = seen_views(MIDDLE, distance=0.6)
@@ -39,7 +39,7 @@ TOWARDS_CAMERAS = VIEWS.centres.mean(axis=0) - MIDDLE
 def front_pose():
     """Before one side of the object at the back, as both cameras see it."""
     pose = POSE.copy()
-    pose[:3, 3] = MIDDLE + 0.2 * TOWARDS_CAMERAS + POSE[:3, :2] @ [0.005, -0.025]
+    pose[:3, 3] = MIDDLE + 0.2 * TOWARDS_CAMERAS + POSE[:3, :2] @ [0.0, -0.035]
     return pose
 
 

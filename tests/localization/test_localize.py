@@ -14,13 +14,13 @@ from drawn_edges import (
     IMAGE_SIZE,
     TWO_DIRECTIONS,
     calibration,
-    camera,
     drawn,
     evidence,
     poses_towards,
     seen_views,
     together,
 )
+from placed_box import projected
 from solids import box, prism
 
 import smartview_jax as sv
@@ -183,11 +183,8 @@ def test_the_corner_of_another_block_is_not_accepted():
 def test_a_hidden_object_is_accepted():
     """A round spot hides the middle of each view; no face is found elsewhere."""
     pictures = []
-    for own, matrix in zip(
-        drawn(MODEL, views(), POSE, 0.03), views().camera_from_world, strict=True
-    ):
-        in_camera = matrix[:3, :3] @ MIDDLE + matrix[:3, 3]
-        middle = np.asarray(camera().project(jnp.asarray(in_camera))[0])
+    middles = projected(views(), MIDDLE[None])[:, 0]
+    for own, middle in zip(drawn(MODEL, views(), POSE, 0.03), middles, strict=True):
         free = np.linalg.norm(own.pixels - middle, axis=1) > 110.0
         pictures.append(EdgePoints(*(part[free] for part in own)))
     (one, *_) = find(pictures)

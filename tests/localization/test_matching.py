@@ -18,6 +18,11 @@ PRIOR = np.diag(np.repeat([1e-3, 0.01], 3) ** 2)
 
 
 @pytest.fixture(scope="module")
+def one_view(views):
+    return views._replace(camera_from_world=views.camera_from_world[:1])
+
+
+@pytest.fixture(scope="module")
 def exact(views):
     return CalibrationUncertainty.none(views)
 
@@ -129,7 +134,7 @@ def test_the_gate_holds_what_it_states(views, exact):
 
 def test_matches_are_found_among_clutter(views, exact):
     rng = np.random.default_rng(3)
-    features, order = seen_corners(views, rng, clutter=25)
+    features, order = seen_corners(views, rng, clutter=12)
     matched = match_features(MODEL, views, features, PoseState(from_prior(rng), PRIOR), exact)
     right, wrong = right_and_wrong(matched, features, order)
     assert right >= 10
@@ -138,22 +143,22 @@ def test_matches_are_found_among_clutter(views, exact):
     assert error @ np.linalg.solve(matched.state.covariance, error) < chi2.ppf(0.999, 6)
 
 
-def test_a_vertex_that_is_not_seen_has_no_match(views, exact):
+def test_a_vertex_that_is_not_seen_has_no_match(one_view):
     rng = np.random.default_rng(4)
-    features, order = seen_corners(views, rng, missing=(4, 5))
-    matched = match_features(MODEL, views, features, PoseState(from_prior(rng), PRIOR), exact)
+    features, order = seen_corners(one_view, rng, missing=(4, 5))
+    matched = match_features(MODEL, one_view, features, PoseState(from_prior(rng), PRIOR))
     _, wrong = right_and_wrong(matched, features, order)
     assert wrong == 0
     assert not set(matched.matches.corner_vertex.tolist()) & {4, 5}
     assert matched.cost > 9.0
 
 
-def test_a_contradiction_sends_the_search_back(views, exact):
+def test_a_contradiction_sends_the_search_back(one_view):
     """A corner beside the true one is nearer to the prediction: the greedy choice is wrong."""
     rng = np.random.default_rng(5)
     start = from_prior(rng)
-    features, order = seen_corners(views, rng)
-    predicted = projected(views, placed(MODEL.vertices, start))
+    features, order = seen_corners(one_view, rng)
+    predicted = projected(one_view, placed(MODEL.vertices, start))
     own = features[0]
     decoy = predicted[0, 4][None]
     features[0] = own._replace(
@@ -162,7 +167,7 @@ def test_a_contradiction_sends_the_search_back(views, exact):
         corner_segments=np.concatenate([own.corner_segments[:1], own.corner_segments]),
     )
     order[0] = np.concatenate([[-1], order[0]])
-    matched = match_features(MODEL, views, features, PoseState(start, PRIOR), exact)
+    matched = match_features(MODEL, one_view, features, PoseState(start, PRIOR))
     _, wrong = right_and_wrong(matched, features, order)
     assert wrong == 0
     assert matched.updates > len(matched.matches.corners)
