@@ -28,7 +28,7 @@ BESIDE[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
 
 
 def views_of_both():
-    """Two views from so far away that the box and another one beside it are in the picture."""
+    """Two views from so far away that the box and a second one next to it are in the picture."""
     return seen_views(MIDDLE + 0.5 * (BESIDE - POSE)[:3, 3], distance=0.6)
 
 
