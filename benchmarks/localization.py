@@ -28,6 +28,7 @@ from .grasping import calibrated
 from .localization_cells import KINDS, cell_scene, true_calibration, workspace_of
 from .localization_pictures import print_real_pictures
 from .localization_scenes import model_of, solids
+from .localization_spoilt import print_spoilt_pictures
 from .localization_tables import SceneSeconds, print_seconds, print_tables
 from .localization_trials import trial
 
@@ -130,12 +131,14 @@ def run(smoke: bool = False, results: Path | None = None) -> bool:
             path = Path(folder) / "records.jsonl"
             work(path, 0, 1, dict.fromkeys(SMOKE_SCENES, 1))
             good = print_tables(list(done(path).values()), smoke=True)
+        good = print_spoilt_pictures(smoke=True) and good
         print_real_pictures(smoke=True)
         return good
     path = RESULTS if results is None else results
     _run_workers(path, min(2, os.cpu_count() or 1), SCENES)
     good = print_tables(list(done(path).values()))
     good = print_seconds(seconds_a_scene(TIMED)) and good
+    good = print_spoilt_pictures() and good
     return print_real_pictures() and good
 
 

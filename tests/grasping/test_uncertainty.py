@@ -58,23 +58,21 @@ def test_where_the_gripper_goes_varies_as_it_is_said(setup):
     rng = np.random.default_rng(1)
     draws = rng.multivariate_normal(np.zeros(6), covariance, 4000)
     base_from_world = host_matrices(scene.calibration.base_from_world)
-    taus = []
-    for draw, noise in zip(draws, rng.standard_normal((4000, 6)), strict=True):
-        true = base_from_world.copy()
-        # Rotations are stepped from the left, translations added (`engine.parameters`).
-        step = host_exponentials(np.concatenate([np.zeros(3), draw[3:]]))
-        true[:3, :3] = step[:3, :3] @ true[:3, :3]
-        true[:3, 3] += draw[:3]
-        # tool_from_base = exp(c) reported.
-        correction = host_exponentials(noise * 1e-4)
-        reported = host_matrices(command.base_from_tool)[0]
-        actual = reported @ np.linalg.inv(correction)
-        gripper = np.linalg.inv(true) @ actual @ GRIPPER.tool_from_gripper
-        # exp(tau) gripper_from_world, of the truth over the estimate.
-        taus.append(host_logarithms(np.linalg.inv(gripper) @ pose))
+    true = np.tile(base_from_world, (4000, 1, 1))
+    # Rotations are stepped from the left, translations added (`engine.parameters`).
+    steps = host_exponentials(np.concatenate([np.zeros((4000, 3)), draws[:, 3:]], axis=1))
+    true[:, :3, :3] = steps[:, :3, :3] @ true[:, :3, :3]
+    true[:, :3, 3] += draws[:, :3]
+    # tool_from_base = exp(c) reported.
+    corrections = host_exponentials(1e-4 * rng.standard_normal((4000, 6)))
+    reported = host_matrices(command.base_from_tool)[0]
+    actual = reported @ np.linalg.inv(corrections)
+    grippers = np.linalg.inv(true) @ actual @ GRIPPER.tool_from_gripper
+    # exp(tau) gripper_from_world, of the truth over the estimate.
+    taus = host_logarithms(np.linalg.inv(grippers) @ pose)
     found = errors.shared @ errors.shared.T + errors.own @ errors.own.T
     # 4000 draws know a standard deviation to 1.1 %.
-    ratio = np.sqrt(np.diagonal(np.cov(np.array(taus).T)) / np.diagonal(found))
+    ratio = np.sqrt(np.diagonal(np.cov(taus.T)) / np.diagonal(found))
     assert np.all(np.abs(ratio - 1.0) < 0.05)
 
 

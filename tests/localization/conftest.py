@@ -1,27 +1,33 @@
 """Two views of the placed box, and how uncertain a robot makes them."""
 
 import pytest
-from drawn_edges import calibration, seen_views
-from placed_box import MIDDLE, NOISE
+from drawn_edges import SAMPLES, calibration, seen_views
+from placed_box import MIDDLE, MODEL, NOISE
 
+from smartview_jax.localization import Wireframe
 from smartview_jax.modeling import CalibrationUncertainty
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(autouse=True, scope="module")
 def few_samples():
     """Enough for wireframes among drawn edges; chance costs most of the time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
-        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", 256)
+        patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", SAMPLES)
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def views():
     return seen_views(MIDDLE)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def uncertainty(views):
     """Of views that a robot with `NOISE` takes, all else being known."""
     return CalibrationUncertainty.of(views, calibration(), None, NOISE)
+
+
+@pytest.fixture(scope="session")
+def wireframe():
+    return Wireframe.of(MODEL, SAMPLES)

@@ -3,6 +3,8 @@
 Their noise has the correlation that smoothing gives to neighbouring points.
 """
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -16,6 +18,15 @@ from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import SeenViews
 
+IMAGE_SIZE = (640, 480)
+"""Of all pictures in the tests of this room, so that they share compiled programs."""
+
+SAMPLES = 512
+"""Number of points along the edges of all wireframes that are fitted, for the same reason.
+
+They are so near each other that an object takes all edge points between them.
+"""
+
 STEP = 1.0
 """Distance between edge points along an edge, px."""
 
@@ -23,9 +34,13 @@ predicted = compiled(predict_view)
 
 
 def camera():
-    return sv.Camera(
-        1500.0, 1505.0, 645.0, 472.0, OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0), (1280, 960)
-    )
+    lens = OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0)
+    return sv.Camera(1500.0, 1505.0, 325.0, 236.0, lens, IMAGE_SIZE)
+
+
+def pinhole(alpha_u=1500.0, alpha_v=1505.0):
+    """A camera without distortion, whose lens has the numbers that the others have."""
+    return sv.Camera(alpha_u, alpha_v, 325.0, 236.0, OpenCV5(0.0, 0.0, 0.0, 0.0, 0.0), IMAGE_SIZE)
 
 
 def calibration():
@@ -50,7 +65,7 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
         hidden: edges that have no points.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    wireframe = Wireframe.of(model, 4096)
+    wireframe = Wireframe.of(model, 1024)
     pictures = []
     for camera_from_world in views.camera_from_world:
         view = predicted(
@@ -100,18 +115,20 @@ def seen_views(model_middle, directions=TWO_DIRECTIONS, distance=0.4):
     return SeenViews.of(calibration(), poses_towards(model_middle, directions, distance))
 
 
-def no_features():
+@functools.cache
+def nothing_found():
+    """No features, and the maps of their edges."""
     empty = np.zeros((0, 2))
-    return Features(
+    features = Features(
         empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
-        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), camera().image_size,
+        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), IMAGE_SIZE,
     )  # fmt: skip
+    return features, edge_maps(features, camera())
 
 
 def evidence(pictures):
     """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
-    features = no_features()
-    maps = edge_maps(features, camera())
+    features, maps = nothing_found()
     return [PictureEvidence(features, points, lone_points(points), maps) for points in pictures]
 
 

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from drawn_edges import seen_views
 from solids import box
 
 from smartview_jax.engine import Noise
@@ -21,11 +22,25 @@ def placed(points, pose=POSE):
 
 MIDDLE = placed(MODEL.vertices.mean(axis=0))
 
+BESIDE = POSE.copy()
+"""Of a second box, with some room between both."""
+BESIDE[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
+
+
+def views_of_both():
+    """Two views from so far away that the box and a second one next to it are in the picture."""
+    return seen_views(MIDDLE + 0.5 * (BESIDE - POSE)[:3, 3], distance=0.6)
+
+
+@jax.jit
+def _project(camera, points):
+    return camera.project(points)[0]
+
 
 def projected(views, points):
     """Pixels of points in the world, in every view, by nothing but the camera."""
     moved = [points @ m[:3, :3].T + m[:3, 3] for m in views.camera_from_world]
-    return np.asarray(jax.jit(lambda p: views.camera.project(p))(jnp.asarray(moved))[0])
+    return np.asarray(_project(views.camera, jnp.asarray(moved)))
 
 
 def corner_matches(pixels, sigma=SIGMA):

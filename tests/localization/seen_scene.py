@@ -1,9 +1,15 @@
-"""A rendered scene of two solids on a table, in two pictures, for the tests of the search."""
+"""A scene of two solids on a table, in two rendered pictures, for the tests of the search.
+
+`python tests/localization/seen_scene.py` renders the pictures in `data` again.
+"""
 
 import functools
+from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
+from drawn_edges import IMAGE_SIZE
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
@@ -21,8 +27,9 @@ from smartview_jax.simulation import (
     stepped_block,
 )
 
-CAMERA = sv.Camera(800.0, 805.0, 325.0, 236.0, OpenCV5(-0.15, 0.05, 0.0, 0.0, 0.0), (640, 480))
+CAMERA = sv.Camera(800.0, 805.0, 325.0, 236.0, OpenCV5(-0.15, 0.05, 0.0, 0.0, 0.0), IMAGE_SIZE)
 CALIBRATION = sv.Calibration.eye_in_hand(CAMERA, np.eye(4), np.eye(4))
+PICTURES = [Path(__file__).parent / "data" / f"seen_{view}.png" for view in range(2)]
 
 
 class SeenScene(NamedTuple):
@@ -47,24 +54,35 @@ def placed(x, y, angle):
     return pose
 
 
-@functools.cache
-def seen_scene():
-    """A stepped block and a box; two views 25 degrees apart."""
-    solids = [stepped_block(0.06), box(0.05, 0.035, 0.02)]
-    poses = [placed(-0.035, 0.0, 0.4), placed(0.045, 0.01, 1.2)]
-    surfaces = [Surface.of_plane(0.5, matt(0.3))]
-    for solid, pose in zip(solids, poses, strict=True):
-        surfaces.append(Surface.of_polyhedron(solid.moved(pose), speckled(0.7, 0.02, 0.003)))
+SOLIDS = stepped_block(0.06), box(0.05, 0.035, 0.02)
+POSES = [placed(-0.035, 0.0, 0.4), placed(0.045, 0.01, 1.2)]
+
+
+def base_from_tool():
+    """Two views 25 degrees apart."""
     directions = np.array([[0.35, 0.45, -1.0], [-0.1, 0.45, -1.0]])
     cameras = look_at((0.0, 0.0, 0.015), directions, 0.36, np.array([0.2, -0.4]))
-    base_from_tool = np.linalg.inv(host_matrices(cameras))
-    pictures = [
-        render_solids(CALIBRATION, pose, SolidScene(surfaces), exposure=1.2, samples=8)
-        for pose in base_from_tool
-    ]
+    return np.linalg.inv(host_matrices(cameras))
+
+
+@functools.cache
+def seen_scene():
+    """A stepped block and a box."""
+    pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in PICTURES]
     evidence = [picture_evidence(one, CAMERA) for one in pictures]
-    views = SeenViews.of(CALIBRATION, base_from_tool)
-    return SeenScene(pictures, evidence, views, [model_of(solid) for solid in solids], poses)
+    views = SeenViews.of(CALIBRATION, base_from_tool())
+    return SeenScene(pictures, evidence, views, [model_of(solid) for solid in SOLIDS], POSES)
+
+
+def render():
+    """Write the pictures."""
+    surfaces = [Surface.of_plane(0.5, matt(0.3))]
+    for solid, pose in zip(SOLIDS, POSES, strict=True):
+        surfaces.append(Surface.of_polyhedron(solid.moved(pose), speckled(0.7, 0.02, 0.003)))
+    for path, pose in zip(PICTURES, base_from_tool(), strict=True):
+        path.parent.mkdir(exist_ok=True)
+        scene = SolidScene(surfaces)
+        cv2.imwrite(str(path), render_solids(CALIBRATION, pose, scene, exposure=1.2, samples=8))
 
 
 def errors(model, poses, truth):
@@ -87,3 +105,7 @@ def shaken(pose, rng, degrees, millimetres, count):
     poses[:, :3, :3] = turns.as_matrix()
     poses[:, :3, 3] = 1e-3 * millimetres * tangents[:, 1]
     return pose @ poses
+
+
+if __name__ == "__main__":
+    render()

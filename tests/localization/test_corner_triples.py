@@ -94,7 +94,7 @@ def found_near(features, rough):
 def test_exact_junctions_give_the_exact_pose(how):
     rng = np.random.default_rng(3)
     gaps = []
-    for _ in range(40):
+    for _ in range(20):
         pose = random_pose(rng, how)
         found = found_near(features_at(pose), roughly(pose, rng))
         assert len(found)

@@ -7,7 +7,7 @@ from drawn_edges import drawn
 from placed_box import MODEL, NOISE, POSE, placed, projected
 
 from smartview_jax.geometry import host_exponentials
-from smartview_jax.localization import FIT_SAMPLES, EdgeLookup, Wireframe, refine_pose
+from smartview_jax.localization import EdgeLookup, refine_pose
 from smartview_jax.localization.corrected_views import corrected_views
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
 from smartview_jax.localization.evidence import evidence_of
@@ -37,11 +37,13 @@ def test_common_errors_are_those_of_a_least_squares_fit_that_has_them_as_unknown
     assert step.absorbed == pytest.approx(np.trace(hat) - 6.0)
 
 
-def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(views, uncertainty):
-    rng, wireframe = np.random.default_rng(1), Wireframe.of(MODEL, FIT_SAMPLES)
+def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
+    views, uncertainty, wireframe
+):
+    rng = np.random.default_rng(1)
     sizes = np.repeat([NOISE.translation, NOISE.rotation], 3)
     gains, misses = [], []
-    for _ in range(6):
+    for _ in range(3):
         twists = host_exponentials(sizes * rng.standard_normal((2, 6)))
         true = views._replace(camera_from_world=twists @ views.camera_from_world)
         pictures = drawn(MODEL, true, POSE, 0.05, rng)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn_edges import seen_views
-from placed_box import MIDDLE, MODEL, POSE, corner_matches, error_of, placed, projected
+from placed_box import MODEL, POSE, corner_matches, error_of, placed, projected
 from scipy.stats import chi2
 from solids import box
 
@@ -19,8 +18,8 @@ PRIOR = np.diag(np.repeat([1e-3, 0.01], 3) ** 2)
 
 
 @pytest.fixture(scope="module")
-def views():
-    return seen_views(MIDDLE)
+def one_view(views):
+    return views._replace(camera_from_world=views.camera_from_world[:1])
 
 
 @pytest.fixture(scope="module")
@@ -118,9 +117,9 @@ def test_updates_one_by_one_are_nearly_the_batch_of_pictures(views, exact):
 
 def test_the_gate_holds_what_it_states(views, exact):
     rng, inside = np.random.default_rng(2), []
-    for _ in range(60):
-        pixels = projected(views, placed(MODEL.vertices))[:1]
-        pixels = pixels + SIGMA * rng.standard_normal(pixels.shape)
+    exact_pixels = projected(views, placed(MODEL.vertices))[:1]
+    for _ in range(30):
+        pixels = exact_pixels + SIGMA * rng.standard_normal(exact_pixels.shape)
         state = PoseState(from_prior(rng), PRIOR)
         for vertex in range(0, 8, 3):
             match = corner_matches(pixels, SIGMA)
@@ -129,13 +128,13 @@ def test_the_gate_holds_what_it_states(views, exact):
             )
             _, squared = kalman_update(state, one, MODEL, views, exact)
             inside.append(squared <= chi2.ppf(GATE_COVERAGE, 2))
-    # 180 draws, three of each pose: 95 % within 5 %.
+    # 90 draws, three of each pose: 95 %, known to 2.3 %.
     assert abs(np.mean(inside) - GATE_COVERAGE) < 0.05
 
 
 def test_matches_are_found_among_clutter(views, exact):
     rng = np.random.default_rng(3)
-    features, order = seen_corners(views, rng, clutter=25)
+    features, order = seen_corners(views, rng, clutter=12)
     matched = match_features(MODEL, views, features, PoseState(from_prior(rng), PRIOR), exact)
     right, wrong = right_and_wrong(matched, features, order)
     assert right >= 10
@@ -144,22 +143,22 @@ def test_matches_are_found_among_clutter(views, exact):
     assert error @ np.linalg.solve(matched.state.covariance, error) < chi2.ppf(0.999, 6)
 
 
-def test_a_vertex_that_is_not_seen_has_no_match(views, exact):
+def test_a_vertex_that_is_not_seen_has_no_match(one_view):
     rng = np.random.default_rng(4)
-    features, order = seen_corners(views, rng, missing=(4, 5))
-    matched = match_features(MODEL, views, features, PoseState(from_prior(rng), PRIOR), exact)
+    features, order = seen_corners(one_view, rng, missing=(4, 5))
+    matched = match_features(MODEL, one_view, features, PoseState(from_prior(rng), PRIOR))
     _, wrong = right_and_wrong(matched, features, order)
     assert wrong == 0
     assert not set(matched.matches.corner_vertex.tolist()) & {4, 5}
     assert matched.cost > 9.0
 
 
-def test_a_contradiction_sends_the_search_back(views, exact):
+def test_a_contradiction_sends_the_search_back(one_view):
     """A corner beside the true one is nearer to the prediction: the greedy choice is wrong."""
     rng = np.random.default_rng(5)
     start = from_prior(rng)
-    features, order = seen_corners(views, rng)
-    predicted = projected(views, placed(MODEL.vertices, start))
+    features, order = seen_corners(one_view, rng)
+    predicted = projected(one_view, placed(MODEL.vertices, start))
     own = features[0]
     decoy = predicted[0, 4][None]
     features[0] = own._replace(
@@ -168,7 +167,7 @@ def test_a_contradiction_sends_the_search_back(views, exact):
         corner_segments=np.concatenate([own.corner_segments[:1], own.corner_segments]),
     )
     order[0] = np.concatenate([[-1], order[0]])
-    matched = match_features(MODEL, views, features, PoseState(start, PRIOR), exact)
+    matched = match_features(MODEL, one_view, features, PoseState(start, PRIOR))
     _, wrong = right_and_wrong(matched, features, order)
     assert wrong == 0
     assert matched.updates > len(matched.matches.corners)

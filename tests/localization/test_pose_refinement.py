@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from drawn_edges import camera, drawn, seen_views
+from drawn_edges import SAMPLES, calibration, drawn, pinhole, seen_views
 from jaxlie import SE3
 from placed_box import (
     MIDDLE,
@@ -22,12 +22,10 @@ from scipy.spatial import KDTree
 
 import smartview_jax as sv
 from smartview_jax.array_namespace import to_device
-from smartview_jax.cameras import Pinhole
 from smartview_jax.engine import Noise
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import (
-    FIT_SAMPLES,
     EdgeLookup,
     Matches,
     Wireframe,
@@ -41,10 +39,15 @@ from smartview_jax.localization.heavy_tails import solve_heavy_tailed
 from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
 
+RUNS = 10
+"""Number of simulated sets of pictures of each study; of a NEES of 6 their mean errs by 1.1."""
+
 
 @pytest.fixture(scope="module")
-def wireframe():
-    return Wireframe.of(MODEL, FIT_SAMPLES)
+def pinhole_views():
+    """The views, taken by a camera without distortion."""
+    calibration = sv.Calibration.eye_in_hand(pinhole(), np.eye(4), np.eye(4))
+    return SeenViews.of(calibration, np.linalg.inv(seen_views(MIDDLE).camera_from_world))
 
 
 def segment_matches(pixels, sigma=SIGMA, part=(0.1, 0.8)):
@@ -71,27 +74,22 @@ def test_corners_give_the_optimum_that_scipy_finds(views):
     pixels = projected(views, placed(MODEL.vertices))
     pixels = pixels + SIGMA * rng.standard_normal(pixels.shape)
     pose, step = pose_from_matches(corner_matches(pixels), MODEL, views, nearby(rng))
-    project = jax.jit(lambda p: views.camera.project(p))
 
     def residuals(tangent):
         world = placed(MODEL.vertices, POSE @ host_exponentials(tangent))
-        moved = np.stack([world @ m[:3, :3].T + m[:3, 3] for m in views.camera_from_world])
-        return np.ravel(np.asarray(project(jnp.asarray(moved))[0]) - pixels) / SIGMA
+        return np.ravel(projected(views, world) - pixels) / SIGMA
 
     best = least_squares(residuals, np.zeros(6), xtol=1e-14, ftol=1e-14, x_scale="jac")
     np.testing.assert_allclose(error_of(pose), best.x, atol=1e-8)
     np.testing.assert_allclose(step.covariance, np.linalg.inv(best.jac.T @ best.jac), rtol=2e-2)
 
 
-def test_one_view_of_corners_is_opencvs_pose():
-    flat = sv.Camera(800.0, 810.0, 640.0, 480.0, Pinhole(), (1280, 960))
-    calibration = sv.Calibration.eye_in_hand(flat, np.eye(4), np.eye(4))
-    matrices = np.linalg.inv(seen_views(MIDDLE).camera_from_world[:1])
-    views = SeenViews.of(calibration, matrices)
+def test_one_view_of_corners_is_opencvs_pose(pinhole_views):
+    views = pinhole_views._replace(camera_from_world=pinhole_views.camera_from_world[:1])
     rng = np.random.default_rng(1)
     pixels = projected(views, placed(MODEL.vertices)) + 0.2 * rng.standard_normal((1, 8, 2))
     pose, _ = pose_from_matches(corner_matches(pixels), MODEL, views, nearby(rng))
-    K = np.array([[800.0, 0, 640.0], [0, 810.0, 480.0], [0, 0, 1]])
+    K = np.array([[1500.0, 0, 325.0], [0, 1505.0, 236.0], [0, 0, 1]])
     _, turn, shift = cv2.solvePnP(MODEL.vertices, pixels[0], K, None)
     turn, shift = cv2.solvePnPRefineLM(MODEL.vertices, pixels[0], K, None, turn, shift)
     theirs = np.eye(4)
@@ -99,13 +97,10 @@ def test_one_view_of_corners_is_opencvs_pose():
     np.testing.assert_allclose(views.camera_from_world[0] @ pose, theirs, atol=2e-6)
 
 
-def test_segments_alone_determine_the_pose(views):
-    flat = sv.Camera(1500.0, 1505.0, 645.0, 472.0, Pinhole(), (1280, 960))
-    calibration = sv.Calibration.eye_in_hand(flat, np.eye(4), np.eye(4))
-    pinhole = SeenViews.of(calibration, np.linalg.inv(views.camera_from_world))
-    pixels = projected(pinhole, placed(MODEL.vertices))
+def test_segments_alone_determine_the_pose(pinhole_views):
+    pixels = projected(pinhole_views, placed(MODEL.vertices))
     start = nearby(np.random.default_rng(2))
-    pose, _ = pose_from_matches(segment_matches(pixels), MODEL, pinhole, start)
+    pose, _ = pose_from_matches(segment_matches(pixels), MODEL, pinhole_views, start)
     np.testing.assert_allclose(error_of(pose), 0.0, atol=1e-8)
 
 
@@ -137,7 +132,8 @@ def test_derivatives_of_matches_are_jaxs(views):
         seen = jax.vmap(lambda m: views.camera.project(world @ m[:3, :3].T + m[:3, 3][None])[0])
         return seen(matrices).ravel()
 
-    by_pose, by_vertices = jax.jacfwd(predicted, (0, 1))(jnp.zeros(6), jnp.asarray(MODEL.vertices))
+    derivatives = jax.jit(jax.jacfwd(predicted, (0, 1)))
+    by_pose, by_vertices = derivatives(jnp.zeros(6), jnp.asarray(MODEL.vertices))
     np.testing.assert_allclose(equations.by_pose[:corners], by_pose, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(
         equations.by_vertices[:corners], by_vertices.reshape(corners, -1), rtol=1e-6, atol=1e-6
@@ -184,7 +180,7 @@ def test_rough_poses_converge(views):
 
 def test_the_pictures_covariance_is_true(views, wireframe):
     rng, errors, covariances, sigmas = np.random.default_rng(5), [], [], []
-    for _ in range(25):
+    for _ in range(RUNS):
         pictures = drawn(MODEL, views, POSE, 0.1, rng)
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
         found = refine_pose(nearby(rng, 0.2), MODEL, wireframe, views, lookup)
@@ -198,7 +194,7 @@ def test_the_pictures_covariance_is_true(views, wireframe):
 
 def test_edges_that_are_off_as_a_whole_are_noticed(views, wireframe):
     rng, errors, covariances, sigmas = np.random.default_rng(6), [], [], []
-    for _ in range(25):
+    for _ in range(RUNS):
         pictures = drawn(MODEL, views, POSE, 0.1, rng, shift=0.5)
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
         found = refine_pose(nearby(rng, 0.2), MODEL, wireframe, views, lookup)
@@ -206,17 +202,16 @@ def test_edges_that_are_off_as_a_whole_are_noticed(views, wireframe):
         covariances.append(found.covariance)
         sigmas.append(found.edge_sigma)
     assert 0.35 < np.median(sigmas) < 0.65
-    # An estimated standard deviation has the tails of Student's t.
-    assert 4.0 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 9.0
+    # An estimated standard deviation has the tails of Student's t, and the mean errs by 1.1 twice.
+    assert 3.8 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 9.5
 
 
 def test_the_robots_noise_is_in_the_covariance(views, wireframe):
     noise = Noise(0.1, 2e-4, float(np.deg2rad(0.02)))
-    calibration = sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
-    uncertainty = CalibrationUncertainty.of(views, calibration, None, noise)
+    uncertainty = CalibrationUncertainty.of(views, calibration(), None, noise)
     rng, errors, covariances, trusting = np.random.default_rng(7), [], [], []
     sizes = np.repeat([noise.translation, noise.rotation], 3)
-    for _ in range(25):
+    for _ in range(RUNS):
         twists = host_exponentials(sizes * rng.standard_normal((2, 6)))
         true = views._replace(camera_from_world=twists @ views.camera_from_world)
         lookup = EdgeLookup.of(drawn(MODEL, true, POSE, 0.1, rng), views.camera.image_size)
@@ -227,7 +222,7 @@ def test_the_robots_noise_is_in_the_covariance(views, wireframe):
         np.testing.assert_allclose(
             found.covariance, found.pictures + found.calibration + found.model
         )
-    assert 4.0 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 7.5
+    assert 3.8 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 8.2
     # Without it the pose would be called far better than it is.
     assert nees(np.array(errors), np.array(trusting)).mean() > 30.0
 
@@ -235,13 +230,13 @@ def test_the_robots_noise_is_in_the_covariance(views, wireframe):
 def test_an_uncertain_model_makes_the_pose_uncertain(views, wireframe):
     rng, errors, covariances = np.random.default_rng(8), [], []
     covariance = np.tile((2e-4) ** 2 * np.eye(3), (8, 1, 1))
-    for _ in range(25):
+    for _ in range(RUNS):
         moved = MODEL.vertices + 2e-4 * rng.standard_normal((8, 3))
         model = ObjectModel(
             moved, MODEL.edges, MODEL.faces, covariance=covariance, planar_tolerance=0.1
         )
         lookup = EdgeLookup.of(drawn(MODEL, views, POSE, 0.1, rng), views.camera.image_size)
-        found = refine_pose(POSE, model, Wireframe.of(model, FIT_SAMPLES), views, lookup)
+        found = refine_pose(POSE, model, Wireframe.of(model, SAMPLES), views, lookup)
         errors.append(error_of(found.world_from_object))
         covariances.append(found.covariance)
     assert mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 8.5

@@ -1,47 +1,52 @@
 """What an object takes from a scene, and what is as it was before."""
 
 import numpy as np
+import pytest
 from drawn_edges import drawn, evidence
 from placed_box import MODEL, POSE
 
 from smartview_jax.localization.candidates import Prepared
 from smartview_jax.localization.scene import Scene
 
-PREPARED = Prepared.of(MODEL)
 BEHIND = POSE.copy()
 BEHIND[:3, 3] += [0.0, 0.0, -0.05]
 
 
-def explained(scene, pose):
-    return float(scene.lines(pose, PREPARED.coarse).explained_px.sum())
+@pytest.fixture(scope="module")
+def prepared(few_samples):
+    return Prepared.of(MODEL)
 
 
-def hidden(scene, pose):
-    return float(scene.lines(pose, PREPARED.coarse).behind_px.sum())
+def explained(scene, pose, prepared):
+    return float(scene.lines(pose, prepared.coarse).explained_px.sum())
 
 
-def test_what_is_taken_is_free_in_the_untouched_scene(views):
+def hidden(scene, pose, prepared):
+    return float(scene.lines(pose, prepared.coarse).behind_px.sum())
+
+
+def test_what_is_taken_is_free_in_the_untouched_scene(views, prepared):
     scene = Scene(views, evidence(drawn(MODEL, views, POSE, 0.05)), np.zeros((0, 3, 3)))
-    before = explained(scene, POSE)
-    assert hidden(scene, BEHIND) == 0.0
-    claim = scene.claim(scene.lines(POSE, PREPARED.fine), PREPARED.coarse, POSE)
-    assert explained(scene, POSE) == before
+    before = explained(scene, POSE, prepared)
+    assert hidden(scene, BEHIND, prepared) == 0.0
+    claim = scene.claim(scene.lines(POSE, prepared.fine), prepared.coarse, POSE)
+    assert explained(scene, POSE, prepared) == before
     scene.take(claim)
-    assert explained(scene, POSE) < 0.01 * before
+    assert explained(scene, POSE, prepared) < 0.01 * before
     # What the object hides is not held against others.
-    assert hidden(scene, BEHIND) > 300.0
+    assert hidden(scene, BEHIND, prepared) > 300.0
     anew = scene.untouched()
-    assert explained(anew, POSE) == before
-    assert hidden(anew, BEHIND) == 0.0
+    assert explained(anew, POSE, prepared) == before
+    assert hidden(anew, BEHIND, prepared) == 0.0
     # What is taken from one scene is not taken from the other.
     anew.take(claim)
-    assert explained(scene.untouched(), POSE) == before
+    assert explained(scene.untouched(), POSE, prepared) == before
 
 
-def test_claims_add_up_in_any_order(views):
+def test_claims_add_up_in_any_order(views, prepared):
     scene = Scene(views, evidence(drawn(MODEL, views, POSE, 0.05)), np.zeros((0, 3, 3)))
-    first = scene.claim(scene.lines(POSE, PREPARED.fine))
-    second = scene.claim(scene.lines(BEHIND, PREPARED.fine), PREPARED.coarse, BEHIND)
+    first = scene.claim(scene.lines(POSE, prepared.fine))
+    second = scene.claim(scene.lines(BEHIND, prepared.fine), prepared.coarse, BEHIND)
     one, other = scene.lookup_among([first, second]), scene.lookup_among([second, first])
     np.testing.assert_array_equal(one.cells, other.cells)
     np.testing.assert_array_equal(one.nearest, other.nearest)

@@ -1,20 +1,17 @@
 import numpy as np
 import pytest
+from drawn_edges import predicted
 from seen_scene import CAMERA, errors, seen_scene, shaken
 
-from smartview_jax.compilation import compiled
 from smartview_jax.features import IdealPlane
 from smartview_jax.localization import (
     SceneMaps,
     Wireframe,
     polished_poses,
-    predict_view,
     score_poses,
 )
 
-pytest.importorskip("embreex")
 GATE = 5.0
-predicted = compiled(predict_view)
 
 
 @pytest.fixture(scope="module")

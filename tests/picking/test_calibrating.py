@@ -1,14 +1,24 @@
 """The views of the board, and what is said when it is not there."""
 
+import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smartview_jax.geometry import host_matrices, host_transforms
+from smartview_jax.detection import circle_radii
+from smartview_jax.geometry import host_matrices
 from smartview_jax.picking import calibrate_cell
 from smartview_jax.picking.calibrating import DISTANCES, MAX_TILT, _planned_views, stacked_commands
-from smartview_jax.robots import Command
+from smartview_jax.robots import Command, six_axes
+from smartview_jax.simulation.arm_scenes import HOME_JOINTS
 from smartview_jax.simulation.cell import BOARD, drawn_calibration
+from smartview_jax.simulation.cell.truth import FOCAL_LENGTH, IMAGE_SIZE
+
+
+def projected(points, camera_from_world):
+    """Pixels of the drawing's camera, which has no distortion."""
+    moved = points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+    return FOCAL_LENGTH * moved[..., :2] / moved[..., 2:] + 0.5 * np.array(IMAGE_SIZE)
 
 
 class Blank:
@@ -22,7 +32,7 @@ class Blank:
         return target
 
     def picture(self):
-        return np.full((800, 1280), 90, np.uint8)
+        return np.full(IMAGE_SIZE[::-1], 90, np.uint8)
 
     def set_gripper(self, width):
         return width
@@ -31,18 +41,42 @@ class Blank:
         return self.at
 
 
+class Drawn(Blank):
+    """A cell that is exactly as it is drawn; its camera sees the circles of the board."""
+
+    def __init__(self):
+        joints = jnp.array(HOME_JOINTS)
+        self.at = Command(six_axes().base_from_tool(joints), joints)
+
+    def picture(self):
+        angles = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+        ring = np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+        circles = BOARD.points[:, None] + circle_radii(BOARD.board)[:, None, None] * ring
+        pixels = projected(circles, camera_from_world(self.at.base_from_tool))
+        # Drawn large and averaged, so that the borders are where they should be.
+        size, scale = np.array(IMAGE_SIZE[::-1]), 4
+        large = np.full(scale * size, 200, np.uint8)
+        cv2.fillPoly(large, list(np.rint(scale * (pixels + 0.5) - 0.5).astype(np.int32)), 40)
+        return cv2.resize(large, IMAGE_SIZE, interpolation=cv2.INTER_AREA)
+
+
+def camera_from_world(base_from_tool):
+    drawing = drawn_calibration()
+    base_from_world, camera_from_tool = map(
+        host_matrices, (drawing.base_from_world, drawing.camera_from_tool)
+    )
+    return camera_from_tool @ np.linalg.inv(host_matrices(base_from_tool)) @ base_from_world
+
+
 def test_a_board_that_is_not_found_is_said_with_the_number_of_views():
     with pytest.raises(ValueError, match="found in 0 of 7 views; expected 6 or more"):
         calibrate_cell(Blank(), BOARD, drawn_calibration(), views=7)
 
 
 def test_planned_views_show_most_of_the_board_from_many_sides():
-    drawing = drawn_calibration()
     views = _planned_views(BOARD, 24, 0, DISTANCES, MAX_TILT)
-    points = BOARD.points @ views[:, :3, :3].swapaxes(1, 2) + views[:, None, :3, 3]
-    pixels, valid = (np.asarray(x) for x in drawing.camera.project(jnp.asarray(points)))
-    size = np.array(drawing.camera.image_size)
-    inside = valid & (pixels > 0.0).all(axis=-1) & (pixels < size - 1.0).all(axis=-1)
+    pixels = np.stack([projected(BOARD.points, one) for one in views])
+    inside = (pixels > 0.0).all(axis=-1) & (pixels < np.array(IMAGE_SIZE) - 1.0).all(axis=-1)
     # Some views are near and cut the board; the detector needs all of it in enough of them.
     assert np.median(inside.mean(axis=1)) > 0.95
     tilts = np.arccos(-views[:, 2, 2])
@@ -82,28 +116,17 @@ def test_commands_are_stacked_with_joints_only_if_all_have_them():
 
 def test_what_perspective_makes_of_the_circles_is_corrected(monkeypatch):
     """Against where the true calibration sees the centres; as found they are 0.1 px off."""
-    pytest.importorskip("mujoco")
-    from smartview_jax.simulation.cell import SimulatedCell
-
-    cell, poses = SimulatedCell(0), []
-    take = cell.picture
-
-    def picture():
-        poses.append(cell.judge_tool())
-        return take()
-
     fitted = []
-    monkeypatch.setattr(cell, "picture", picture)
     monkeypatch.setattr(
         "smartview_jax.picking.calibrating.calibrate", lambda data, progress: fitted.append(data)
     )
-    found = calibrate_cell(cell, cell.board, drawn_calibration(), cell.arm, 8).data
-    # By the nearest pose: views without the board are left out.
-    true, reported = np.stack(poses), host_matrices(found.base_from_tool)
-    gaps = np.linalg.norm(true[None, :, :3, 3] - reported[:, None, :3, 3], axis=2)
-    actual = host_transforms(true[gaps.argmin(axis=1)])
-    truth = cell.truth.calibration.uncorrected
-    centres = np.asarray(truth.project(actual, found.points)[0])
+    calibrated = calibrate_cell(Drawn(), BOARD, drawn_calibration(), six_axes(), 8)
+    found = calibrated.data
+    assert found.joints is not None
+    assert len(calibrated.pictures) == len(found.pixels) >= 6
+    # The arm is exact: what it reports is true.
+    poses = camera_from_world(found.base_from_tool)
+    centres = np.stack([projected(BOARD.points, pose) for pose in poses])
     as_found, corrected = (
         np.nanmean(np.where(np.asarray(d.visible)[..., None], d.pixels - centres, np.nan), axis=1)
         for d in (found, fitted[0])
