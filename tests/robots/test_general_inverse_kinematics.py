@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import motion_between
 from jaxlie import SE3
-from pose_errors import motion_between
 
 from smartview_jax.robots import (
     SolutionStatus,
@@ -29,7 +29,7 @@ def solved(arm, pose, near):
     """The answer for one pose, as one of `(2, 3)`: all tests of an arm share this program."""
     poses = SE3(np.tile(np.asarray(pose.wxyz_xyz), (2, 3, 1)))
     found = joints_for_pose(arm, poses, np.tile(near, (2, 3, 1)))
-    return jax.tree.map(lambda x: np.asarray(x)[1, 2], found)
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[1, 2]), found)
 
 
 def with_limits(arm, joint, bounds):

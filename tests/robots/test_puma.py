@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import motion_between
 from jaxlie import SE3
-from pose_errors import motion_between
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import (

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import motion_between
 from jaxlie import SE3
-from pose_errors import motion_between
 from programs import programs_built
 from shared_data import shared_data
 
