@@ -31,15 +31,16 @@ def test_right_clicks_are_named_as_rarely_as_stated(calibration, poses):
     runs = [
         bool(wrong_correspondences(calibration, poses, clicks(calibration, poses, 8, seed),
                                    pixel_sigma=SIGMA, false_alarm=0.5))
-        for seed in range(60)
+        for seed in range(24)
     ]  # fmt: skip
-    assert 0.2 < np.mean(runs) < 0.6
+    # Of 24 runs the mean of a half has a standard deviation of 0.1.
+    assert 0.2 < np.mean(runs) < 0.7
 
 
 def test_a_click_on_the_wrong_corner_is_named(calibration, poses):
     """Also where its own residual is not the largest of its point."""
     named, hidden = [], 0
-    for seed in range(40):
+    for seed in range(20):
         rng = np.random.default_rng((seed, 1))
         pixels = clicks(calibration, poses, 8, seed)
         # Of three views the wrong one's residual is the smaller one more often.
@@ -90,7 +91,7 @@ def test_of_two_views_neither_can_be_acquitted(calibration, poses):
 def test_what_the_robots_noise_explains_is_not_named(calibration, poses):
     noise = Noise(0.15, 2e-4, 2e-3)
     named = {"known": 0, "unknown": 0}
-    for seed in range(10):
+    for seed in range(6):
         reported = host_matrices(
             reported_poses(
                 SE3.from_matrix(jnp.asarray(poses)),
@@ -106,5 +107,5 @@ def test_what_the_robots_noise_explains_is_not_named(calibration, poses):
                     calibration, reported, pixels, noise=stated, pixel_sigma=SIGMA
                 )
             )
-    assert named["unknown"] >= 8
-    assert named["known"] <= 1
+    assert named["unknown"] >= 5
+    assert named["known"] == 0

@@ -5,8 +5,8 @@ from jaxlie import SE3
 from scipy.optimize import least_squares
 from scipy.stats import chi2, kstest
 
-from smartview_jax.engine import GemanMcClure, Noise
-from smartview_jax.evaluation import cramer_rao, mean_nees
+from smartview_jax.engine import GemanMcClure
+from smartview_jax.evaluation import mean_nees
 from smartview_jax.geometry import five_viewpoints, host_matrices
 from smartview_jax.modeling import (
     EqualLength,
@@ -22,7 +22,7 @@ from smartview_jax.modeling import (
     refine,
     triangulate_points,
 )
-from smartview_jax.simulation import random_scene, reported_poses
+from smartview_jax.simulation import reported_poses
 
 SIGMA = 0.3
 SIZE = np.array([0.03, 0.02, 0.01])
@@ -97,7 +97,7 @@ def test_a_constrained_optimum_is_what_scipy_finds_without_the_constraint(calibr
 def test_true_constraints_make_it_better_and_its_covariance_stays_true(calibration, poses, sigma):
     """Soft ones are drawn: the object is off by what their sigma says."""
     squares, plain = [], []
-    for seed in range(60):
+    for seed in range(30):
         rng = np.random.default_rng((seed, 1))
         height = 0.0 if sigma is None else sigma * rng.standard_normal()
         points = BOX + np.array([0.0, 0.0, height])
@@ -117,7 +117,7 @@ def test_true_constraints_make_it_better_and_its_covariance_stays_true(calibrati
 
 def test_chi_square_of_true_constraints_is_chi_square(calibration, poses):
     p_values, costs = [], []
-    for seed in range(60):
+    for seed in range(30):
         pixels = clicks(calibration, poses, seed)
         known = [SamePlane(FACES[1]), RightAngle((4, 5), (4, 6)), KnownLength((0, 4), 0.01)]
         found = refine(None, observed(calibration, poses, pixels), known)
@@ -204,19 +204,13 @@ def test_lines_and_points_are_bound(calibration, poses):
     assert not bound.contradictions
 
 
-@pytest.fixture(scope="module")
-def uncertain(calibration):
-    noise = Noise(0.15, 2e-4, 1e-3)
-    return cramer_rao(calibration, random_scene(0, 15).data, noise, field=None), noise
-
-
 @pytest.mark.parametrize("free", ["poses", "calibration"])
 def test_free_poses_improve_the_points_and_the_covariance_stays_true(
     calibration, poses, uncertain, free
 ):
     bound, noise = uncertain
     squares, errors = [], {free: [], "nothing": []}
-    for seed in range(25):
+    for seed in range(15):
         rng = np.random.default_rng((seed, 2))
         reported = reported_poses(
             SE3.from_matrix(jnp.asarray(poses)), rng, noise.translation, noise.rotation

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from programs import programs_added
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -38,7 +39,8 @@ def clicks(calibration, poses, count, seed=0, sigma=SIGMA):
 def test_it_is_the_optimum_that_scipy_finds(calibration, poses):
     _, pixels = clicks(calibration, poses, 12)
     found = triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA)
-    project = jax.jit(lambda x: calibration.project(SE3.from_matrix(poses), x[None])[0][:, 0])
+    commands = SE3.from_matrix(jnp.asarray(poses))
+    project = jax.jit(lambda x: calibration.project(commands, x[None])[0][:, 0])
     for k in (0, 5):
         best = least_squares(
             lambda x, k=k: np.ravel(project(x) - pixels[:, k]), found.points[k] + 1e-3, xtol=1e-14
@@ -61,21 +63,16 @@ def test_a_pinhole_without_noise_is_opencvs_triangulation(poses):
     np.testing.assert_allclose(found.points, points, atol=1e-9)
 
 
-def test_the_pictures_covariance_is_true(calibration, poses):
-    points, pixels = clicks(calibration, poses, 1000)
-    found = triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA)
-    assert found.ok.all()
-    assert mean_nees(nees(found.points - points, found.picture_covariance), 3).is_consistent
-
-
-def test_unequal_errors_are_weighted(calibration, poses):
-    points, _ = clicks(calibration, poses, 1000)
+def test_the_pictures_covariance_is_true_for_unequal_errors(calibration, poses):
+    count = 256
+    points, _ = clicks(calibration, poses, count)
     rng = np.random.default_rng(1)
-    roots = 0.3 * np.eye(2) + rng.uniform(-0.2, 0.2, (5, 1000, 2, 2))
-    noise = np.einsum("vpij,vpj->vpi", roots, rng.standard_normal((5, 1000, 2)))
+    roots = 0.3 * np.eye(2) + rng.uniform(-0.2, 0.2, (5, count, 2, 2))
+    noise = np.einsum("vpij,vpj->vpi", roots, rng.standard_normal((5, count, 2)))
     pixels = np.asarray(calibration.project(poses, points)[0]) + noise
     covariances = roots @ roots.swapaxes(-1, -2)
     found = triangulate_points(calibration, poses, pixels, pixel_sigma=covariances)
+    assert found.ok.all()
     assert mean_nees(nees(found.points - points, found.picture_covariance), 3).is_consistent
 
 
@@ -97,11 +94,11 @@ def test_what_fails_is_named(calibration, poses):
 
 def test_views_from_one_place_are_degenerate(calibration, poses):
     _, pixels = clicks(calibration, poses, 3)
-    twice = np.repeat(poses[:1], 2, axis=0)
-    near = twice.copy()
-    near[1, :3, 3] += 1e-5
-    for pair in (twice, near):
-        found = triangulate_points(calibration, pair, np.repeat(pixels[:1], 2, axis=0))
+    same = np.repeat(poses[:1], 5, axis=0)
+    near = same.copy()
+    near[1:, :3, 3] += 1e-5 * np.random.default_rng(0).uniform(-1.0, 1.0, (4, 3))
+    for place in (same, near):
+        found = triangulate_points(calibration, place, np.repeat(pixels[:1], 5, axis=0))
         assert (found.status == PointStatus.DEGENERATE_BASELINE).all()
         assert np.isnan(found.points).all()
 
@@ -157,7 +154,7 @@ def erring(calibration, poses):
     size = 1e-4 * np.random.default_rng(1).normal(size=field.size)
     robot = dataclasses.replace(calibration, robot_error=RobotError(field, jnp.asarray(size)))
     noise = Noise(0.15, 1e-4, 2e-4, field=(1e-3,) * 4)
-    return robot, cramer_rao(robot, random_scene(0, 15).data, noise, field=field), noise
+    return robot, cramer_rao(robot, random_scene(0, 8).data, noise, field=field), noise
 
 
 def test_the_calibrations_jacobian_is_what_another_calibration_gives(erring, poses):
@@ -230,34 +227,39 @@ def test_it_is_differentiable_and_batched(calibration, poses):
     rest = (np.eye(2)[None, None], np.ones((5, 1), dtype=bool))
 
     @jax.jit
-    def depth(z):
-        return estimate_points(calibration.camera, extrinsics, z, *rest).points[0, 2]
+    @jax.vmap
+    def depth_and_slopes(z):
+        def depth(z):
+            return estimate_points(calibration.camera, extrinsics, z, *rest).points[0, 2]
 
-    gradient, forward = jax.jit(lambda z: (jax.grad(depth)(z), jax.jacfwd(depth)(z)))(
-        jnp.asarray(pixels)
-    )
-    np.testing.assert_allclose(gradient, forward, rtol=1e-9)
+        value, linear = jax.linearize(depth, z)
+        (reverse,) = jax.linear_transpose(linear, z)(jnp.ones(()))
+        forward = jax.vmap(linear)(jnp.eye(z.size).reshape(z.size, *z.shape))
+        return value, forward.reshape(z.shape), reverse
+
     shift = np.zeros_like(pixels)
     shift[1, 0, 0] = 1e-2
-    slope = (depth(pixels + shift) - depth(pixels - shift)) / 2e-2
-    assert float(gradient[1, 0, 0]) == pytest.approx(float(slope), rel=1e-3)
-    sets = np.stack([pixels, pixels + 0.1])
-    np.testing.assert_allclose(
-        jax.jit(jax.vmap(depth))(sets), [depth(one) for one in sets], rtol=1e-12, atol=1e-15
-    )
+    sets = np.stack([pixels, pixels + shift, pixels - shift])
+    depths, forward, reverse = map(np.asarray, depth_and_slopes(sets))
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    slope = (depths[1] - depths[2]) / 2e-2
+    assert reverse[0, 1, 0, 0] == pytest.approx(slope, rel=1e-3)
+    alone = [triangulate_points(calibration, poses, one).points[0, 2] for one in sets]
+    np.testing.assert_allclose(depths, alone, rtol=1e-12, atol=1e-15)
 
 
-def test_one_more_click_compiles_nothing(calibration, poses):
-    from programs import programs_built
-
-    _, pixels = clicks(calibration, poses, 7)
-    triangulate_points(calibration, poses, pixels)
-    with programs_built() as seconds:
+def test_one_more_click_compiles_nothing(poses):
+    """With a lens that no other test has, so that its programs are not there yet."""
+    lens = sv.cameras.OpenCV4(0.01, 0.0, 0.0, 0.0)
+    camera = sv.Camera(2100.0, 2100.0, 320.0, 240.0, lens, (640, 480))
+    calibration = dataclasses.replace(paper_calibration(), camera=camera)
+    pixels = np.full((5, 7, 2), 250.0) + np.arange(7.0)[:, None]
+    with programs_added() as seconds:
         triangulate_points(calibration, poses, pixels)
         first = len(seconds)
         triangulate_points(calibration, poses, pixels[:, :3])
         assert len(seconds) == first
-    assert first <= 3
+    assert 1 <= first <= 3
 
 
 def test_an_eye_to_hand_camera_measures_in_the_tools_frame():
@@ -266,9 +268,10 @@ def test_an_eye_to_hand_camera_measures_in_the_tools_frame():
     away[:3, :3] = Rotation.from_euler("x", np.pi).as_matrix()
     away[2, 3] = 0.3
     calibration = sv.Calibration.eye_to_hand(camera, away, np.eye(4))
-    poses = np.repeat(np.eye(4)[None], 3, axis=0)
+    # As many views as in the other tests, of three poses.
+    poses = np.repeat(np.eye(4)[None], 5, axis=0)
     poses[1, :3, :3] = Rotation.from_euler("y", 0.3).as_matrix()
-    poses[2, :3, :3] = Rotation.from_euler("x", 0.3).as_matrix()
+    poses[2:, :3, :3] = Rotation.from_euler("x", 0.3).as_matrix()
     points = np.array([[0.01, 0.0, 0.02], [-0.01, 0.01, 0.0]])
     pixels = np.asarray(calibration.project(poses, points)[0])
     np.testing.assert_allclose(

@@ -2,18 +2,17 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import motion_between
 from jaxlie import SE3
 
 from smartview_jax.robots import (
     SolutionStatus,
     joints_for_pose,
     kuka_lwr4,
-    nearest_puma_joints,
     puma_560,
     six_axes,
     solve_joints_iteratively,
@@ -23,16 +22,29 @@ JOINTS = np.array([0.3, -0.5, 0.7, 0.2, 0.9, -0.4, 0.1])
 
 
 def limited(bound=2.0):
-    return dataclasses.replace(kuka_lwr4(), limits=jnp.tile(jnp.array([-bound, bound]), (7, 1)))
+    return dataclasses.replace(kuka_lwr4(), limits=np.tile([-bound, bound], (7, 1)))
+
+
+def solved(arm, pose, near):
+    """The answer for one pose, as one of `(2, 3)`: all tests of an arm share this program."""
+    poses = SE3(np.tile(np.asarray(pose.wxyz_xyz), (2, 3, 1)))
+    found = joints_for_pose(arm, poses, np.tile(near, (2, 3, 1)))
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[1, 2]), found)
+
+
+def with_limits(arm, joint, bounds):
+    limits = np.array(arm.limits)
+    limits[joint] = bounds
+    return dataclasses.replace(arm, limits=limits)
 
 
 def test_limits_that_are_not_met_change_nothing():
     arm, near = limited(), JOINTS + 0.1
-    joints, reached = solve_joints_iteratively(arm, arm.base_from_tool(JOINTS), near)
-    assert reached
-    assert not arm.violated_limits(joints).any()
-    left = arm.base_from_tool(joints).inverse() @ arm.base_from_tool(JOINTS)
-    np.testing.assert_allclose(left.log(), 0.0, atol=1e-9)
+    found = solved(arm, arm.base_from_tool(JOINTS), near)
+    assert found.is_solved
+    assert not arm.violated_limits(found.joints).any()
+    left = motion_between(arm.base_from_tool(found.joints), arm.base_from_tool(JOINTS))
+    np.testing.assert_allclose(left, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -44,14 +56,14 @@ def test_joints_stay_within_their_limits(bounds):
     sign = -1.0 if bounds[1] == np.inf else 1.0
     start = np.array([0.3, 0.5, 0.15 * sign, -1.0, 0.2, 0.8, 0.1])
     pose = free.base_from_tool(start + np.array([0.0, 0.0, 0.3 * sign, 0.0, 0.2, 0.1, 0.0]))
-    loose, reached = solve_joints_iteratively(free, pose, start)
-    assert reached
-    assert abs(loose[2]) > 0.2
-    tight = dataclasses.replace(free, limits=free.limits.at[2].set(jnp.array(bounds)))
-    joints, reached = solve_joints_iteratively(tight, pose, start)
-    assert reached
-    assert not tight.violated_limits(joints).any()
-    left = (tight.base_from_tool(joints).inverse() @ pose).log()
+    loose = solved(free, pose, start)
+    assert loose.is_solved
+    assert abs(loose.joints[2]) > 0.2
+    tight = with_limits(free, 2, bounds)
+    found = solved(tight, pose, start)
+    assert found.is_solved
+    assert not tight.violated_limits(found.joints).any()
+    left = motion_between(tight.base_from_tool(found.joints), pose)
     np.testing.assert_allclose(left, 0.0, atol=1e-9)
 
 
@@ -61,42 +73,40 @@ def test_a_search_may_begin_at_a_limit_or_beyond_it():
     for first in (2.0, 5.0):
         near = JOINTS.copy()
         near[4] = first
-        joints, reached = solve_joints_iteratively(arm, goal, near)
-        assert reached
-        assert not arm.violated_limits(joints).any()
+        found = solved(arm, goal, near)
+        assert found.is_solved
+        assert not arm.violated_limits(found.joints).any()
 
 
 def test_what_stands_in_the_way_is_named():
-    arm = dataclasses.replace(
-        kuka_lwr4(), limits=limited(3.0).limits.at[3].set(jnp.array([-0.5, 0.5]))
-    )
+    arm = with_limits(limited(3.0), 3, [-0.5, 0.5])
     bent = JOINTS.copy()
     bent[3] = 1.5  # the elbow alone sets how far the wrist is
-    found = joints_for_pose(arm, arm.base_from_tool(bent), JOINTS * 0.5)
+    found = solved(arm, arm.base_from_tool(bent), JOINTS * 0.5)
     assert found.status_text() == "out of limits: joint 4"
     assert np.isnan(found.joints).all()
-    far = joints_for_pose(kuka_lwr4(), SE3.from_translation(jnp.array([3.0, 0.0, 0.0])), JOINTS)
+    far = solved(kuka_lwr4(), SE3.from_translation(jnp.array([3.0, 0.0, 0.0])), JOINTS)
     assert far.status_text().startswith("out of reach")
 
 
 def test_a_singular_answer_says_so():
     arm, straight = kuka_lwr4(), JOINTS.copy()
     straight[3] = 0.0
-    found = joints_for_pose(arm, arm.base_from_tool(straight), straight)
+    found = solved(arm, arm.base_from_tool(straight), straight)
     assert found.is_solved
     assert int(found.status) & SolutionStatus.SINGULAR
-    assert joints_for_pose(arm, arm.base_from_tool(JOINTS), JOINTS).status_text() == "ok"
+    assert solved(arm, arm.base_from_tool(JOINTS), JOINTS).status_text() == "ok"
 
 
 def test_the_closed_form_is_taken_where_there_is_one():
+    """It alone knows which joints are singular, and gives the nearest of all its solutions."""
     arm, far = puma_560(), np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
-    pose = arm.base_from_tool(far)
-    near = far + 0.6  # iteration need not arrive at the nearest
-    found = joints_for_pose(arm, pose, near)
-    expected = eqx.filter_jit(nearest_puma_joints)(arm, pose, near)
-    np.testing.assert_array_equal(found.joints, expected.joints)
-    hidden = jax.jit(lambda a: joints_for_pose(six_axes(), pose, a).joints)(far)
-    assert np.isfinite(hidden).all() or np.isnan(hidden).all()
+    found = joints_for_pose(arm, arm.base_from_tool(far), far + 0.6)
+    np.testing.assert_allclose(found.joints, far, atol=1e-9)
+    far[4] = 0.0
+    found = joints_for_pose(arm, arm.base_from_tool(far), far)
+    assert found.status_text().startswith("singular wrist")
+    assert found.joints[3] == 0.0
 
 
 def test_an_arm_that_jit_hides_is_solved_by_iteration():
@@ -108,7 +118,7 @@ def test_an_arm_that_jit_hides_is_solved_by_iteration():
 
     found = jax.jit(moved)(0.01)
     longer = dataclasses.replace(arm, a=arm.a.at[1].add(0.01))
-    left = (longer.base_from_tool(found).inverse() @ arm.base_from_tool(joints)).log()
+    left = motion_between(longer.base_from_tool(found), arm.base_from_tool(joints))
     np.testing.assert_allclose(left, 0.0, atol=1e-9)
 
 
@@ -120,20 +130,36 @@ def test_many_poses_at_once():
     assert found.is_solved.all()
 
 
+@jax.jit
+def joints_and_derivatives(arm, pose, start, shift):
+    """Joints for a pose and a shift of it, and their derivatives, forward and reverse."""
+
+    def found(shift):
+        moved = SE3.from_translation(shift) @ pose
+        return solve_joints_iteratively(arm, moved, start)[0]
+
+    joints, linear = jax.linearize(found, shift)
+    transposed = jax.linear_transpose(linear, shift)
+    forward = jax.vmap(linear, out_axes=1)(jnp.eye(3))
+    return joints, forward, jax.vmap(transposed)(jnp.eye(6))[0]
+
+
 @pytest.mark.parametrize("beyond", [0.0, 1.0], ids=["in reach", "out of reach"])
 def test_derivatives_are_those_of_differences(beyond):
     """Out of reach the residual is not zero, and its second derivatives count."""
-    arm, start = six_axes(), np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
-    limited = dataclasses.replace(arm, limits=3.0 * jnp.array([[-1.0, 1.0]] * 6))
+    start = np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
+    arm = dataclasses.replace(six_axes(), limits=np.tile([-3.0, 3.0], (6, 1)))
     pose = SE3.from_translation(jnp.array([beyond, 0.0, 0.0])) @ arm.base_from_tool(start)
 
-    @jax.jit
     def found(shift):
-        moved = SE3.from_translation(shift) @ pose
-        return solve_joints_iteratively(limited, moved, start + 0.05)[0]
+        return joints_and_derivatives(arm, pose, start + 0.05, shift)
 
-    forward, reverse = jax.jit(lambda x: (jax.jacfwd(found)(x), jax.jacrev(found)(x)))(np.zeros(3))
+    joints, forward, reverse = found(np.zeros(3))
+    left = motion_between(arm.base_from_tool(joints), pose)
+    assert (np.abs(left).max() < 1e-8) == (beyond == 0.0)
+    # Also where no joints lead to the pose, these are the nearest.
+    assert np.linalg.norm(left) < beyond + 1e-8
     step = 1e-3 * np.eye(3)
-    expected = np.stack([(found(s) - found(-s)) / 2e-3 for s in step], axis=1)
+    expected = np.stack([(found(s)[0] - found(-s)[0]) / 2e-3 for s in step], axis=1)
     np.testing.assert_allclose(forward, expected, atol=2e-3 * np.abs(expected).max())
     np.testing.assert_allclose(reverse, forward, atol=1e-9 * np.abs(expected).max())

@@ -2,15 +2,14 @@ import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import opencv_poses
 from jaxlie import SE3, SO3
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
-from smartview_jax.cameras import Camera, OpenCV4
-from smartview_jax.geometry import pose_codec
+from smartview_jax.geometry import host_exponentials, host_transforms, pose_codec
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import check_conventions
-from smartview_jax.staged.weng import estimate_view_poses
 from smartview_jax.targets import Chessboard
 
 VIEWS = 12
@@ -30,7 +29,7 @@ def matrices(base_from_tool):
 def with_rotations(base_from_tool, rotations):
     changed = matrices(base_from_tool)
     changed[:, :3, :3] = rotations.as_matrix()
-    return SE3.from_matrix(jnp.asarray(changed))
+    return host_transforms(changed)
 
 
 def misread(base_from_tool, true, read):
@@ -59,16 +58,16 @@ def test_inverted_poses_are_named(poses):
 def test_a_bad_view_of_motion_about_one_axis_is_no_second_axis(poses):
     """Its error is about another axis, by which the hand-eye rotation seems to be determined."""
     robot, _ = poses
-    angles = np.linspace(-0.7, 0.7, VIEWS)
-    turned = SE3.from_rotation(SO3.from_z_radians(jnp.asarray(angles)))
-    hand_eye = SE3.from_rotation_and_translation(
-        SO3.from_rpy_radians(0.3, -2.0, 0.5), jnp.array([0.02, 0.09, -0.1])
-    )
-    base_from_tool = turned @ SE3(jnp.broadcast_to(robot.wxyz_xyz[0], (VIEWS, 7)))
-    camera_from_base = hand_eye @ base_from_tool.inverse()
-    noise = np.random.default_rng(0).normal(0.0, 0.008, (VIEWS, 3))
-    noise[3] = [0.3, 0.3, 0.3]
-    noisy = SE3.from_rotation(SO3.exp(jnp.asarray(noise))) @ camera_from_base
+    turns, noise = np.zeros((VIEWS, 6)), np.zeros((VIEWS, 6))
+    turns[:, 5] = np.linspace(-0.7, 0.7, VIEWS)
+    hand_eye = np.eye(4)
+    hand_eye[:3, :3] = Rotation.from_euler("xyz", [0.3, -2.0, 0.5]).as_matrix()
+    hand_eye[:3, 3] = [0.02, 0.09, -0.1]
+    turned = host_exponentials(turns) @ matrices(robot)[0]
+    noise[:, 3:] = np.random.default_rng(0).normal(0.0, 0.008, (VIEWS, 3))
+    noise[3, 3:] = [0.3, 0.3, 0.3]
+    noisy = host_transforms(host_exponentials(noise) @ hand_eye @ np.linalg.inv(turned))
+    base_from_tool = host_transforms(turned)
     assert check_conventions(base_from_tool, noisy, "eye_in_hand").problems == ()
 
 
@@ -80,8 +79,8 @@ def test_inverted_poses_of_nearly_one_axis_are_named(name, prefix):
     """There the rotations alone fit either way."""
     data, reference = shared_pairs(name, prefix)
     fx, fy, cx, cy, *distortion = reference["K"]
-    camera = Camera(fx, fy, cx, cy, OpenCV4(*distortion), data.image_size)
-    seen, _, _ = estimate_view_poses(data.observations, camera)
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    seen = opencv_poses(data, K, np.array(distortion))
     robot = data.base_from_tool
     assert check_conventions(robot, seen, "eye_in_hand").problems == ()
     (problem,) = check_conventions(robot.inverse(), seen, "eye_in_hand").problems
@@ -186,7 +185,7 @@ def test_mirrored_pictures_are_named(column):
         flipped = (sign * where + mirrored)[visible]
         _, r, t = cv2.solvePnP(points, flipped, K, None, flags=cv2.SOLVEPNP_IPPE)
         seen.append(np.block([[cv2.Rodrigues(r)[0], t], [np.zeros((1, 3)), np.ones((1, 1))]]))
-    seen = SE3.from_matrix(jnp.asarray(np.stack(seen)))
+    seen = host_transforms(np.stack(seen))
     (problem,) = check_conventions(scene.data.base_from_tool, seen, "eye_in_hand").problems
     assert "but do if the pictures are mirrored" in problem
 
@@ -220,7 +219,7 @@ def test_where_several_mistakes_explain_the_data_all_are_named(poses):
     robot, _ = poses
     turning = matrices(robot)
     turning[:, :3, 3] = 0.0
-    turning = SE3.from_matrix(jnp.asarray(turning))
+    turning = host_transforms(turning)
     hand_eye = SE3.from_rotation_and_translation(SO3.identity(), jnp.array([0.0, 0.0, 0.3]))
     seen = SE3(hand_eye.wxyz_xyz[None]) @ turning.inverse()
     (problem,) = check_conventions(turning.inverse(), seen, "eye_in_hand").problems

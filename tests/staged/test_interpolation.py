@@ -1,10 +1,10 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxlie import SE3, SO3
 from scipy.optimize import linprog
 
 from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.geometry import host_transforms
 from smartview_jax.staged import Interpolation
 
 CAMERA = Camera(800.0, 800.0, 320.0, 240.0, Pinhole(), (640, 480))
@@ -14,9 +14,9 @@ OUT = np.array([0.48, -0.6, 0.64])
 
 
 def poses_at(positions):
-    positions = jnp.asarray(positions)
-    still = SO3(jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (len(positions), 1)))
-    return SE3.from_rotation_and_translation(still, positions)
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, 3] = positions
+    return host_transforms(poses)
 
 
 def tilted(positions):

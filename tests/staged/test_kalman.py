@@ -9,10 +9,14 @@ from jaxlie import SE3
 from programs import programs_built
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
-from shared_data import shared_pairs
 
-from smartview_jax.cameras import Camera, Fisheye, Radial, Weng
-from smartview_jax.geometry import transform_points
+from smartview_jax.cameras import Camera, Fisheye, Radial
+from smartview_jax.geometry import (
+    host_exponentials,
+    host_matrices,
+    host_transforms,
+    transform_points,
+)
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 from smartview_jax.staged import fit_staged, kalman_filter, kalman_pass, pixel_residuals
 from smartview_jax.staged.kalman_update import (
@@ -22,13 +26,15 @@ from smartview_jax.staged.kalman_update import (
     whole_mean_and_variances,
 )
 
+VIEWS = 8
+
 
 def scene_and_start(seed=0, **options):
-    scene = random_scene(seed, views=6, **options)
+    scene = random_scene(seed, VIEWS, **options)
     camera = Camera(2150.0, 2120.0, 315.0, 243.0, Radial(0.25), (640, 480))
     truth = scene.calibration.camera_from_world(scene.base_from_tool)
-    nudge = 1e-3 * np.random.default_rng(seed).normal(size=(6, 6))
-    return scene, camera, SE3.exp(jnp.asarray(nudge)) @ truth
+    nudge = host_exponentials(1e-3 * np.random.default_rng(seed).normal(size=(VIEWS, 6)))
+    return scene, camera, host_transforms(nudge @ host_matrices(truth))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +115,7 @@ def test_many_updates_with_a_gate_are_the_textbook_ones():
 @pytest.mark.parametrize("hold_camera", [False, True])
 def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
     """From the wide initial covariance, which costs the dense form nine digits."""
-    scene = random_scene(1, views=6, outlier_fraction=0.1)
+    scene = random_scene(1, VIEWS, outlier_fraction=0.1)
     camera, observations = scene.calibration.camera, scene.data.observations
     poses = scene.calibration.camera_from_world(scene.base_from_tool)
     calls, original = [], kalman_pass._linearised_pass
@@ -123,6 +129,8 @@ def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
     # Without the outliers among the first points of the views, before there is a gate.
     early = np.asarray(scene.outliers) & (np.arange(scene.outliers.shape[1]) < 8)
     inliers = np.asarray(observations.visible) & ~early
+    # Enough for the comparison: the dense form updates every covariance with every point.
+    inliers &= np.arange(inliers.shape[1]) % 3 == 0
     result = kalman_pass.run_pass(
         observations, camera, poses, residuals, inliers, 0.15, 18.0, 1.0, hold_camera
     )
@@ -146,7 +154,7 @@ def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "lens", [Radial(0.25), Weng(*np.full(5, 0.02)), Fisheye(*np.full(4, 0.02))], ids=str
+    "lens", [Radial(0.25), Fisheye(*np.full(4, 0.02))], ids=["radial", "fisheye"]
 )
 def test_a_pass_has_the_derivatives_of_the_projection(lens):
     """Those of automatic differentiation, for a step that acts about the centroids."""
@@ -190,7 +198,9 @@ def test_without_noise_it_finds_the_truth():
 def test_one_plane_seen_from_few_sides_is_found_from_far_off(seed, off):
     """Step 1 may take a longer lens from farther off: the pixels hardly tell, yet they do."""
     flat = paper_points((0.0,)) * 3.0 - [0.054, 0.045, 0.0]
-    scene = random_scene(seed, 6, flat, tilt=np.deg2rad(20.0), distance=(0.5, 0.7), pixel_noise=0.0)
+    scene = random_scene(
+        seed, VIEWS, flat, tilt=np.deg2rad(20.0), distance=(0.5, 0.7), pixel_noise=0.0
+    )
     truth = scene.calibration.camera
     camera = Camera(off * truth.alpha_u, off * truth.alpha_v, 320.0, 240.0, Radial(0.0), (640, 480))
     seen = scene.calibration.camera_from_world(scene.base_from_tool)
@@ -219,7 +229,7 @@ def test_it_settles_at_the_least_squares_optimum_with_its_covariance(noisy):
     jacobian = jax.jit(jax.jacfwd(residuals))
     batch = least_squares(
         lambda x: np.asarray(residuals(x)),
-        np.zeros(n + 36),
+        np.zeros(n + 6 * VIEWS),
         jac=lambda x: np.asarray(jacobian(x)),
         x_scale="jac",
         xtol=1e-14,
@@ -232,7 +242,7 @@ def test_it_settles_at_the_least_squares_optimum_with_its_covariance(noisy):
 
 
 def test_outliers_are_gated_and_good_points_kept():
-    scene = random_scene(1, views=6, outlier_fraction=0.1)
+    scene = random_scene(1, VIEWS, outlier_fraction=0.1)
     found = fit_staged(scene.data).step2
     assert found.converged
     kept_outliers = int(np.asarray(scene.outliers & found.inliers).sum())
@@ -272,10 +282,10 @@ def test_hidden_points_and_views_change_nothing(noisy):
     np.testing.assert_allclose(found.camera_from_world.wxyz_xyz[5], poses.wxyz_xyz[5], atol=1e-9)
 
 
-def test_real_data_agree_with_opencv():
-    data, _ = shared_pairs("rct_circle10x10")
-    # A sigma this large gates nothing: OpenCV uses every point.
-    found = fit_staged(data, "opencv4", pixel_sigma=1.0).step2
+def test_real_data_agree_with_opencv(circles):
+    data, _, fit = circles
+    # The sigma of that fit is so large that it gates nothing: OpenCV uses every point.
+    found = fit.step2
     points = [np.asarray(p, dtype=np.float32) for p in data.points]
     pixels = [np.asarray(p, dtype=np.float32) for p in data.pixels]
     rms, K, _, _, _ = cv2.calibrateCamera(

@@ -7,16 +7,14 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import Calibration, Dataset
-from smartview_jax.simulation import paper_calibration, random_scene
+from smartview_jax.simulation import paper_calibration
 from smartview_jax.staged import with_region
-
-SCENE = random_scene(2, 6)
 
 
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
-def test_the_region_is_that_of_the_cameras(mount):
-    truth, data = paper_calibration(), SCENE.data
-    cameras = truth.camera_from_world(SCENE.base_from_tool).inverse().translation()
+def test_the_region_is_that_of_the_cameras(scene, mount):
+    truth, data = paper_calibration(), scene.data
+    cameras = truth.camera_from_world(scene.base_from_tool).inverse().translation()
     if mount == "eye_to_hand":
         data = dataclasses.replace(data, mount=mount, base_from_tool=data.base_from_tool.inverse())
         truth = Calibration.eye_to_hand(
@@ -34,27 +32,27 @@ def test_the_region_is_that_of_the_cameras(mount):
     assert float(some.radius) < float(region.radius)
 
 
-def test_a_calibration_that_is_not_finite_stays_as_it_is():
+def test_a_calibration_that_is_not_finite_stays_as_it_is(scene):
     lost = dataclasses.replace(
         paper_calibration(), camera_from_mount=SE3(np.nan * SE3.identity().wxyz_xyz)
     )
-    assert with_region(lost, SCENE.data).region is None
+    assert with_region(lost, scene.data).region is None
     assert (
         with_region(
             lost,
             Dataset.from_arrays(
-                SCENE.data.points,
-                np.full(SCENE.data.pixels.shape, np.nan),
-                SCENE.data.base_from_tool,
-                SCENE.data.image_size,
+                scene.data.points,
+                np.full(scene.data.pixels.shape, np.nan),
+                scene.data.base_from_tool,
+                scene.data.image_size,
             ),
         ).region
         is None
     )
 
 
-def test_it_is_saved_with_the_calibration(tmp_path):
-    known = with_region(paper_calibration(), SCENE.data)
+def test_it_is_saved_with_the_calibration(scene, tmp_path):
+    known = with_region(paper_calibration(), scene.data)
     known.save(tmp_path / "calibration.yaml")
     again = Calibration.load(tmp_path / "calibration.yaml").region
     assert again is not None

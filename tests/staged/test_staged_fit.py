@@ -2,11 +2,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from host_poses import motion_between
 from shared_data import shared_pairs
 
+from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.simulation import paper_calibration, paper_scene, random_scene
 from smartview_jax.staged import fit_one_view_intrinsics, fit_staged
+
+VIEWS = 8
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +37,10 @@ def test_it_says_what_it_does(paper):
 
 
 def test_noise_free_data_are_explained_to_the_last_pixel():
-    scene = random_scene(0, views=8, pixel_noise=0.0)
+    scene = random_scene(0, views=VIEWS, pixel_noise=0.0)
     fit = fit_staged(scene.data)
     assert reprojection_errors(fit.calibration, scene.data).rms < 1e-4
-    gap = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
+    gap = motion_between(fit.calibration.camera_from_tool, scene.calibration.camera_from_tool)
     assert np.abs(gap).max() < 1e-6
 
 
@@ -56,7 +60,7 @@ def test_interpolation_reproduces_its_own_viewpoints_only(paper):
 
 def test_without_distortion_and_with_one_views_intrinsics_it_is_worse():
     strong = eqx.tree_at(lambda c: c.camera.lens.k1, paper_calibration(), jnp.asarray(3.0))
-    scene = random_scene(2, views=8, calibration=strong)
+    scene = random_scene(2, views=VIEWS, calibration=strong)
     best = fit_staged(scene.data)
     pinhole = fit_staged(scene.data, lens="pinhole")
     chain = reprojection_errors(best.calibration, scene.data).rms
@@ -67,9 +71,9 @@ def test_without_distortion_and_with_one_views_intrinsics_it_is_worse():
     assert float(one_view.step2.rms) > float(best.step2.rms)
 
 
-def test_real_pictures_are_as_good_as_the_best_closed_form():
-    data, reference = shared_pairs("rct_circle10x10")
-    fit = fit_staged(data)
+def test_real_pictures_are_as_good_as_the_best_closed_form(circles):
+    data, reference, fit = circles
+    assert [entry for entry in fit.rejected if entry[1] is None] == []
     assert reprojection_errors(fit.calibration, data).rms < 1.05 * min(
         reference["before_px"].values()
     )
@@ -77,14 +81,7 @@ def test_real_pictures_are_as_good_as_the_best_closed_form():
 
 def test_eye_to_hand_with_a_known_camera():
     data, reference = shared_pairs("visp_franka_eth")
-    other, _ = shared_pairs("visp_franka_eih")
-    fx, fy, cx, cy = reference["K"][:4]
-    camera = fit_staged(other, lens="pinhole").calibration.camera
-    camera = eqx.tree_at(
-        lambda c: (c.alpha_u, c.alpha_v, c.u0, c.v0),
-        camera,
-        tuple(jnp.asarray(x) for x in (fx, fy, cx, cy)),
-    )
+    camera = Camera(*reference["K"][:4], Pinhole(), data.image_size)
     fit = fit_staged(data, camera=camera)
     assert fit.calibration.transform_names == ("camera_from_base", "tool_from_world")
     assert reprojection_errors(fit.calibration, data).rms < 1.2 * min(
@@ -93,7 +90,7 @@ def test_eye_to_hand_with_a_known_camera():
 
 
 def test_wrong_poses_are_refused_or_reported():
-    scene = random_scene(5, views=8)
+    scene = random_scene(5, views=VIEWS)
     wrong = eqx.tree_at(lambda d: d.base_from_tool, scene.data, scene.data.base_from_tool.inverse())
     with pytest.raises(ValueError, match="but do if every pose is inverted"):
         fit_staged(wrong)
@@ -103,7 +100,7 @@ def test_wrong_poses_are_refused_or_reported():
 
 
 def test_too_few_views_say_why():
-    scene = random_scene(5, views=8)
+    scene = random_scene(5, views=VIEWS)
     visible = scene.data.visible.at[2:].set(False)
     few = eqx.tree_at(lambda d: d.visible, scene.data, visible)
     with pytest.raises(ValueError, match=r"2 of 8 views have them \(view 2: 0 points seen"):
@@ -111,7 +108,7 @@ def test_too_few_views_say_why():
 
 
 def test_a_masked_view_is_listed_with_its_reason():
-    scene = random_scene(5, views=8)
+    scene = random_scene(5, views=VIEWS)
     visible = scene.data.visible.at[3].set(False)
     data = eqx.tree_at(lambda d: d.visible, scene.data, visible)
     fit = fit_staged(data)

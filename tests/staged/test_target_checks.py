@@ -9,12 +9,15 @@ from smartview_jax.staged import fit_staged
 from smartview_jax.staged.target_checks import collinear_views, mismatched_views
 from smartview_jax.targets import Chessboard
 
-SCENE = random_scene(4, 15, Chessboard(6, 9, 0.006).points, pixel_noise=0.3)
 ROW = np.arange(54) < 9
 
 
-def changed(pixels):
-    data = SCENE.data
+@pytest.fixture(scope="module")
+def board():
+    return random_scene(4, 15, Chessboard(6, 9, 0.006).points, pixel_noise=0.3)
+
+
+def changed(data, pixels):
     return Dataset.from_arrays(data.points, pixels, data.base_from_tool, data.image_size)
 
 
@@ -22,13 +25,13 @@ def whole(fit):
     return {view: text for view, point, text in fit.rejected if point is None}
 
 
-def test_random_points_and_points_on_a_line_are_named_for_what_they_are():
-    pixels = np.array(SCENE.data.pixels)
-    width, height = SCENE.data.image_size
+def test_random_points_and_points_on_a_line_are_named_for_what_they_are(board):
+    pixels = np.array(board.data.pixels)
+    width, height = board.data.image_size
     pixels[5] = np.random.default_rng(0).uniform([0, 0], [width - 1, height - 1], (54, 2))
     pixels[9, ~ROW] = np.nan
     messages = []
-    fit = fit_staged(changed(pixels), progress=messages.append)
+    fit = fit_staged(changed(board.data, pixels), progress=messages.append)
     assert set(whole(fit)) == {"5", "9"}
     assert "its points are not those of the target" in whole(fit)["5"]
     assert whole(fit)["9"] == "the 9 points seen lie on one line"
@@ -36,17 +39,17 @@ def test_random_points_and_points_on_a_line_are_named_for_what_they_are():
     assert "each of 14 views" in messages[0]
     # Nor do they spoil the camera: what is left fits as well as its noise.
     assert float(fit.step2.rms) < 0.6
-    truth = SCENE.calibration.camera.alpha_u
+    truth = board.calibration.camera.alpha_u
     assert float(fit.calibration.camera.alpha_u) == pytest.approx(float(truth), rel=0.02)
 
 
-def test_points_on_a_line_in_all_views_are_named():
-    pixels = np.array(SCENE.data.pixels)
+def test_points_on_a_line_in_all_views_are_named(board):
+    pixels = np.array(board.data.pixels)
     pixels[:, ~ROW] = np.nan
     with pytest.raises(
         ValueError, match=r"0 of 15 views have them \(view 0: the 9 points seen lie"
     ):
-        fit_staged(changed(pixels))
+        fit_staged(changed(board.data, pixels))
 
 
 def test_a_line_is_told_from_a_narrow_band():
