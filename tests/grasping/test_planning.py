@@ -4,6 +4,8 @@ import csv
 import dataclasses
 import json
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -93,7 +95,8 @@ def test_a_fitted_error_of_the_arm_is_compensated(scene):
     truth = random_truth(3).calibration
     found = grasps_for(placed(), GRIPPER, dataclasses.replace(scene, calibration=truth)).best
     # The true arm, sent to the joints, has the gripper at the object.
-    actual = host_matrices(truth.robot_error.actual_pose(six_axes().command(found.joints)))
+    actual_pose = eqx.filter_jit(lambda error, command: error.actual_pose(command))
+    actual = host_matrices(actual_pose(truth.robot_error, six_axes().command(found.joints)))
     gripper = np.linalg.inv(host_matrices(truth.base_from_world)) @ actual
     assert np.allclose(gripper @ GRIPPER.tool_from_gripper, found.world_from_gripper, atol=1e-7)
     assert not np.allclose(
@@ -112,7 +115,7 @@ def test_it_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
     units = json.loads((tmp_path / "grasp.json").read_text())["units"]
     assert units["length"] == "mm"
     # And Eq. 18's numbers, in m and rad.
-    again = host_matrices(sv.se3_from_xyzoat(jnp.asarray(best.xyzoat)))
+    again = host_matrices(jax.jit(sv.se3_from_xyzoat)(jnp.asarray(best.xyzoat)))
     assert np.allclose(again, best.base_from_tool)
 
 
