@@ -130,7 +130,8 @@ def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
     assert improved <= value
     assert improved <= np.nanquantile(every, 0.01)
     # A view that tells more than all others together is taken once.
-    strong, prior = information.at[0].multiply(1e4), survey.prior_information
+    strong = information.at[0].set(1e4 * information.sum(axis=0))
+    prior = survey.prior_information
     index = greedy_selection(strong, prior, goal, CHOSEN, free)
     for chosen in (index, exchange_selection(strong, prior, goal, index, free)):
         assert len(set(np.asarray(chosen).tolist())) == CHOSEN

@@ -7,8 +7,7 @@ import pytest
 from standard_scene import POINTS, VIEWS
 from starts import nudged
 
-from smartview_jax import Camera, Dataset, Noise, error_budget, fit_joint, held_out
-from smartview_jax.cameras import Radial
+from smartview_jax import Noise, error_budget, fit_joint, held_out
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.evaluation.diagnosis import budget as budget_module
 from smartview_jax.evaluation.diagnosis.budget import (
@@ -18,8 +17,7 @@ from smartview_jax.evaluation.diagnosis.budget import (
 )
 from smartview_jax.evaluation.diagnosis.scale_hypotheses import region_held_out_rms
 from smartview_jax.robot_errors import GenericSixAxisArm, LinearInPose, RobotError
-from smartview_jax.robots import six_axes
-from smartview_jax.simulation import paper_calibration, random_scene, six_axis_scene
+from smartview_jax.simulation import paper_calibration, random_scene
 
 SMALL = {"translation_noise": 2e-5, "rotation_noise": 5e-5}
 PRINTED = 0.97
@@ -87,14 +85,17 @@ def test_its_parts_make_up_the_whole(misprinted):
     assert [part.rms for part in found.causes] == sorted(sizes(found).values())[::-1]
 
 
-def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
-    poses = random_scene(0, VIEWS, POINTS).data.base_from_tool
-    field = LinearInPose.from_poses(poses)
-    by_group = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
-    coefficients = by_group * np.random.default_rng(1).normal(size=field.size)
+def erring(field, coefficients):
     error = RobotError(field, jnp.asarray(coefficients))
     truth = dataclasses.replace(paper_calibration(), robot_error=error)
-    _, _, found = budget(random_scene(0, VIEWS, POINTS, truth, **SMALL))
+    return random_scene(0, VIEWS, POINTS, truth, **SMALL)
+
+
+def test_a_robot_that_errs_in_its_own_way_is_the_culprit(scene):
+    field = LinearInPose.from_poses(scene.data.base_from_tool)
+    by_group = np.repeat([4e-4, 8e-4, 3e-4, 6e-4], [count for _, count in field.groups])
+    coefficients = by_group * np.random.default_rng(1).normal(size=field.size)
+    _, _, found = budget(erring(field, coefficients))
     assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
     assert sizes(found)[SCALE_ERROR] == 0.0
     assert "have the robot calibrated" in found.summary
@@ -104,21 +105,12 @@ def test_a_robot_that_errs_in_its_own_way_is_the_culprit():
     )
 
 
-def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain():
+def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain(scene):
     """Its own bare chain is farther off: lengths take from the mount what they give."""
-    arm_scene = six_axis_scene(0, VIEWS, held_out_views=1)
-    # The same arm and board with a lens and a number of points that the other fits have, too.
-    camera = Camera(800.0, 800.0, 322.0, 238.0, Radial(0.05), (640, 480))
-    truth = dataclasses.replace(arm_scene.calibration, camera=camera)
-    board = np.asarray(arm_scene.data.points[0])[::5]
-    pixels = np.array(truth.project(six_axes().command(arm_scene.joints), board)[0])
-    pixels += 0.05 * np.random.default_rng(0).normal(size=pixels.shape)
-    inside = ((pixels > 0.0) & (pixels < [639.0, 479.0])).all(axis=-1)
-    pixels[~inside] = np.nan
-    data = Dataset.from_arrays(board, pixels, arm_scene.data.base_from_tool, (640, 480))
-    fit = fit_joint(data, nudged(truth.uncorrected), noise="estimated")
+    field = GenericSixAxisArm.from_poses(scene.data.base_from_tool)
+    arm_scene = erring(field, 1e-3 * np.random.default_rng(1).normal(size=field.size))
+    data, (_, fit, found) = arm_scene.data, budget(arm_scene)
     assert isinstance(fit.calibration.robot_error.field, GenericSixAxisArm)
-    found = error_budget(data, fit)
     assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
     assert found.total_rms < reprojection_errors(fit.calibration.uncorrected, data).rms
 
