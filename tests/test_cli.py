@@ -1,5 +1,6 @@
 import dataclasses
 import html
+import inspect
 import re
 import shutil
 import sys
@@ -93,6 +94,15 @@ def test_a_camera_that_stands_is_published_in_the_base(tmp_path):
 
 def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     """Three views are too few to be held out, and these do not ask for a field."""
+    evaluation = sys.modules["smartview_jax.evaluation"]
+    asked = inspect.signature(evaluation.error_budget)
+
+    def budget(*given, **options):
+        """Computing it takes longer than all fits; it is refused as it may be for few views."""
+        assert asked.bind(*given, **options).arguments["held_out_by_region"]
+        raise ValueError("three views are too few")
+
+    monkeypatch.setattr(evaluation, "error_budget", budget)
     monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])
@@ -102,6 +112,7 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     for words in (
         "held-out error needs at least 4 usable views",
         "halves of the views are not",
+        "there is no error budget: three views are too few",
         "the pattern looks the same in 2 orders",
     ):
         assert words in run.stdout
