@@ -1,5 +1,6 @@
 import dataclasses
 import html
+import inspect
 import re
 import shutil
 import sys
@@ -16,7 +17,8 @@ from typer.testing import CliRunner
 
 from smartview_jax import Calibration
 from smartview_jax.cli import app
-from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.evaluation import ErrorBudget, reprojection_errors
+from smartview_jax.evaluation.diagnosis.budget import ErrorCause
 from smartview_jax.files import read_yaml
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 
@@ -93,6 +95,16 @@ def test_a_camera_that_stands_is_published_in_the_base(tmp_path):
 
 def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     """Three views are too few to be held out, and these do not ask for a field."""
+    evaluation = sys.modules["smartview_jax.evaluation"]
+    asked = inspect.signature(evaluation.error_budget)
+
+    def budget(*given, **options):
+        """Computing it takes longer than all fits, and has tests of its own."""
+        assert asked.bind(*given, **options).arguments["held_out_by_region"]
+        causes = (ErrorCause("too few views", 0.731, "take more"), ErrorCause("pixels", 0.15, ""))
+        return ErrorBudget(0.75, causes, (), "too few views", "Take twelve more views.")
+
+    monkeypatch.setattr(evaluation, "error_budget", budget)
     monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])
@@ -102,6 +114,8 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     for words in (
         "held-out error needs at least 4 usable views",
         "halves of the views are not",
+        "0.731",
+        "Take twelve more views.",
         "the pattern looks the same in 2 orders",
     ):
         assert words in run.stdout
