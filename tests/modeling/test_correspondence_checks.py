@@ -8,7 +8,8 @@ from smartview_jax.geometry import five_viewpoints, host_matrices
 from smartview_jax.modeling import triangulate_points, wrong_correspondences
 from smartview_jax.simulation import reported_poses
 
-SIGMA = 0.3
+SIGMA, COUNT = 0.3, 6
+"""Six features in five views or fewer: one program checks them all."""
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def clicks(calibration, poses, count, seed):
 def test_right_clicks_are_named_as_rarely_as_stated(calibration, poses):
     """At a false-alarm probability of a half the rate shows in few runs; Bonferroni is a bound."""
     runs = [
-        bool(wrong_correspondences(calibration, poses, clicks(calibration, poses, 8, seed),
+        bool(wrong_correspondences(calibration, poses, clicks(calibration, poses, COUNT, seed),
                                    pixel_sigma=SIGMA, false_alarm=0.5))
         for seed in range(24)
     ]  # fmt: skip
@@ -42,11 +43,11 @@ def test_a_click_on_the_wrong_corner_is_named(calibration, poses):
     named, hidden = [], 0
     for seed in range(20):
         rng = np.random.default_rng((seed, 1))
-        pixels = clicks(calibration, poses, 8, seed)
+        pixels = clicks(calibration, poses, COUNT, seed)
         # Of three views the wrong one's residual is the smaller one more often.
-        visible = np.zeros((5, 8), dtype=bool)
+        visible = np.zeros((5, COUNT), dtype=bool)
         visible[: 5 if seed % 2 else 3] = True
-        view, feature, angle = rng.integers(3), rng.integers(8), rng.uniform(0, 2 * np.pi)
+        view, feature, angle = rng.integers(3), rng.integers(COUNT), rng.uniform(0, 2 * np.pi)
         pixels[view, feature] += 4.0 * np.array([np.cos(angle), np.sin(angle)])
         plain = triangulate_points(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
         hidden += np.nanargmax(np.linalg.norm(plain.residuals[:, feature], axis=1)) != view
@@ -64,11 +65,11 @@ def test_a_click_on_the_wrong_corner_is_named(calibration, poses):
 
 
 def test_two_wrong_clicks_are_both_named(calibration, poses):
-    pixels = clicks(calibration, poses, 8, 3)
+    pixels = clicks(calibration, poses, COUNT, 3)
     pixels[1, 4] += [8.0, 3.0]
-    pixels[3, 6] += [-2.0, 9.0]
+    pixels[3, 5] += [-2.0, 9.0]
     found = wrong_correspondences(calibration, poses, pixels, pixel_sigma=SIGMA)
-    assert {(one.view, one.feature) for one in found} == {(1, 4), (3, 6)}
+    assert {(one.view, one.feature) for one in found} == {(1, 4), (3, 5)}
     assert all(one.p_value < 1e-6 for one in found)
 
 
@@ -100,7 +101,7 @@ def test_what_the_robots_noise_explains_is_not_named(calibration, poses):
                 noise.rotation,
             )
         )
-        pixels = clicks(calibration, poses, 6, seed)
+        pixels = clicks(calibration, poses, COUNT, seed)
         for key, stated in (("known", noise), ("unknown", None)):
             named[key] += bool(
                 wrong_correspondences(

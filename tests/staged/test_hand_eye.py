@@ -26,8 +26,8 @@ def exact():
 def noisy(exact):
     scene, tool_from_base, camera_from_world = exact
     noise = 1e-3 * np.random.default_rng(0).normal(size=(VIEWS, 6))
-    noisy = host_exponentials(noise) @ host_matrices(camera_from_world)
-    return scene, tool_from_base, host_transforms(noisy)
+    noisy = host_transforms(host_exponentials(noise) @ host_matrices(camera_from_world))
+    return scene, tool_from_base, SE3(jnp.asarray(noisy.wxyz_xyz))
 
 
 def distance(a, b):

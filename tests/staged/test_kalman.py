@@ -67,7 +67,7 @@ class Textbook:
             return False
         K = self.P @ H.T @ inverse
         self.mean = self.mean + K @ innovation
-        self.P = self.P - K @ H @ self.P
+        self.P = self.P - K @ (H @ self.P)
         self.P = (self.P + self.P.T) / 2.0
         self.counts[view] += 1
         return True
@@ -129,8 +129,6 @@ def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
     # Without the outliers among the first points of the views, before there is a gate.
     early = np.asarray(scene.outliers) & (np.arange(scene.outliers.shape[1]) < 8)
     inliers = np.asarray(observations.visible) & ~early
-    # Enough for the comparison: the dense form updates every covariance with every point.
-    inliers &= np.arange(inliers.shape[1]) % 3 == 0
     result = kalman_pass.run_pass(
         observations, camera, poses, residuals, inliers, 0.15, 18.0, 1.0, hold_camera
     )
@@ -197,7 +195,8 @@ def test_without_noise_it_finds_the_truth():
 @pytest.mark.parametrize(("seed", "off"), [(0, 0.7), (1, 1.4), (2, 2.0)])
 def test_one_plane_seen_from_few_sides_is_found_from_far_off(seed, off):
     """Step 1 may take a longer lens from farther off: the pixels hardly tell, yet they do."""
-    flat = paper_points((0.0,)) * 3.0 - [0.054, 0.045, 0.0]
+    # Every point twice, so that there are as many as in the other scenes.
+    flat = paper_points((0.0, 0.0)) * 3.0 - [0.054, 0.045, 0.0]
     scene = random_scene(
         seed, VIEWS, flat, tilt=np.deg2rad(20.0), distance=(0.5, 0.7), pixel_noise=0.0
     )
@@ -297,10 +296,13 @@ def test_real_data_agree_with_opencv(circles):
 
 
 def test_it_compiles_two_programs():
-    """Both serve a known camera too; every operation on the host is NumPy's."""
+    """Both serve a known camera too; every operation on the host is NumPy's.
+
+    No other test has as many points, so that no program is there yet.
+    """
     scene, camera, poses = scene_and_start(7, points=paper_points((0.0,))[:41])
     start = jax.tree.map(np.asarray, (scene.data.observations, camera, poses))
-    with programs_built() as built:
+    with programs_built(fresh=False) as built:
         kalman_filter(*start)
         kalman_filter(*start, hold_camera=True)
     assert len(built) == 2
