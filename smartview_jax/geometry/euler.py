@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from jaxlie import SO3
 from jaxtyping import Array, Float
 
+from ..compilation import one_program
+
 GIMBAL_LOCK_TOLERANCE = 1e-10
 """Limit on the cosine (or sine) of the middle angle, below which a pose is at gimbal lock.
 
@@ -27,6 +29,7 @@ def rotation_from_ypr(ypr: Float[Array, "*batch 3"]) -> SO3:
     return SO3.from_rpy_radians(ypr[..., 2], ypr[..., 1], ypr[..., 0])
 
 
+@one_program
 def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     """Return yaw, pitch and roll of a rotation, in rad.
 
@@ -62,6 +65,7 @@ def rotation_from_zyz(angles: Float[Array, "*batch 3"]) -> SO3:
     return SO3.from_z_radians(first) @ SO3.from_y_radians(second) @ SO3.from_z_radians(third)
 
 
+@one_program
 def zyz_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     """Return the z-y-z angles of a rotation, in rad.
 

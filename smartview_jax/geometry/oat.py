@@ -14,9 +14,12 @@ Reference: UNIMATION, VAL, 1977; the paper's Eq. 18.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..array_namespace import AnyArray
+from ..compilation import is_traced, one_program
 from .euler import GIMBAL_LOCK_TOLERANCE
 from .rigid_transforms import PoseLike, as_se3
 
@@ -45,6 +48,16 @@ def oat_from_rotation(
             commanded one; one for all rotations or one for each. In the other branch pi is added
             to it, too.
     """
+    # As data: a program would be compiled for each number.
+    gimbal_o = gimbal_o if is_traced(gimbal_o) else np.asarray(gimbal_o, dtype=float)
+    return _oat_from_rotation(rotation, other_branch, gimbal_o)
+
+
+@one_program
+def _oat_from_rotation(
+    rotation: SO3, other_branch: bool, gimbal_o: Float[AnyArray, "*#batch"]
+) -> Float[Array, "*batch 3"]:
+    """Compute `oat_from_rotation`."""
     # R = Rz(O) M0 Ry(A) Rz(T) has the last column (sin O cos A, -cos O cos A, -sin A).
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])

@@ -6,6 +6,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..compilation import one_program
 from ..geometry import host_matrices
 from ..robots import Command
 from .field import AbstractField, AbstractLinearField
@@ -49,6 +50,7 @@ class LinearInPosition(AbstractLinearField):
     def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
         return max_normalised_offset(self.centre, self.reach, reported)
 
+    @one_program
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 18"]:
         offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
         return _twist_basis(base_from_tool, offset)
@@ -95,6 +97,7 @@ class LinearInPose(AbstractLinearField):
     def nested_fields(self) -> tuple[AbstractField, ...]:
         return (LinearInPosition(self.centre, self.reach), self)
 
+    @one_program
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 54"]:
         position_offset = _deviation_from_mean(self.centre, base_from_tool.translation())
         # Two columns of the rotation instead of angles: they are smooth everywhere.

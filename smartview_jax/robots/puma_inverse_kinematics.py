@@ -22,6 +22,7 @@ from jax.core import Tracer
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float, Int
 
+from ..compilation import one_program
 from ..geometry import PoseLike, as_se3
 from .command import JointsLike
 from .joint_solution import LIMIT_TOLERANCE, JointSolution, SolutionStatus, wrap_to_limits
@@ -152,6 +153,7 @@ def _is_standard_six_revolute(arm: SerialArm) -> bool:
     return arm.convention == "standard" and arm.joint_count == 6 and not any(arm.prismatic)
 
 
+@one_program
 def _structure_deviation(arm: SerialArm) -> Float[Array, ""]:
     """Return how far the parameters of an arm are from a Puma-like arm, m or rad.
 

@@ -131,7 +131,7 @@ class Checks(eqx.Module):
             self._message("reach", 0.0, k)
             if failed["reach"][k]
             else "; ".join(self._message(n, measured[n][k], k) for n in checks if failed[n][k])
-            for k in range(np.size(self.ok))
+            for k in range(next(iter(failed.values())).size)
         )
 
     def _message(self, check: str, measured: float, view: int) -> str:

@@ -52,19 +52,16 @@ def test_axes_and_ratios_are_found_from_the_poses_alone(prismatic):
 
 
 def test_the_numbers_of_an_arm_come_out_of_a_start_that_is_a_little_off():
-    """Views at random: which joint does what is for the start to say.
-
-    An arm of six joints is in `benchmarks/kinematics.py`.
-    """
-    arm = positioner()
-    off = SerialArm(arm.theta, arm.d + 0.004, arm.a - 0.003, arm.alpha + 0.01)
-    joints = random_joints(arm)
+    """Views at random: which joint does what is for the start to say."""
+    arm = puma_560()
+    off = SerialArm(arm.theta, arm.d + 0.004, arm.a - 0.003, arm.alpha + 0.01, limits=arm.limits)
+    joints = random_joints(arm, 30)
     fit = fit_kinematics(joints, measured(arm, joints), start=off)
     assert fit.rms_mm < 1e-5
     np.testing.assert_allclose(fit.ratios, 1.0, atol=1e-8)
-    # What the two ends do not take: how the second axis lies to the first.
-    np.testing.assert_allclose(fit.arm.a[0], arm.a[0], atol=1e-7)
-    np.testing.assert_allclose(fit.arm.alpha[0], arm.alpha[0], atol=1e-7)
+    # What the two ends do not take: the lengths of the upper arm and the forearm.
+    np.testing.assert_allclose(fit.arm.a[1:3], arm.a[1:3], atol=1e-7)
+    np.testing.assert_allclose(fit.arm.d[3], arm.d[3], atol=1e-7)
 
 
 def test_the_stated_deviations_are_true():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 from jaxlie import SE3
-from programs import programs_built
+from programs import programs_added
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
@@ -302,7 +302,7 @@ def test_it_compiles_two_programs():
     """
     scene, camera, poses = scene_and_start(7, points=paper_points((0.0,))[:41])
     start = jax.tree.map(np.asarray, (scene.data.observations, camera, poses))
-    with programs_built(fresh=False) as built:
+    with programs_added() as built:
         kalman_filter(*start)
         kalman_filter(*start, hold_camera=True)
     assert len(built) == 2
