@@ -74,30 +74,6 @@ def test_a_public_name_is_that_of_its_room():
     assert sv.held_out is importlib.import_module("smartview_jax.evaluation").held_out
 
 
-MADE_64_BIT = "assert jnp.zeros(1).dtype == 'float64'"
-
-
-@pytest.mark.parametrize(
-    "first",
-    [
-        "import smartview_jax, jax.numpy as jnp",
-        "import jax.numpy as jnp, smartview_jax",
-        "import smartview_jax, equinox, jax.numpy as jnp",
-        "from smartview_jax.cameras import Camera; import jax.numpy as jnp",
-        "import smartview_jax.engine, jax.numpy as jnp",
-    ],
-)
-def test_every_array_of_the_user_has_64_bits(first):
-    done = run(f"{first}\n{MADE_64_BIT}")
-    assert done.returncode == 0, done.stderr
-
-
-def test_other_programs_do_not_inherit_the_64_bits():
-    child = "import jax.numpy as jnp; raise SystemExit(jnp.zeros(1).dtype == 'float64')"
-    start = f"subprocess.run([sys.executable, '-c', {child!r}]).returncode"
-    assert run(f"import subprocess, sys, smartview_jax\nsys.exit({start})").returncode == 0
-
-
 def test_a_default_calibration_has_few_programs_to_compile(tmp_path):
     """A count, not a time: every program costs a newcomer a part of the first answer's seconds.
 
