@@ -171,7 +171,7 @@ def _minimise(
         stuck = damping > 1e6
         # The first condition is convergence, the last an exact fit (noise-free data).
         converged = (accepted & (cost_decrease <= 1e-12 * before)) | stuck | (after <= 1e-18)
-        # Steps that go on lowering the cost by this share leave so much of it at the last iteration.
+        # What is left at the last iteration of a cost that falls by the same share in each.
         left = (1.0 - cost_decrease / before) ** (_MAX_ITERATIONS - iteration)
         hopeless = accepted & (after * left > hopeless_cost)
         slow = (
