@@ -27,7 +27,7 @@ BENCHMARKS = {
     "few_views": "the default on few views beside the best of simple fits, simulated and real",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
-    "growth": "time and memory of the joint fit by points, views and devices",
+    "growth": "time and memory of fits and of the whole calibration by points, views, devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
     "object_features": "corners and proposed models on pictures of objects, against references",

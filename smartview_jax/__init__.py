@@ -12,7 +12,8 @@ Conventions, kept by every function and file:
 - tangents of rigid transforms are translation first, then rotation;
 - the robot's error is a twist at the tool: `tool_from_base = exp(twist) @ reported`;
 - float64: importing this package turns on JAX's x64 mode, because calibration is
-  ill-conditioned in single precision.
+  ill-conditioned in single precision (`double_precision` says how); where it is turned off again,
+  every fit says so.
 
 The first fit takes longest, because its programs are compiled. They are kept on disk, by default in
 ~/.cache/smartview_jax, and later processes read them; `compilation_cache` says how to choose

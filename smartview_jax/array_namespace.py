@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .double_precision import require_double_precision
+
 AnyArray: TypeAlias = Array | np.ndarray
 """An array of JAX or of NumPy."""
 
@@ -28,6 +30,7 @@ def array_namespace(*trees: Any) -> ModuleType:
 
 def to_device(array: AnyArray | float | list[float]) -> Array:
     """Return a NumPy array as one of JAX; `jnp.asarray` compiles a program for every new shape."""
+    require_double_precision()
     return jax.device_put(np.asarray(array))
 
 
@@ -36,6 +39,7 @@ def as_float_array(value: ArrayLike | Sequence[Any]) -> Float[Array, "..."]:
 
     Nothing is compiled for numbers and NumPy arrays.
     """
+    require_double_precision()
     if isinstance(value, jax.Array):
         return jnp.asarray(value, dtype=float)
     return jax.device_put(np.asarray(value, dtype=float))

@@ -14,6 +14,7 @@ import jax
 from jax.core import Tracer
 
 from .compilation_cache import keep_compiled_programs
+from .double_precision import require_double_precision
 from .program_store import ProgramStore
 
 MIN_OPTIMISED_ELEMENTS = 30_000
@@ -114,6 +115,7 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         if is_traced(args, kwargs):
             return nested(*args, **kwargs)
+        require_double_precision()
         keep_compiled_programs()
         program, arrays = store.find(args, kwargs)
         if program is not None:

@@ -1,51 +1,43 @@
-"""Turn on JAX's 64-bit mode, also where JAX is imported later than this package.
+"""Have JAX compute in double precision (64 bits), and refuse to compute in single precision.
 
+Calibration is ill-conditioned in single precision: fits fail, or end elsewhere, and their messages
+blame the data. The mode is therefore on before the package, or its user, makes the first array.
 Importing the package does not import JAX, which takes a second that `smartview --help` does not
-owe. The mode must nevertheless be on before a user, or any part of the package, makes the first
-array; single precision would otherwise pass unnoticed. The environment variable JAX_ENABLE_X64
-would do that too, but all programs that are started from this process would inherit it.
+owe. Where JAX is not imported yet, the environment variable that it reads then is set. Programs
+that are started from this process inherit it, as they inherit what a user sets.
+
+What a user turns off later is not turned on again, because other code of the process may need it;
+every program of the package, and every conversion of numbers to arrays of JAX, says so instead.
 """
 
+import os
 import sys
-from collections.abc import Sequence
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
-from types import ModuleType
+
+VARIABLE = "JAX_ENABLE_X64"
+"""The environment variable that JAX reads when it is imported."""
 
 
 def enable_double_precision() -> None:
-    """Turn on JAX's 64-bit mode, now if JAX is already imported and else when it is."""
+    """Turn on JAX's 64-bit mode, now if JAX is already imported and else for when it is."""
     if "jax" in sys.modules:
-        _enable(sys.modules["jax"])
+        sys.modules["jax"].config.update("jax_enable_x64", True)
     else:
-        sys.meta_path.insert(0, _JaxFinder())
+        os.environ[VARIABLE] = "1"
 
 
-def _enable(jax: ModuleType) -> None:
-    """Turn on the 64-bit mode of the imported JAX."""
-    jax.config.update("jax_enable_x64", True)
+def require_double_precision() -> None:
+    """Raise an error if JAX computes in single precision here.
 
+    Raises:
+        RuntimeError: the 64-bit mode was turned off after the package was imported.
+    """
+    # The package alone is imported without JAX; whoever asks has imported it.
+    import jax
 
-class _JaxFinder:
-    """A finder that finds JAX alone, once, and has the 64-bit mode turned on after its import."""
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """Return the specification of JAX; None for every other module."""
-        if fullname != "jax":
-            return None
-        # Without this finder, the search below returns what an ordinary import would.
-        sys.meta_path.remove(self)
-        spec = find_spec(fullname)
-        if spec is None or spec.loader is None:
-            return spec
-        run_module = spec.loader.exec_module
-
-        def run_and_enable(module: ModuleType) -> None:
-            """Run JAX's own code, and then turn on its 64-bit mode."""
-            run_module(module)
-            _enable(module)
-
-        spec.loader.exec_module = run_and_enable
-        return spec
+    if not jax.config.read("jax_enable_x64"):
+        raise RuntimeError(
+            "JAX computes in single precision here, in which a calibration fails or goes astray: "
+            "its 64-bit mode was turned off after smartview_jax was imported. Call "
+            'jax.config.update("jax_enable_x64", True) before the data are read, or leave the '
+            "context jax.enable_x64(False); arrays made until then are to be made again"
+        )

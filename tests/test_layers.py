@@ -26,7 +26,7 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # `fit_result` how any fit ended, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a
 # run.
 FLOORS = """
-    argument_checks array_namespace padding blas_threads double_precision version files
+    argument_checks double_precision array_namespace padding blas_threads version files
     compilation_cache program_identity program_store compilation extras fit_result
     schemas geometry cameras targets robots robot_errors calibration dataset detection staged engine
     variance joint arm_identification

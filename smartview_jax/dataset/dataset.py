@@ -154,9 +154,9 @@ class Dataset(eqx.Module):
         # All arrays are copies of the caller's, because `device_put` may share their memory; unlike
         # `jnp.asarray` it compiles no program.
         data = cls(
-            points=jax.device_put(np.broadcast_to(np.nan_to_num(points), (*seen.shape, 3))),
-            pixels=jax.device_put(pixels),
-            visible=jax.device_put(seen),
+            points=to_device(np.broadcast_to(np.nan_to_num(points), (*seen.shape, 3))),
+            pixels=to_device(pixels),
+            visible=to_device(seen),
             base_from_tool=as_se3(matrices),
             view_ids=ids,
             image_size=(int(image_size[0]), int(image_size[1])),
@@ -189,8 +189,8 @@ class Dataset(eqx.Module):
         readings = np.nan_to_num(np.asarray(joints, dtype=float))
         return dataclasses.replace(
             self,
-            base_from_tool=SE3(jax.device_put(poses)),
-            joints=jax.device_put(readings),
+            base_from_tool=SE3(to_device(poses)),
+            joints=to_device(readings),
             arm=arm,
         )
 

@@ -68,6 +68,23 @@ class Observations(eqx.Module):
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
 
 
+def medians_by_view(
+    values: Float[np.ndarray, "views points"], counted: Bool[np.ndarray, "views points"]
+) -> Float[np.ndarray, "views"]:
+    """Return the median of the counted values of each view; NaN of a view that has none.
+
+    All views at once: one by one they cost as much as a fit where there are many.
+    """
+    # Sorted, the counted values of a view come first; NaN among them comes last and hides nothing.
+    count = counted.sum(axis=1)
+    in_order = np.sort(np.where(counted, values, np.inf), axis=1)
+    middle = np.maximum(np.stack([count - 1, count]) // 2, 0)
+    lower, upper = np.take_along_axis(in_order, middle.T, axis=1).T
+    unknown = (count == 0) | (counted & np.isnan(values)).any(axis=1)
+    with np.errstate(invalid="ignore"):
+        return np.where(unknown, np.nan, 0.5 * (lower + upper))
+
+
 def chain_residuals(
     calibration: Calibration, observations: Observations
 ) -> Float[Array, "views points 2"]:

@@ -72,7 +72,8 @@ def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarra
     """
     selected = np.zeros(len(names), dtype=bool)
     for path in paths:
-        matches = np.array([name == path or name.startswith(f"{path}.") for name in names])
+        prefix = f"{path}."
+        matches = np.array([name == path or name.startswith(prefix) for name in names])
         if not matches.any():
             raise ValueError(_unknown_path_message(path, names))
         selected |= matches

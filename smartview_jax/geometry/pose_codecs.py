@@ -25,13 +25,13 @@ Reference: the vendors' pose formats as collected in the manual of Basler's rc_v
 import dataclasses
 from collections.abc import Callable, Sequence
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
+from ..array_namespace import to_device
 from .euler import ypr_from_rotation, zyz_from_rotation
 from .host import host_matrices, host_transforms
 from .oat import oat_from_rotation
@@ -119,7 +119,7 @@ class PoseCodec:
         if len(names) != len(flat):
             raise ValueError(f"{self.name}: {len(flat)} rows, but {len(names)} labels")
         self._require_rigid(flat, names)
-        return SE3(jax.device_put(self.to_numbers(flat).reshape(*numbers.shape[:-1], 7)))
+        return SE3(to_device(self.to_numbers(flat).reshape(*numbers.shape[:-1], 7)))
 
     def encode(
         self, poses: SE3, length_unit: str = "m", angle_unit: str = "rad"

@@ -15,8 +15,9 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..array_namespace import AnyArray, to_device
+from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration, host_mount_from_holder
-from ..dataset import Dataset, Observations, view_residuals
+from ..dataset import Dataset, Observations, medians_by_view, view_residuals
 from ..engine import (
     Cauchy,
     Noise,
@@ -66,6 +67,7 @@ Poses at which the cost changes by a thousandth identify outlying points just as
 """
 
 
+@on_one_blas_thread
 def remove_gross_errors(
     data: Dataset,
     start: Calibration,
@@ -159,9 +161,8 @@ def _start_poses(
     residual_norms = _residual_norms(start, chain, data.observations)
     visible = np.asarray(data.visible)
     # The median residual of a view, so that a few outlying points do not make its pose look wrong.
-    median_residual = np.zeros(len(visible))
-    for k in np.flatnonzero(visible.any(axis=1)):
-        median_residual[k] = np.median(residual_norms[k, visible[k]])
+    medians = medians_by_view(residual_norms, visible)
+    median_residual = np.where(visible.any(axis=1), medians, 0.0)
     limit = max(MAX_MEDIAN_RATIO * float(np.median(median_residual[usable])), MAX_MEDIAN_RESIDUAL)
     misplaced = usable & (median_residual > limit)
     if not misplaced.any():

@@ -16,6 +16,7 @@ from jax.core import Tracer
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import to_device
 from ..compilation import compiled
 from ..geometry import PoseLike, as_se3
 from .command import Command, JointsLike
@@ -138,7 +139,7 @@ def _as_jax_array(numbers: Sequence[Any] | np.ndarray | Array) -> Float[Array, "
     if any(isinstance(x, Array) for x in jax.tree.leaves(numbers)):
         return jnp.asarray(numbers, dtype=float)
     # A copy, because `device_put` may share the memory of the caller's array.
-    return jax.device_put(np.array(numbers, dtype=float))
+    return to_device(np.array(numbers, dtype=float))
 
 
 def _checked_limits(

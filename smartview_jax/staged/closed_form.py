@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..geometry import (
@@ -30,6 +30,15 @@ from ..geometry import (
 _Matrix = Float[np.ndarray, "4 4"]
 _Matrices = Float[np.ndarray, "views 4 4"]
 _Weights = Float[np.ndarray, "views"]
+
+MAX_PAIRS = 1000
+"""Largest number of pairs of views, those of 45 views, up to which all pairs are used.
+
+More motions hardly improve a closed form, and their number would grow with the square of the
+views."""
+
+MIN_PAIRS_PER_VIEW, CANDIDATES_PER_PAIR = 4, 3
+"""Smallest number of pairs chosen for each view of many, and of candidates for each of them."""
 
 ClosedForm = Callable[
     [SE3, SE3, Float[Array, "views"] | Float[np.ndarray, "views"]], tuple[SE3, SE3]
@@ -98,12 +107,12 @@ def motion_pairs(
 ) -> tuple[
     Float[np.ndarray, "pairs 4 4"], Float[np.ndarray, "pairs 4 4"], Float[np.ndarray, "pairs"]
 ]:
-    """Return A, B and weights of `A X = X B` for all ordered pairs of different views.
+    """Return A, B and weights of `A X = X B` for pairs of different views, each pair once.
 
     `A = C_j C_i^-1` and `B = T_j T_i^-1` with `X = camera_from_mount`: Eq. 10 for two views with
-    `holder_from_world` eliminated.
+    `holder_from_world` eliminated. The motion from j to i is the inverse, which says the same.
     """
-    first, second = np.nonzero(~np.eye(len(weights), dtype=bool))
+    first, second = _paired_views(mount_from_holder[:, :3, :3], camera_from_world[:, :3, :3])
 
     def relative_poses(poses: _Matrices) -> Float[np.ndarray, "pairs 4 4"]:
         """Return the motions `P_j P_i^-1` of all pairs."""
@@ -114,6 +123,31 @@ def motion_pairs(
         relative_poses(mount_from_holder),
         weights[first] * weights[second],
     )
+
+
+def _paired_views(
+    robot: Float[np.ndarray, "views 3 3"], camera: Float[np.ndarray, "views 3 3"]
+) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
+    """Return the indices of the views of every pair: all pairs, or well-spread ones of many views.
+
+    The number of chosen pairs grows with the views, not with their square.
+    """
+    views = len(robot)
+    if views * (views - 1) // 2 <= MAX_PAIRS:
+        return np.triu_indices(views, 1)
+    # Candidates: the views form a ring, and each is paired with views at distances spread over
+    # half of it, so that no pair comes twice and neighbours in time do not prevail.
+    count = max(MIN_PAIRS_PER_VIEW, -(-MAX_PAIRS // views))
+    spread = np.linspace(1, (views - 1) // 2, CANDIDATES_PER_PAIR * count)
+    distances = np.unique(spread.round().astype(int))
+    indices = np.arange(views)
+    partners = (indices[:, None] + distances) % views
+    # A turn by a small angle has an uncertain axis, a turn by about 180 degrees an axis of
+    # uncertain sign. The best pairs have the largest sine, by 2 cos(angle) + 1 = trace(R_j R_i^T).
+    traces = [np.einsum("nab,nkab->nk", R, R[partners]) for R in (robot, camera)]
+    squared_sine = np.min([1.0 - np.square(0.5 * (trace - 1.0)) for trace in traces], axis=0)
+    best = np.argsort(-squared_sine, axis=1, kind="stable")[:, :count]
+    return np.repeat(indices, best.shape[1]), np.take_along_axis(partners, best, axis=1).ravel()
 
 
 @_of_transforms

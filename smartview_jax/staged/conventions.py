@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..calibration import mount_frames
 from ..geometry import host_matrices
@@ -83,6 +83,9 @@ MAX_RIVAL_SCORE_RATIO = 2.0
 CLOSURE_SCORE_FLOOR = 1e-4
 """Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
 
+MAX_COMPARED_VIEWS = 200
+"""Largest number of views with which the rotation angles of every view are compared."""
+
 MIN_SECOND_AXIS_RATIO = 0.05
 """Ratio of rotation about a second axis to rotation about the first, up to which the motions do not
 determine a hand-eye rotation and cannot be compared."""
@@ -109,7 +112,8 @@ def check_conventions(
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0
     used = used & np.isfinite(robot).all(axis=(1, 2)) & np.isfinite(camera).all(axis=(1, 2))
-    angle_differences = _angle_differences(robot, camera, used)
+    compared = _compared_views(used)
+    angle_differences = _angle_differences(robot, camera, used, compared)
     mismatch = float(np.nanmedian(angle_differences)) if used.sum() > 1 else 0.0
     # Two views give a single motion, which does not test the hand-eye transform.
     if used.sum() < 3:
@@ -123,7 +127,7 @@ def check_conventions(
     if comparable and (given_error.score > MAX_CLOSURE_SCORE or not 0.2 < ratio < 5.0):
         hypotheses = _ranked_hypotheses(robot, camera, used, in_hand, motions)
         problems = _convention_problems(
-            given_error, hypotheses, mismatch, _median_rotation_angles(robot, camera, used)
+            given_error, hypotheses, mismatch, _median_rotation_angles(robot, camera, compared)
         )
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
@@ -273,11 +277,13 @@ def _unexplained_text(
     )
 
 
-def _median_rotation_angles(robot: Poses, camera: Poses, used: np.ndarray) -> tuple[float, float]:
+def _median_rotation_angles(
+    robot: Poses, camera: Poses, compared: np.ndarray
+) -> tuple[float, float]:
     """Return the median rotation angle between two views, of robot and of camera, rad."""
-    upper = np.triu_indices(int(used.sum()), 1)
+    upper = np.triu_indices(len(compared), 1)
     robot_angle, camera_angle = (
-        float(np.median(_pairwise_rotation_angles(p[used])[upper])) for p in (robot, camera)
+        float(np.median(_rotation_angles(p[compared], p[compared])[upper])) for p in (robot, camera)
     )
     return robot_angle, camera_angle
 
@@ -303,7 +309,7 @@ def _length_unit_problems(
     return tuple(problems)
 
 
-def _suspicious_views(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[int, str], ...]:
+def _suspicious_views(angles: Float[np.ndarray, "views compared"]) -> tuple[tuple[int, str], ...]:
     """Return views whose rotation angles disagree with most others, which agree with each other."""
     used = np.isfinite(angles).any(axis=1)
     median_differences = np.zeros(len(angles))
@@ -321,19 +327,31 @@ def _suspicious_views(angles: Float[np.ndarray, "views views"]) -> tuple[tuple[i
     )
 
 
+def _compared_views(used: np.ndarray) -> Int[np.ndarray, "compared"]:
+    """Return the used views with which every view is compared: all, or a sample of many.
+
+    The sample is drawn at random, always alike: mistakes such as a pose that is repeated every
+    third time have a period, which views at equal distances could share.
+    """
+    indices = np.flatnonzero(used)
+    if len(indices) <= MAX_COMPARED_VIEWS:
+        return indices
+    return np.sort(np.random.default_rng(0).permutation(indices)[:MAX_COMPARED_VIEWS])
+
+
 def _angle_differences(
-    robot: Poses, camera: Poses, used: np.ndarray
-) -> Float[np.ndarray, "views views"]:
+    robot: Poses, camera: Poses, used: np.ndarray, compared: np.ndarray
+) -> Float[np.ndarray, "views compared"]:
     """Return the differences of robot and camera rotation angles, rad; NaN for unused views.
 
     The angle is the same in every frame, so this needs no hand-eye transform.
     """
-    differences = np.abs(
-        _pairwise_rotation_angles(np.linalg.inv(_replace_nonfinite(robot)))
-        - _pairwise_rotation_angles(_replace_nonfinite(camera))
+    inverse_robot, camera = np.linalg.inv(_replace_nonfinite(robot)), _replace_nonfinite(camera)
+    robot_angles, camera_angles = (
+        _rotation_angles(poses, poses[compared]) for poses in (inverse_robot, camera)
     )
-    unused = np.eye(len(differences), dtype=bool) | ~np.outer(used, used)
-    return np.where(unused, np.nan, differences)
+    unused = ~used[:, None] | (np.arange(len(used))[:, None] == compared)
+    return np.where(unused, np.nan, np.abs(robot_angles - camera_angles))
 
 
 def _replace_nonfinite(poses: Poses) -> Poses:
@@ -341,8 +359,10 @@ def _replace_nonfinite(poses: Poses) -> Poses:
     return np.where(np.isfinite(poses).all(axis=(1, 2), keepdims=True), poses, np.eye(4))
 
 
-def _pairwise_rotation_angles(poses: Poses) -> Float[np.ndarray, "views views"]:
-    """Return the angle of `R_i R_j^T` for all pairs of views, rad: `2 cos(angle) + 1 = trace`."""
+def _rotation_angles(
+    poses: Poses, others: Float[np.ndarray, "compared 4 4"]
+) -> Float[np.ndarray, "views compared"]:
+    """Return the angle of `R_i R_j^T` for every pair, rad: `2 cos(angle) + 1 = trace`."""
     # trace(R_i R_j^T) is the sum of the products of their entries.
-    R = poses[:, :3, :3].reshape(len(poses), 9)
-    return np.arccos(np.clip(0.5 * (R @ R.T - 1.0), -1.0, 1.0))
+    R, S = (p[:, :3, :3].reshape(len(p), 9) for p in (poses, others))
+    return np.arccos(np.clip(0.5 * (R @ S.T - 1.0), -1.0, 1.0))

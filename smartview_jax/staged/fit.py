@@ -14,6 +14,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import to_device
+from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..compilation import refuse_traced
@@ -165,6 +166,7 @@ def _minimum_points(camera: Camera | None) -> int:
     return MINIMUM_POINTS if camera is None else KNOWN_CAMERA_POINTS
 
 
+@on_one_blas_thread
 def fit_staged(
     data: Dataset,
     lens: str | AbstractLens = "radial",

@@ -2,8 +2,9 @@
 
 Eq. 17 sums `|| T_i^-1 T_j X - X C_i^-1 C_j ||_F^2` over all pairs of views. It is quadratic in the
 entries x of X, so all pairs together are `|| F x ||^2` with a small matrix F, which is computed
-once. The sums over pairs reduce to sums over views, and no square of a large number is subtracted
-from another: F keeps the full precision of nearly exact poses.
+once. The sums over pairs reduce to sums over views: time and memory grow with the views, not with
+their square. No square of a large number is subtracted from another, so that cost and F keep the
+full precision of nearly exact poses.
 """
 
 import jax.numpy as jnp
@@ -24,14 +25,24 @@ def frobenius_cost(
     Pairs are weighted by the product of the weights of their views. The norm adds rotation entries
     to lengths, so its minimum depends on the unit of length, `length_scale` metres.
     """
-    unit = jnp.asarray(length_scale, dtype=float)
-    A = (SE3(T.wxyz_xyz[:, None]).inverse() @ SE3(T.wxyz_xyz[None])).as_matrix()
-    B = (SE3(C.wxyz_xyz[:, None]).inverse() @ SE3(C.wxyz_xyz[None])).as_matrix()
-    # Pairs with i = j have A = B = I and add nothing, so they need no mask.
-    residual = A @ X.as_matrix()[None, None] - X.as_matrix()[None, None] @ B
-    # Translations in the chosen unit of length: the last column of the 4x4 residual.
-    residual = residual.at[..., :3, 3].divide(unit)
-    return jnp.einsum("i,j,ijab->", weights, weights, residual**2)
+    # The sums over pairs as sums over views: see `frobenius_factor`, whose names these are.
+    R, t = X.rotation().as_matrix(), X.translation()
+    P, Q = T.rotation().as_matrix(), C.rotation().as_matrix()
+    total = jnp.sum(weights)
+    q = C.translation() - (weights @ C.translation() / total)[None]
+    Y = jnp.einsum("iac,cd,ibd->iab", P, R, Q)
+    z = jnp.einsum("iab,b->ia", P, t) + T.translation()
+    z = z - (weights @ z / total)[None]
+    Y_mean = jnp.einsum("i,iab->ab", weights, Y) / total
+    D = Y - Y_mean[None]
+    rotation = 2.0 * total * jnp.einsum("i,iab->", weights, D**2)
+    own = z - jnp.einsum("iab,ib->ia", Y, q)
+    common = z - q @ Y_mean.T
+    translation = total * jnp.einsum("i,ia->", weights, own**2 + common**2)
+    spread = jnp.einsum("j,jb,jc->bc", weights, q, q)
+    translation = translation + jnp.einsum("i,iab,bc,iac->", weights, D, spread, D)
+    # Translations in the chosen unit of length.
+    return rotation + translation / jnp.asarray(length_scale, dtype=float) ** 2
 
 
 def frobenius_factor(
@@ -74,7 +85,7 @@ def frobenius_factor(
     Y_mean = np.einsum("i,iabk->abk", weights, Y) / total
     D = Y - Y_mean
     root = np.sqrt(weights)[:, None, None]
-    G = np.linalg.qr(root[:, 0] * q).R.T
+    G = np.linalg.qr(root[:, 0] * q, mode="r").T
     rows = [
         np.sqrt(2.0 * total) * root[..., None] * D,
         np.sqrt(total) / length_scale * root * (z - np.einsum("iabk,ib->iak", Y, q)),
@@ -82,4 +93,4 @@ def frobenius_factor(
         1.0 / length_scale * root[..., None] * np.einsum("iabk,bc->iack", D, G),
     ]
     # The triangular factor has the same norm for every x, and at most 13 rows.
-    return np.linalg.qr(np.concatenate([block.reshape(-1, 13) for block in rows])).R
+    return np.linalg.qr(np.concatenate([block.reshape(-1, 13) for block in rows]), mode="r")

@@ -31,7 +31,7 @@ from ..compilation import compiled, is_traced
 from ..dataset import Observations
 from ..geometry import transform_points
 from ..padding import repeat_last, without_padding
-from .kalman_pass import run_pass
+from .kalman_pass import PassResult, run_pass
 
 MAD_TO_SIGMA = 1.4826
 """Ratio of the standard deviation of a normal variable to its median absolute deviation."""
@@ -62,8 +62,6 @@ class KalmanResult(eqx.Module):
     Attributes:
         camera: intrinsics and lens.
         camera_from_world: one pose per view; the start pose for a view without visible points.
-        covariance: of the camera's numbers, followed by one tangent (translation, rotation) per
-            view that acts on its pose from the left.
         inliers: the observations used.
         pixel_sigma: standard deviation of u and of v, px: as given, or estimated.
         rms: root mean square reprojection error of the inliers with these poses, px.
@@ -71,17 +69,33 @@ class KalmanResult(eqx.Module):
         converged: whether the last pass changed the state by less than a thousandth of its
             standard deviation.
         message: the outcome in words.
+        last_pass: the last pass that was accepted; None if none was.
     """
 
     camera: Camera
     camera_from_world: SE3
-    covariance: Float[np.ndarray, "state state"]
     inliers: Bool[Array, "views points"]
     pixel_sigma: float
     rms: float
     passes: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
     message: str = eqx.field(static=True)
+    last_pass: PassResult | None
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "state state"]:
+        """The covariance of the camera's numbers, and of one tangent per view after them.
+
+        A tangent (translation, rotation) acts on the pose of its view from the left. The matrix is
+        put together where it is asked for, because it grows with the square of the views: of 2,000
+        it has more than a gigabyte.
+        """
+        if self.last_pass is None:
+            return np.full((0, 0), np.nan)
+        # The views that padding added come last in the state.
+        whole, padded_views = self.last_pass.covariance(), len(self.last_pass.pose_scale)
+        size = len(whole) - 6 * (padded_views - len(self.camera_from_world.wxyz_xyz))
+        return whole[:size, :size]
 
 
 def kalman_filter(
@@ -180,21 +194,18 @@ def kalman_filter(
         variance_scale = min(1.0, 10.0 * variance_scale)
     sigma = robust_sigma(residuals, inliers, pixel_sigma)
     rms = float(np.sqrt(_mean_squared_residual(residuals, inliers, np.inf)))
-    covariance = np.full((0, 0), np.nan) if accepted is None else accepted.covariance()
     if not np.isfinite(rms):
         converged, message = False, "the filter diverged: its state is not finite"
-    # The views that padding added come last in the state.
-    state_size = len(covariance) - 6 * (len(visible) - view_count)
     return KalmanResult(
         state[0],
         without_padding(state[1], view_count),
-        covariance[:state_size, :state_size],
         jax.device_put(inliers[:view_count, :point_count]),
         sigma,
         rms,
         passes,
         converged,
         message,
+        accepted,
     )
 
 

@@ -49,7 +49,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.linalg import block_diag
 
 _DETERMINED_VARIANCE = 25.0
 """Variance of a predicted pixel, u and v together, in units of the noise's, below which it gates.
@@ -208,5 +207,6 @@ def whole_covariance(
     gains = (pose_maps @ G).reshape(-1, len(C))
     by_camera = np.concatenate([np.diag(camera_scale), gains])
     covariance = by_camera @ C @ by_camera.T
-    covariance[len(C) :, len(C) :] += block_diag(*(pose_maps @ D @ pose_maps.swapaxes(1, 2)))
+    rows = len(C) + np.arange(POSE_SIZE * len(D)).reshape(-1, POSE_SIZE)
+    covariance[rows[:, :, None], rows[:, None]] += pose_maps @ D @ pose_maps.swapaxes(1, 2)
     return covariance

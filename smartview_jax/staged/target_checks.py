@@ -7,6 +7,8 @@ view of the target (corners numbered wrongly, another object) would spoil the co
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .weng_start import extents
+
 COLLINEARITY_TOLERANCE = 1e-3
 """Ratio of second to largest extent of the points below which they count as one line."""
 
@@ -23,15 +25,9 @@ def collinear_views(
     points: Float[np.ndarray, "views points 3"], visible: Bool[np.ndarray, "views points"]
 ) -> Bool[np.ndarray, "views"]:
     """Return the mask of views whose visible points all lie on one line of the target."""
-    collinear = np.zeros(len(points), dtype=bool)
-    # Views with fewer than two points are reported elsewhere, as showing too few.
-    for view, (view_points, seen) in enumerate(zip(points, visible, strict=True)):
-        if seen.sum() >= 2:
-            extent = np.linalg.svd(
-                view_points[seen] - view_points[seen].mean(axis=0), compute_uv=False
-            )
-            collinear[view] = extent[1] < COLLINEARITY_TOLERANCE * extent[0]
-    return collinear
+    # A view of fewer than two points has no extent; it is reported elsewhere as showing too few.
+    _, second, largest = extents(points, visible).T
+    return second < COLLINEARITY_TOLERANCE * largest
 
 
 def mismatched_views(

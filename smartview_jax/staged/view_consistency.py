@@ -17,7 +17,12 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, chain_residuals
+from ..dataset import (
+    MINIMUM_RELIABLE_VIEWS,
+    Observations,
+    chain_residuals,
+    medians_by_view,
+)
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from .closed_form import mean_camera_from_mount, park_martin
 
@@ -153,12 +158,8 @@ def median_reprojection_errors(
     It is infinite for a view without visible points.
     """
     errors = np.linalg.norm(np.asarray(chain_residuals(calibration, observations)), axis=2)
-    return np.array(
-        [
-            np.median(distances[used]) if used.any() else np.inf
-            for distances, used in zip(errors, np.asarray(inliers), strict=True)
-        ]
-    )
+    used = np.asarray(inliers)
+    return np.where(used.any(axis=1), medians_by_view(errors, used), np.inf)
 
 
 class _TransformFit(NamedTuple):

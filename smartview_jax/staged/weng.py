@@ -252,13 +252,15 @@ def _fit_all_views(
         # would iterate until the slowest has finished.
         points, pixels, visible, intrinsics, poses, free, planar = view
 
-        def fit_from_pose(pose_index):
-            """Fit the view from one of its two start poses."""
+        def fit_from_pose(rival_rms, pose_index):
+            """Fit the view from one of its two start poses, if it may become the better one."""
             # Spatial points have one pose only; the second fit gets no points and ends at once.
             seen = visible & (planar | (pose_index == 0))
-            return fit_view(points, pixels, seen, intrinsics, SE3(poses[pose_index]), free)
+            pose = SE3(poses[pose_index])
+            fit = fit_view(points, pixels, seen, intrinsics, pose, free, rival_rms)
+            return fit.rms, fit
 
-        fits = jax.lax.map(fit_from_pose, jnp.arange(2))
+        _, fits = jax.lax.scan(fit_from_pose, jnp.asarray(jnp.inf), jnp.arange(2))
         valid = jnp.isfinite(fits.rms) & jnp.stack([jnp.asarray(True), planar])
         best = jnp.argmin(jnp.where(valid, fits.rms, jnp.inf))
         return jax.tree.map(lambda x: x[best], fits)
