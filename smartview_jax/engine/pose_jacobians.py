@@ -6,8 +6,6 @@ target's scale, the robot error field and the views' own corrections, once for a
 `view_normal_equations.py` computes the effect of a twist of a view on its pixels.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxlie import SE3
@@ -16,6 +14,7 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 from ..geometry import se3_left_jacobian
 from .parameters import Parameters, Step
+from .prepared_poses import PreparedPoses
 
 
 class PoseJacobians(eqx.Module):
@@ -25,7 +24,7 @@ class PoseJacobians(eqx.Module):
         calibration: the calibration after the step.
         camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
         shared_jacobian: derivatives by the translation and rotation step of both transforms, by the
-            target's scale, and by the coefficients of the robot error field.
+            logarithm of the target's scale, and by the coefficients of the robot error field.
         per_view_jacobian: derivatives by each view's own correction; no views where there are no
             corrections.
     """
@@ -37,7 +36,7 @@ class PoseJacobians(eqx.Module):
 
 
 def linearise_poses(
-    parameters: Parameters, step: Step, reported: SE3, prepared_poses: Any
+    parameters: Parameters, step: Step, reported: SE3, prepared_poses: PreparedPoses | None
 ) -> PoseJacobians:
     """Compute all camera poses and their derivatives at a step from the start.
 
@@ -45,7 +44,7 @@ def linearise_poses(
         parameters: the start and the layout of its parameters.
         step: step from the start.
         reported: poses that the robot reported, batch shape `(views)`.
-        prepared_poses: what the robot error field needs of them; see `AbstractField.prepare`.
+        prepared_poses: what the robot error field needs of them; None without a field.
     """
     calibration, corrections = parameters.retract(step)
     layout = parameters.layout
@@ -57,8 +56,8 @@ def linearise_poses(
 
     error = calibration.robot_error
     pose = reported
-    if error is not None:
-        pose = error.field.prepared_pose(prepared_poses, error.coefficients)
+    if error is not None and prepared_poses is not None:
+        pose = prepared_poses.actual_pose(error.field, error.coefficients)
     # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
     identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, pose.wxyz_xyz.shape))
     before, after = (identity, pose.inverse()) if eye_in_hand else (pose, identity)
@@ -73,9 +72,9 @@ def linearise_poses(
     camera_from_world = camera_from_holder @ holder_from_world
 
     views = len(pose.wxyz_xyz)
-    # p = scale R X + t, so dp/dscale = R X = (p - t) / scale. The part p / scale lies along the ray
-    # and does not change the pixel; what remains is the translation -t / scale.
-    translation_by_scale = -camera_from_world.translation() / calibration.target_scale
+    # p = scale R X + t, so dp/dlog(scale) = scale R X = p - t. The part p lies along the ray and
+    # does not change the pixel; what remains is the translation -t.
+    translation_by_scale = -camera_from_world.translation()
     scale_twist = jnp.concatenate([translation_by_scale, jnp.zeros((views, 3))], axis=1)
     scale_jacobian = scale_twist[..., None]
     columns = [
@@ -83,13 +82,13 @@ def linearise_poses(
         camera_from_holder.adjoint() @ holder_jacobian[None],
         scale_jacobian,
     ]
-    if error is not None:
+    if error is not None and prepared_poses is not None:
         # actual_pose(coefficients + d) = actual_pose(coefficients) @ exp(F d), F = field_jacobian.
         # With the camera on the hand the chain has the inverse, exp(-F d) @ pose^-1, with the
         # correction to its left; with the camera beside the arm it has pose @ exp(F d), with the
         # correction to its right.
         camera_from_tool = camera_from_after if eye_in_hand else camera_from_before
-        field_jacobian = error.field.prepared_jacobian(prepared_poses, error.coefficients)
+        field_jacobian = prepared_poses.jacobian(error.field, error.coefficients)
         columns.append(
             camera_from_tool.adjoint() @ (-field_jacobian if eye_in_hand else field_jacobian)
         )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool
 
@@ -11,7 +12,8 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
-from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .fisher_scoring import StandardDeviationPrior, maximise
+from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
     TARGET_SCALE,
     WHITE_NOISE,
@@ -26,7 +28,7 @@ from .model_selection import (
     standard_deviation_prior,
 )
 from .noise_estimate import CandidateResult, TargetScaleEvidence
-from .view_statistics import ViewStatistics, with_free_poses
+from .view_statistics import ViewStatistics, with_free_poses, with_prior_sigmas
 
 
 class ModelComparison(NamedTuple):
@@ -37,7 +39,7 @@ class ModelComparison(NamedTuple):
         models: the models, by the name of their field.
         built: problem with the basis that contains all models.
         views: statistics of the views.
-        z: step at which the views are linearised, the fit with free poses.
+        z: step at which the views are linearised, the fit with white noise of the poses alone.
         linearised: the views linearised there.
         fitted: the models, each with the standard deviations that maximise its posterior.
         probabilities: posterior probabilities of the models.
@@ -68,7 +70,7 @@ def compare_models(
     priors: Mapping[str, Prior] | None,
     prior: RobotPrior,
 ) -> ModelComparison:
-    """Compare the models of the robot error at the fit with free poses.
+    """Compare the models of the robot error at the fit with white noise of the poses alone.
 
     Args:
         data: data set.
@@ -104,12 +106,14 @@ def compare_models(
     solution, equations = solve(problem)
     views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
     sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
-    linearised = views.linearised_at_fit(problem, solution.z, equations)
+    initial = initial_standard_deviations(sigma_prior, views.white_sigma)
+    free = views.linearised_at_fit(problem, solution.z, equations)
+    views, z, linearised = _linearised_at_white_noise(views, solution.z, free, initial, sigma_prior)
     fitted = fit_candidates(
         linearised,
         models,
         views.group_names,
-        initial_standard_deviations(sigma_prior, views.white_sigma),
+        initial,
         sigma_prior,
         prior.wrong_target_probability,
     )
@@ -128,15 +132,48 @@ def compare_models(
         models,
         built,
         views,
-        solution.z,
+        z,
         linearised,
         fitted,
         probabilities,
         _candidate_results(fitted, probabilities, views.white_sigma),
-        _target_scale_evidence(built, linearised, solution.z, fitted, probabilities)
-        if test_scale
-        else None,
+        _target_scale_evidence(built, linearised, z, fitted, probabilities) if test_scale else None,
     )
+
+
+def _linearised_at_white_noise(
+    views: ViewStatistics,
+    z: Step,
+    free: LinearisedViews,
+    initial: StandardDeviations,
+    prior: StandardDeviationPrior,
+) -> tuple[ViewStatistics, Step, LinearisedViews]:
+    """Linearise the views at the fit with white noise of the poses alone.
+
+    The pose of a view is then the best that robot and pictures say together. At that of the
+    pictures alone their noise would enter the derivatives, and many views of an accurate robot
+    would shrink the target.
+
+    Args:
+        views: statistics of the views.
+        z: the fit with free poses.
+        free: the views linearised there.
+        initial: standard deviations at which the search begins.
+        prior: prior of the standard deviations.
+
+    Returns:
+        The statistics with the robot error field evaluated at the poses of that fit, the fit, and
+        the views linearised there.
+    """
+    active = np.arange(len(initial.field) + 2) < 2
+    white = maximise(free, initial, active, prior)
+    start = jax.tree.map(np.add, z, posterior_mode_step(free, white.sigmas))
+    if not all(np.isfinite(part).all() for part in start):
+        return views, z, free
+    views = views.with_noise_corrections(np.asarray(start.per_view))
+    problem = with_prior_sigmas(views.problem, white.sigmas, views.group_index)
+    solution, equations = solve(problem, start=start)
+    return views, solution.z, views.linearised_at_fit(problem, solution.z, equations)
 
 
 def _candidate_results(
@@ -171,9 +208,10 @@ def _target_scale_evidence(
     best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
     marginal = marginalise(views, fitted[best].maximum.sigmas)
     index = built.shared_names.index(TARGET_SCALE)
+    # The parameter is the logarithm of the scale, and its standard deviation a relative one.
     scale_at_start = np.asarray(built.problem.parameters.start.target_scale)
-    scale = scale_at_start + np.asarray(z.shared)[index] + marginal.step.shared[index]
-    std = np.sqrt(marginal.shared_covariance[index, index])
+    scale = scale_at_start * np.exp(np.asarray(z.shared)[index] + marginal.step.shared[index])
+    std = scale * np.sqrt(marginal.shared_covariance[index, index])
     return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
 
 
