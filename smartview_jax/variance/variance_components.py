@@ -46,6 +46,7 @@ from .noise_estimate import (
     FREE_SCALE_PROBABILITY,
     NoiseEstimate,
 )
+from .possible_models import is_possible
 from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
@@ -130,6 +131,18 @@ def estimate_noise(
         first.views.select_groups(sigmas, views.group_names),
         standard_deviation_prior(prior, fitted_field, views.group_names),
     )
+    if (free_scale or field == "auto") and not is_possible(chain, data):
+        report_progress("the fit leaves nothing of the target or of the motion: without this model")
+        return estimate_noise(
+            data,
+            start,
+            field=field if free_scale else None,
+            fixed=fixed,
+            free=free,
+            priors=priors,
+            progress=progress,
+            robot_prior=dataclasses.replace(prior, wrong_target_probability=0.0),
+        )
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)
     return NoiseEstimate(
