@@ -25,6 +25,7 @@ BENCHMARKS = {
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "few_views": "the default on few views beside the best of simple fits, simulated and real",
+    "weak_robots": "robots from exact to 20 mm of noise: the default beside the best simple fit",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of the joint fit by points, views and devices",
@@ -60,7 +61,10 @@ def main() -> int:
     )
     parser.add_argument("--beside", metavar="REV", help="startup: another revision in turn")
     parser.add_argument(
-        "--results", type=Path, metavar="FILE", help="localization: its records, to go on from"
+        "--results",
+        type=Path,
+        metavar="FILE",
+        help="localization, weak_robots: records to go on from",
     )
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
@@ -86,6 +90,7 @@ def _holds(name: str, arguments: argparse.Namespace) -> bool:
     options = {
         "startup": {"beside": arguments.beside},
         "localization": {"results": arguments.results},
+        "weak_robots": {"results": arguments.results},
     }
     begun = time.perf_counter()
     module = importlib.import_module(f"benchmarks.{name}")
