@@ -30,6 +30,12 @@ from .model_selection import (
 from .noise_estimate import CandidateResult, TargetScaleEvidence
 from .view_statistics import ViewStatistics, with_free_poses, with_prior_sigmas
 
+MAX_FREE_FITS = 3
+"""Largest number of fits with free poses, each from the poses that robot and pictures agree on."""
+
+FREE_FIT_TOLERANCE = 1e-3
+"""Relative decrease of the sum of squares below which a fit with free poses is as good as any."""
+
 
 class ModelComparison(NamedTuple):
     """The models of the robot error, compared on one linearisation.
@@ -102,13 +108,22 @@ def compare_models(
         free=(*free, *((TARGET_SCALE,) if test_scale else ())),
         priors=priors,
     )
-    problem = with_free_poses(built.problem)
-    solution, equations = solve(problem)
-    views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
-    sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
-    initial = initial_standard_deviations(sigma_prior, views.white_sigma)
-    free = views.linearised_at_fit(problem, solution.z, equations)
-    views, z, linearised = _linearised_at_white_noise(views, solution.z, free, initial, sigma_prior)
+    problem, z = with_free_poses(built.problem), None
+    for _ in range(MAX_FREE_FITS):
+        solution, equations = solve(problem, start=z)
+        within_sum_of_squares = 2.0 * float(equations.cost)
+        views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale)
+        sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
+        initial = initial_standard_deviations(sigma_prior, views.white_sigma)
+        free = views.linearised_at_fit(problem, solution.z, equations)
+        views, z, linearised = _linearised_at_white_noise(
+            views, solution.z, free, initial, sigma_prior
+        )
+        # No fit explains the pixels better than free poses do, unless a pose that the robot
+        # reported far from the true one went astray: that fit is made again from this one.
+        excess = float(linearised.residual_sum_of_squares)
+        if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares:
+            break
     fitted = fit_candidates(
         linearised,
         models,
