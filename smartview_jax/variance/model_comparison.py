@@ -12,7 +12,7 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
-from .fisher_scoring import StandardDeviationPrior, maximise
+from .fisher_scoring import StandardDeviationPrior
 from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
     TARGET_SCALE,
@@ -23,6 +23,7 @@ from .model_selection import (
     candidate_models,
     encompassing_field,
     fit_candidates,
+    fit_good_or_weak_robot,
     initial_standard_deviations,
     posterior_probabilities,
     standard_deviation_prior,
@@ -181,7 +182,7 @@ def _linearised_at_white_noise(
         the views linearised there.
     """
     active = np.arange(len(initial.field) + 2) < 2
-    white = maximise(free, initial, active, prior)
+    white, _ = fit_good_or_weak_robot(free, initial, active, prior)
     start = jax.tree.map(np.add, z, posterior_mode_step(free, white.sigmas))
     if not all(np.isfinite(part).all() for part in start):
         return views, z, free

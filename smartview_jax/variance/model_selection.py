@@ -197,14 +197,14 @@ def fit_candidates(
         for name, model in models.items():
             model_groups = model.groups | ({TARGET_SCALE} if free_scale else set())
             active = np.array([True, True, *(group in model_groups for group in groups)])
-            maximum, evidence = _best_of_good_and_weak_robot(views, initial, active, prior)
+            maximum, evidence = fit_good_or_weak_robot(views, initial, active, prior)
             log_weight = float(evidence + model.log_odds + scale_log_odds)
             if np.isfinite(log_weight):
                 fitted[ModelName(name, free_scale)] = FittedCandidate(active, maximum, log_weight)
     return fitted
 
 
-def _best_of_good_and_weak_robot(
+def fit_good_or_weak_robot(
     views: LinearisedViews,
     initial: StandardDeviations,
     active: Bool[np.ndarray, "robot"],
@@ -222,7 +222,12 @@ def _best_of_good_and_weak_robot(
     if not (prior.weak_probability > 0.0 and log_excess.max() > MIN_WEAK_ROBOT_EXCESS):
         return good, good_evidence
     of_weak = prior.of_weak_robot
-    weak = maximise(views, good.sigmas, active, of_weak)
+    # From the good robot's noise the search can end where only positions are wrong, and pixels by
+    # a hundred times what they scatter within a view: it begins at what weak robots usually do.
+    start = initial._replace(
+        translation=np.asarray(of_weak.median[0]), rotation=np.asarray(of_weak.median[1])
+    )
+    weak = maximise(views, start, active, of_weak)
     log_odds = np.log(prior.weak_probability / (1.0 - prior.weak_probability))
     weak_evidence = log_evidence(weak, active, of_weak) + log_odds
     if not np.isfinite(weak_evidence):
