@@ -11,8 +11,9 @@ trusts it. The last row is a real weak robot, 74 views of ur5e_kinect_78, in fiv
     python -m benchmarks weak_robots --results build/weak_robots.jsonl
     python -m benchmarks.weak_robots --seeds 2 --views 8 20 60
 
-The real robot is left out where only some numbers of views are asked for. With `--results` every run is written to the file when it is done, and runs that it holds are not
-made again: an interrupted benchmark goes on where it was.
+The real robot is left out where only some numbers of views are asked for. With `--results` every
+run is written to the file when it is done, and runs that it holds are not made again: an
+interrupted benchmark goes on where it was.
 """
 
 import argparse
