@@ -55,12 +55,14 @@ def linearise_poses(
     eye_in_hand = calibration.mount == "eye_in_hand"
 
     error = calibration.robot_error
-    pose = reported
+    tool_error = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, reported.wxyz_xyz.shape))
     if error is not None and prepared_poses is not None:
-        pose = prepared_poses.actual_pose(error.field, error.coefficients)
+        tool_error = prepared_poses.error(error.field, error.coefficients)
+    # actual pose = reported @ exp(-correction) @ tool_error
     # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
-    identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, pose.wxyz_xyz.shape))
-    before, after = (identity, pose.inverse()) if eye_in_hand else (pose, identity)
+    before, after = (
+        (tool_error.inverse(), reported.inverse()) if eye_in_hand else (reported, tool_error)
+    )
     signed_corrections = corrections if eye_in_hand else -corrections
     camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])
     holder_from_world = SE3(calibration.holder_from_world.wxyz_xyz[None])
@@ -71,7 +73,7 @@ def linearise_poses(
     camera_from_holder = camera_from_after @ after
     camera_from_world = camera_from_holder @ holder_from_world
 
-    views = len(pose.wxyz_xyz)
+    views = len(reported.wxyz_xyz)
     # p = scale R X + t, so dp/dlog(scale) = scale R X = p - t. The part p lies along the ray and
     # does not change the pixel; what remains is the translation -t.
     translation_by_scale = -camera_from_world.translation()
@@ -84,10 +86,9 @@ def linearise_poses(
     ]
     if error is not None and prepared_poses is not None:
         # actual_pose(coefficients + d) = actual_pose(coefficients) @ exp(F d), F = field_jacobian.
-        # With the camera on the hand the chain has the inverse, exp(-F d) @ pose^-1, with the
-        # correction to its left; with the camera beside the arm it has pose @ exp(F d), with the
-        # correction to its right.
-        camera_from_tool = camera_from_after if eye_in_hand else camera_from_before
+        # With the camera on the hand the chain has the inverse, exp(-F d) @ actual_pose^-1; with
+        # the camera outside the arm it has actual_pose @ exp(F d).
+        camera_from_tool = camera_from_mount if eye_in_hand else camera_from_holder
         field_jacobian = prepared_poses.jacobian(error.field, error.coefficients)
         columns.append(
             camera_from_tool.adjoint() @ (-field_jacobian if eye_in_hand else field_jacobian)

@@ -28,30 +28,29 @@ JOINT_DAMPING = 1e-2
 
 
 class PreparedPoses(eqx.Module):
-    """Reported poses, with all that an error field needs of the poses where it is evaluated.
+    """All that an error field needs of the poses where it is evaluated.
 
     Attributes:
-        reported_from_evaluated: reported pose times the inverse of the pose where the field is
-            evaluated, both `base_from_tool`; the field's error is applied to the reported pose.
-        prepared: result of the field's `prepare` for the poses where it is evaluated.
+        evaluated_from_base: inverse of the poses where the field is evaluated.
+        prepared: result of the field's `prepare` for these poses.
     """
 
-    reported_from_evaluated: SE3
+    evaluated_from_base: SE3
     prepared: Any
 
     @classmethod
-    def at(cls, field: AbstractField, reported: SE3, evaluated: Command) -> "PreparedPoses":
-        """Return the poses for a field that is evaluated at other poses than the reported ones."""
-        return cls(reported @ evaluated.base_from_tool.inverse(), field.prepare(evaluated))
+    def at(cls, field: AbstractField, evaluated: Command) -> "PreparedPoses":
+        """Return what a field needs of the poses where it is evaluated."""
+        return cls(evaluated.base_from_tool.inverse(), field.prepare(evaluated))
 
-    def actual_pose(self, field: AbstractField, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """Return the actual poses of the tool, without the noise of each view."""
-        return self.reported_from_evaluated @ field.prepared_pose(self.prepared, coefficients)
+    def error(self, field: AbstractField, coefficients: Float[Array, "coefficients"]) -> SE3:
+        """Return the error at the tool: a pose without noise times it is the actual pose."""
+        return self.evaluated_from_base @ field.prepared_pose(self.prepared, coefficients)
 
     def jacobian(
         self, field: AbstractField, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        """Return the Jacobian of `actual_pose`, a twist at the tool."""
+        """Return the Jacobian of the actual poses, a twist at the tool."""
         # A constant factor on the left does not change a twist at the tool.
         return field.prepared_jacobian(self.prepared, coefficients)
 
@@ -74,16 +73,13 @@ def prepare_poses(
     field = error.field
     evaluated = reported if corrections is None else _less_noise(field, reported, corrections)
 
-    def prepare(commands: tuple[Command, Command]) -> PreparedPoses:
-        return _prepare(field, commands[0].base_from_tool, commands[1])
-
-    return over_padded_views(prepare, (reported, evaluated))
+    return over_padded_views(lambda padded: _prepare(field, padded), evaluated)
 
 
 @compiled
-def _prepare(field: AbstractField, reported: SE3, evaluated: Command) -> PreparedPoses:
-    """Return what a field needs of reported poses, compiled."""
-    return PreparedPoses.at(field, reported, evaluated)
+def _prepare(field: AbstractField, evaluated: Command) -> PreparedPoses:
+    """Return what a field needs of the poses where it is evaluated, compiled."""
+    return PreparedPoses.at(field, evaluated)
 
 
 def _less_noise(

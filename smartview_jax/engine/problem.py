@@ -97,12 +97,8 @@ class JointProblem(eqx.Module):
 
     def with_observations(self, observations: Observations) -> "JointProblem":
         """Return the problem with other observations, of the same robot."""
-        error, command = self.parameters.start.robot_error, observations.command
-        prepared = (
-            None
-            if error is None
-            else PreparedPoses.at(error.field, command.base_from_tool, command)
-        )
+        error = self.parameters.start.robot_error
+        prepared = None if error is None else PreparedPoses.at(error.field, observations.command)
         return dataclasses.replace(self, observations=observations, prepared_poses=prepared)
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "JointProblem":
@@ -130,11 +126,10 @@ class JointProblem(eqx.Module):
         """Return the chain of every view at a scaled step."""
         calibration, pose_corrections = self.calibration(z)
         _, poses = self._corrected_poses(z)
-        reported, error = self.observations.base_from_tool, calibration.robot_error
-        field_corrections = jnp.zeros((len(reported.wxyz_xyz), 6))
+        error = calibration.robot_error
+        field_corrections = jnp.zeros((len(self.observations.visible), 6))
         if error is not None and self.prepared_poses is not None:
-            actual = self.prepared_poses.actual_pose(error.field, error.coefficients)
-            field_corrections = (reported.inverse() @ actual).log()
+            field_corrections = self.prepared_poses.error(error.field, error.coefficients).log()
         camera_from_world = calibration.camera_from_world(poses, corrected=False).as_matrix()
         return FittedChain(calibration, pose_corrections, field_corrections, camera_from_world)
 
@@ -151,9 +146,11 @@ class JointProblem(eqx.Module):
         """Return the calibration and the corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
+        if len(corrections):
+            poses = poses @ SE3.exp(-corrections)
         if error is not None and self.prepared_poses is not None:
-            poses = self.prepared_poses.actual_pose(error.field, error.coefficients)
-        return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
+            poses = poses @ self.prepared_poses.error(error.field, error.coefficients)
+        return calibration, poses
 
     def _whitened_residuals_at(
         self, calibration: Calibration, poses: SE3, observations: Observations

@@ -128,9 +128,7 @@ def _view_jacobians(
     The twist is that of `camera_from_world`, in the camera frame.
     """
     error = calibration.robot_error
-    prepared = (
-        None if error is None else PreparedPoses.at(error.field, command.base_from_tool, command)
-    )
+    prepared = None if error is None else PreparedPoses.at(error.field, command)
     parameters = Parameters(calibration)
     layout, count = parameters.layout, len(command.base_from_tool.wxyz_xyz)
     step = Step(jnp.zeros(layout.size), jnp.zeros((count, 6)))

@@ -78,7 +78,8 @@ def test_no_view_pays_for_another_size_of_the_world():
     scene = weak_robot_scene(0, 5.0, 0.0)
     data = scene.data
     field = LinearInPosition.from_poses(data.base_from_tool)
-    corrections = 5e-3 * np.random.default_rng(0).normal(size=(VIEWS, 6)) * ([1.0] * 3 + [0.0] * 3)
+    sigmas = np.repeat([5e-3, 2e-2], 3)
+    corrections = sigmas * np.random.default_rng(0).normal(size=(VIEWS, 6))
 
     def pull(noise_corrections):
         """Sum of squares by which pixels change along the direction, per unit squared."""
