@@ -29,6 +29,7 @@ from .model_selection import (
     standard_deviation_prior,
 )
 from .noise_estimate import CandidateResult, TargetScaleEvidence
+from .possible_models import TARGET_SCALE_LIMITS
 from .view_statistics import ViewStatistics, with_free_poses, with_prior_sigmas
 
 MAX_FREE_FITS = 3
@@ -224,10 +225,12 @@ def _target_scale_evidence(
     best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
     marginal = marginalise(views, fitted[best].maximum.sigmas)
     index = built.shared_names.index(TARGET_SCALE)
-    # The parameter is the logarithm of the scale, and its standard deviation a relative one.
-    scale_at_start = np.asarray(built.problem.parameters.start.target_scale)
-    scale = scale_at_start * np.exp(np.asarray(z.shared)[index] + marginal.step.shared[index])
-    std = scale * np.sqrt(marginal.shared_covariance[index, index])
+    # The parameter is the logarithm of the scale, but poses are proportional to the scale itself:
+    # a step d of the linear model is a factor of 1 + d.
+    start = built.problem.parameters.start
+    linearised_scale = np.asarray(start.target_scale) * np.exp(np.asarray(z.shared)[index])
+    scale = linearised_scale * np.clip(1.0 + marginal.step.shared[index], *TARGET_SCALE_LIMITS)
+    std = linearised_scale * np.sqrt(marginal.shared_covariance[index, index])
     return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
 
 
