@@ -85,9 +85,9 @@ class RobotPrior:
     geometric_std: float = float(np.e)
     group_geometric_std: float = float(np.exp(0.9))
     other_group_geometric_std: float = float(np.exp(3.0))
-    weak_robot_probability: float = 0.05
-    weak_translation_median: float = 2e-3
-    weak_rotation_median: float = 7e-3
+    weak_robot_probability: float = 0.01
+    weak_translation_median: float = 5e-3
+    weak_rotation_median: float = 1.7e-2
     wrong_target_probability: float = 0.01
     wrong_target_scale_std: float = 0.5
 

@@ -12,7 +12,6 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
-from .fisher_scoring import StandardDeviationPrior
 from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
     TARGET_SCALE,
@@ -118,9 +117,9 @@ def compare_models(
         sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
         initial = initial_standard_deviations(sigma_prior, views.white_sigma)
         free = views.linearised_at_fit(problem, solution.z, equations)
-        views, z, linearised = _linearised_at_white_noise(
-            views, solution.z, free, initial, sigma_prior
-        )
+        is_of_pose = np.arange(len(initial.field) + 2) < 2
+        white, _ = fit_good_or_weak_robot(free, initial, is_of_pose, sigma_prior)
+        views, z, linearised = _linearised_at_mode(views, solution.z, free, white.sigmas)
         # No fit explains the pixels better than free poses do, unless a pose that the robot
         # reported far from the true one went astray: that fit is made again from this one.
         excess = float(linearised.residual_sum_of_squares)
@@ -158,14 +157,10 @@ def compare_models(
     )
 
 
-def _linearised_at_white_noise(
-    views: ViewStatistics,
-    z: Step,
-    free: LinearisedViews,
-    initial: StandardDeviations,
-    prior: StandardDeviationPrior,
+def _linearised_at_mode(
+    views: ViewStatistics, z: Step, linearised: LinearisedViews, sigmas: StandardDeviations
 ) -> tuple[ViewStatistics, Step, LinearisedViews]:
-    """Linearise the views at the fit with white noise of the poses alone.
+    """Linearise the views at the most probable parameters for given standard deviations.
 
     The pose of a view is then the best that robot and pictures say together. At that of the
     pictures alone their noise would enter the derivatives, and many views of an accurate robot
@@ -173,22 +168,19 @@ def _linearised_at_white_noise(
 
     Args:
         views: statistics of the views.
-        z: the fit with free poses.
-        free: the views linearised there.
-        initial: standard deviations at which the search begins.
-        prior: prior of the standard deviations.
+        z: step at which they have been linearised.
+        linearised: the views linearised there.
+        sigmas: standard deviations of all errors.
 
     Returns:
-        The statistics with the robot error field evaluated at the poses of that fit, the fit, and
+        The statistics with the robot error field evaluated at the poses of the fit, the fit, and
         the views linearised there.
     """
-    active = np.arange(len(initial.field) + 2) < 2
-    white, _ = fit_good_or_weak_robot(free, initial, active, prior)
-    start = jax.tree.map(np.add, z, posterior_mode_step(free, white.sigmas))
+    start = jax.tree.map(np.add, z, posterior_mode_step(linearised, sigmas))
     if not all(np.isfinite(part).all() for part in start):
-        return views, z, free
+        return views, z, linearised
     views = views.with_noise_corrections(np.asarray(start.per_view))
-    problem = with_prior_sigmas(views.problem, white.sigmas, views.group_index)
+    problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
     solution, equations = solve(problem, start=start)
     return views, solution.z, views.linearised_at_fit(problem, solution.z, equations)
 
