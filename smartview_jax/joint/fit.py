@@ -171,6 +171,7 @@ def fit_joint(
             field=error_field,
             # What is estimated moves the start, but not what was known before any picture.
             prior_centre=start,
+            noise_corrections=None if noise_estimate is None else noise_estimate.noise_corrections,
         )
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         say(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")

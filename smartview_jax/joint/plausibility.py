@@ -91,7 +91,9 @@ def _target_warnings(fit: JointFit) -> list[str]:
         return []
     scale_text = f"of its stated size (probability {scale.probability:.2f})"
     if scale.probability > FREE_SCALE_PROBABILITY:
-        size, std = float(fit.calibration.target_scale), fit.std[TARGET_SCALE]
+        # The standard deviation is that of the logarithm.
+        size = float(fit.calibration.target_scale)
+        std = size * fit.std[TARGET_SCALE]
         return [f"the target is {size:.4f} +- {std:.4f} {scale_text}, and taken so: measure it"]
     return [f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {scale_text}: measure it"]
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ..calibration import Calibration
 from ..engine import Noise
@@ -74,6 +75,8 @@ class NoiseEstimate(NamedTuple):
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
         robot_prior: prior of the robot's errors.
+        noise_corrections: twists at the tool that correct the reported poses for noise; the robot
+            error field is evaluated at the corrected poses. None evaluates it at the reported ones.
     """
 
     name: str
@@ -89,6 +92,7 @@ class NoiseEstimate(NamedTuple):
     parameter_names: tuple[str, ...]
     small_sample_correction: SmallSampleCorrection
     robot_prior: RobotPrior
+    noise_corrections: Float[np.ndarray, "views 6"] | None = None
 
     @property
     def free(self) -> tuple[str, ...]:

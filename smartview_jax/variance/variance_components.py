@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration
@@ -44,6 +45,7 @@ from .noise_estimate import (
     FREE_SCALE_PROBABILITY,
     NoiseEstimate,
 )
+from .possible_models import is_possible
 from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
@@ -116,15 +118,30 @@ def estimate_noise(
     # fits of a calibration are then solved by one compiled program.
     built = first.built.holding(_held_names(first, fitted_field, free_scale))
     views = ViewStatistics(built, data.usable_views(), first.views.within_sum_of_squares)
+    views.problem = dataclasses.replace(
+        views.problem, prepared_poses=first.views.problem.prepared_poses
+    )
     sigmas = average_standard_deviations(first.fitted, probabilities)
     predicted = _predicted_optimum(first.linearised, first.z, sigmas)
-    chain, linearised, maximum, converged = _iterate_to_convergence(
+    chain, linearised, maximum, converged, noise_corrections = _iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
         {name: first.models[name] for name in field_probabilities},
         first.views.select_groups(sigmas, views.group_names),
         standard_deviation_prior(prior, fitted_field, views.group_names),
     )
+    if (free_scale or field == "auto") and not is_possible(chain, data):
+        report_progress("the fit leaves nothing of the target or of the motion: without this model")
+        return estimate_noise(
+            data,
+            start,
+            field=field if free_scale else None,
+            fixed=fixed,
+            free=free,
+            priors=priors,
+            progress=progress,
+            robot_prior=dataclasses.replace(prior, wrong_target_probability=0.0),
+        )
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)
     return NoiseEstimate(
@@ -146,6 +163,7 @@ def estimate_noise(
         built.shared_names,
         correction,
         prior,
+        noise_corrections,
     )
 
 
@@ -169,7 +187,7 @@ def _iterate_to_convergence(
     models: Mapping[str, Candidate],
     sigmas: StandardDeviations,
     prior: StandardDeviationPrior,
-) -> tuple[FittedChain, LinearisedViews, LikelihoodMaximum, bool]:
+) -> tuple[FittedChain, LinearisedViews, LikelihoodMaximum, bool, Float[np.ndarray, "views 6"]]:
     """Alternate between the fit and the averaged standard deviations, until these converge.
 
     Args:
@@ -180,11 +198,14 @@ def _iterate_to_convergence(
         prior: prior of the standard deviations of the field's groups.
 
     Returns:
-        The chain of the fit, the views linearised there, the maximum of the likelihood, and whether
-        the standard deviations converged.
+        The chain of the fit, the views linearised there, the maximum of the likelihood, whether
+        the standard deviations converged, and the corrections of the poses for noise with which
+        the robot error field was evaluated.
     """
     iterations, chain, accepted = 0, None, None
     while True:
+        corrections = np.asarray(initial.per_view)
+        views = views.with_noise_corrections(corrections)
         problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
         solution, equations = solve(problem, start=initial)
         linearised = views.linearised_at_fit(problem, solution.z, equations)
@@ -195,7 +216,7 @@ def _iterate_to_convergence(
             # together: return the last good result.
             if chain is None or accepted is None:
                 chain, accepted = chain_at(views.problem, initial), views.linearise(initial)
-            return chain, accepted, _maximum_at(accepted, sigmas, prior), False
+            return chain, accepted, _maximum_at(accepted, sigmas, prior), False, corrections
         chain, accepted = solution.chain, linearised
         previous, kept = sigmas, drop_negligible(posterior_probabilities(fitted))
         sigmas = average_standard_deviations(fitted, kept)
@@ -203,7 +224,7 @@ def _iterate_to_convergence(
         tolerance = SIGMA_TOLERANCE * previous.vector + 10.0 * ROBOT_SIGMA_FLOOR
         converged = bool((change <= tolerance).all())
         if converged or iterations == MAX_LINEARISATIONS:
-            return chain, accepted, _maximum_at(accepted, sigmas, prior), converged
+            return (chain, accepted, _maximum_at(accepted, sigmas, prior), converged, corrections)
         initial = _predicted_optimum(accepted, solution.z, sigmas)
 
 
