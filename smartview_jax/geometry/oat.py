@@ -57,7 +57,7 @@ def oat_from_rotation(
 def _oat_from_rotation(
     rotation: SO3, other_branch: bool, gimbal_o: Float[AnyArray, "*#batch"]
 ) -> Float[Array, "*batch 3"]:
-    """Compute `oat_from_rotation`."""
+    """Compute the angles of `oat_from_rotation` as one program."""
     # R = Rz(O) M0 Ry(A) Rz(T) has the last column (sin O cos A, -cos O cos A, -sin A).
     R = rotation.as_matrix()
     cosine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])

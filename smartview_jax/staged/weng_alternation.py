@@ -142,7 +142,7 @@ def _minimise(
     state: _State, points: Array, pixels: Array, used: Array, free: Array, rival_rms: Array
 ) -> _State:
     """Minimise the cost of Eq. 8 by alternating half-steps, then with all unknowns together."""
-    hopeless_cost = _HOPELESS_RMS_RATIO**2 * rival_rms**2 * jnp.sum(used)
+    hopeless_cost = (_HOPELESS_RMS_RATIO * rival_rms) ** 2 * jnp.sum(used, dtype=float)
 
     def cost(state):
         """Return the sum of squared pixel residuals, Eq. 8."""
@@ -172,8 +172,9 @@ def _minimise(
         # The first condition is convergence, the last an exact fit (noise-free data).
         converged = (accepted & (cost_decrease <= 1e-12 * before)) | stuck | (after <= 1e-18)
         # What is left at the last iteration of a cost that falls by the same share in each.
-        left = (1.0 - cost_decrease / before) ** (_MAX_ITERATIONS - iteration)
-        hopeless = accepted & (after * left > hopeless_cost)
+        remaining = jnp.asarray(_MAX_ITERATIONS - iteration, dtype=float)
+        foreseen = after * (1.0 - cost_decrease / before) ** remaining
+        hopeless = accepted & (foreseen > hopeless_cost)
         slow = (
             (accepted & (cost_decrease <= 1e-3 * before))
             | stuck
