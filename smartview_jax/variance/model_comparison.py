@@ -163,9 +163,9 @@ def _linearised_at_mode(
 ) -> tuple[ViewStatistics, Step, LinearisedViews]:
     """Linearise the views at the most probable parameters for given standard deviations.
 
-    The pose of a view is then the best that robot and pictures say together. At that of the
-    pictures alone their noise would enter the derivatives, and many views of an accurate robot
-    would shrink the target.
+    The pose of a view is then the best that robot and pictures say together. At poses from
+    the pictures alone, their noise would enter the derivatives, and many views of an accurate
+    robot would shrink the target.
 
     Args:
         views: statistics of the views.
