@@ -25,7 +25,7 @@ BENCHMARKS = {
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "few_views": "the default on few views beside the best of simple fits, simulated and real",
-    "weak_robots": "robots from exact to 20 mm of noise: the default beside the best simple fit",
+    "weak_robots": "robots from exact to 20 mm of noise: the default against the best simple fit",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",

@@ -2,7 +2,7 @@
 
 A robot with white noise alone sees a small board with 20 points. Nothing in its pictures says how
 large the world is, so a fit that gains by making it smaller loses everything: target, motion and
-noise go to zero together. The default stands beside the staged fit, the joint fit that trusts the
+noise go to zero together. Compared are the default, the staged fit, the joint fit that trusts the
 robot, and the joint fit with white noise alone, with the camera known and unknown, on 8 to 2,000
 views. Printed are RMS errors over the seeds on 40 unseen views (px) and of the hand-eye translation
 (mm), and the default's ratio to the best of the three; an exact robot is compared with the fit that
@@ -211,7 +211,7 @@ def _real_row() -> bool:
     """Print the held-out error of the real weak robot; return whether it keeps its bound."""
     folder = SHARED / REAL
     if not folder.is_dir():
-        print("skipped: the data sets are not beside this checkout (shared/data)")
+        print("skipped: the data sets are not next to this checkout (shared/data)")
         return True
     data = sv.io.import_correspondences(
         folder / "poses.csv", folder / "corners.csv", image_size=(1280, 720)

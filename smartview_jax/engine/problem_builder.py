@@ -229,7 +229,7 @@ def _prior_means_and_weights(
     field: AbstractField | None,
     target_scale: float,
 ) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
-    """Return the prior mean and weight of every parameter; `target_scale` is that of the start.
+    """Return the prior mean and weight of every parameter; `target_scale` is the start's.
 
     A mean of NaN is the value of the start. The weight is one over the standard deviation; zero is
     no prior.

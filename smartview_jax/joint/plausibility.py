@@ -91,7 +91,7 @@ def _target_warnings(fit: JointFit) -> list[str]:
         return []
     scale_text = f"of its stated size (probability {scale.probability:.2f})"
     if scale.probability > FREE_SCALE_PROBABILITY:
-        # The standard deviation is that of the logarithm.
+        # The parameter is the logarithm: its standard deviation is relative.
         size = float(fit.calibration.target_scale)
         std = size * fit.std[TARGET_SCALE]
         return [f"the target is {size:.4f} +- {std:.4f} {scale_text}, and taken so: measure it"]

@@ -13,8 +13,8 @@ milliradian (Mooring, Roth and Driels, Fundamentals of Manipulator Calibration, 
 Bonev, Absolute calibration of an ABB IRB 1600 robot using a laser tracker, 2013).
 
 Some robots are far weaker: light arms, arms that still move when the picture is taken, poses of
-another instant. They are a hypothesis of their own with its own medians, not the far end of what
-good arms do: there, every halving of the noise would seem many times as plausible.
+another instant. They are a hypothesis of their own with its own medians, not the far end of good
+arms' errors: there, every halving of the noise would seem many times as plausible.
 """
 
 import dataclasses

@@ -109,22 +109,23 @@ def compare_models(
         free=(*free, *((TARGET_SCALE,) if test_scale else ())),
         priors=priors,
     )
-    problem, z = with_free_poses(built.problem), None
-    for _ in range(MAX_FREE_FITS):
-        solution, equations = solve(problem, start=z)
-        within_sum_of_squares = 2.0 * float(equations.cost)
+    problem, start_of_free, fits = with_free_poses(built.problem), None, 0
+    while True:
+        solution, equations = solve(problem, start=start_of_free)
+        within_sum_of_squares, fits = 2.0 * float(equations.cost), fits + 1
         views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale)
         sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
         initial = initial_standard_deviations(sigma_prior, views.white_sigma)
-        free = views.linearised_at_fit(problem, solution.z, equations)
+        free_poses = views.linearised_at_fit(problem, solution.z, equations)
         is_of_pose = np.arange(len(initial.field) + 2) < 2
-        white, _ = fit_good_or_weak_robot(free, initial, is_of_pose, sigma_prior)
-        views, z, linearised = _linearised_at_mode(views, solution.z, free, white.sigmas)
+        white, _ = fit_good_or_weak_robot(free_poses, initial, is_of_pose, sigma_prior)
+        views, z, linearised = _linearised_at_mode(views, solution.z, free_poses, white.sigmas)
         # No fit explains the pixels better than free poses do, unless a pose that the robot
         # reported far from the true one went astray: that fit is made again from this one.
         excess = float(linearised.residual_sum_of_squares)
-        if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares:
+        if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares or fits == MAX_FREE_FITS:
             break
+        start_of_free = z
     fitted = fit_candidates(
         linearised,
         models,
@@ -162,9 +163,9 @@ def _linearised_at_mode(
 ) -> tuple[ViewStatistics, Step, LinearisedViews]:
     """Linearise the views at the most probable parameters for given standard deviations.
 
-    The pose of a view is then the best that robot and pictures say together. At that of the
-    pictures alone their noise would enter the derivatives, and many views of an accurate robot
-    would shrink the target.
+    The pose of a view is then the best that robot and pictures say together. At poses from
+    the pictures alone, their noise would enter the derivatives, and many views of an accurate
+    robot would shrink the target.
 
     Args:
         views: statistics of the views.
