@@ -19,7 +19,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 from ..array_namespace import AnyArray
-from ..compilation import is_traced, one_program
+from ..compilation import one_program
 from .euler import GIMBAL_LOCK_TOLERANCE
 from .rigid_transforms import PoseLike, as_se3
 
@@ -37,7 +37,7 @@ def rotation_from_oat(oat: Float[Array, "*batch 3"]) -> SO3:
 def oat_from_rotation(
     rotation: SO3,
     other_branch: bool = False,
-    gimbal_o: float | Float[Array, "*#batch"] = 0.0,
+    gimbal_o: float | Float[AnyArray, "*#batch"] = 0.0,
 ) -> Float[Array, "*batch 3"]:
     """Return the angles O, A, T of a rotation in rad, with A within +-90 degrees.
 
@@ -49,7 +49,8 @@ def oat_from_rotation(
             to it, too.
     """
     # As data: a program would be compiled for each number.
-    gimbal_o = gimbal_o if is_traced(gimbal_o) else np.asarray(gimbal_o, dtype=float)
+    if not isinstance(gimbal_o, Array):
+        gimbal_o = np.asarray(gimbal_o, dtype=float)
     return _oat_from_rotation(rotation, other_branch, gimbal_o)
 
 

@@ -85,7 +85,7 @@ def frobenius_factor(
     Y_mean = np.einsum("i,iabk->abk", weights, Y) / total
     D = Y - Y_mean
     root = np.sqrt(weights)[:, None, None]
-    G = np.linalg.qr(root[:, 0] * q, mode="r").T
+    G = np.asarray(np.linalg.qr(root[:, 0] * q, mode="r")).T
     rows = [
         np.sqrt(2.0 * total) * root[..., None] * D,
         np.sqrt(total) / length_scale * root * (z - np.einsum("iabk,ib->iak", Y, q)),
@@ -93,4 +93,5 @@ def frobenius_factor(
         1.0 / length_scale * root[..., None] * np.einsum("iabk,bc->iack", D, G),
     ]
     # The triangular factor has the same norm for every x, and at most 13 rows.
-    return np.linalg.qr(np.concatenate([block.reshape(-1, 13) for block in rows]), mode="r")
+    stacked = np.concatenate([block.reshape(-1, 13) for block in rows])
+    return np.asarray(np.linalg.qr(stacked, mode="r"))
