@@ -13,6 +13,7 @@ whole package.
 import ast
 import hashlib
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -22,8 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "smartview_jax"
 RECORD = ROOT / ".ci" / "verified.json"
 
-ALWAYS = [PACKAGE / "__init__.py", PACKAGE / "__init__.pyi", *PACKAGE.glob("samples/**/*")]
-"""Read by everything that imports the package."""
+ALWAYS = [PACKAGE / "__init__.py", PACKAGE / "__init__.pyi", PACKAGE / "samples"]
+"""Files and folders that are read by everything that imports the package."""
 
 VERSIONS = [ROOT / "pyproject.toml", ROOT / ".ci" / "constraints.txt"]
 
@@ -69,6 +70,14 @@ def files_of(module: str) -> Iterator[Path]:
             for file in (place / "__init__.py", place.with_suffix(".py")):
                 if file.is_file() and (count > 1 or file.parent != PACKAGE):
                     yield file
+
+
+@cache
+def kept_files() -> frozenset[Path]:
+    """Files of the repository; what a run leaves beside them, and Git ignores, is no source."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return frozenset(file for name in listed.split("\0") if (file := ROOT / name).is_file())
 
 
 @cache
@@ -126,12 +135,14 @@ def sources(starts: list[Path]) -> set[Path]:
             waiting += imported_files(file)
     folders = {file.parent for file in found if PACKAGE in file.parents} - {PACKAGE}
     data = {
-        other
-        for folder in folders
-        for other in folder.rglob("*")
-        if other.is_file() and other.suffix not in (".py", ".pyc")
+        file
+        for file in kept_files()
+        if file.suffix != ".py" and not folders.isdisjoint(file.parents)
     }
-    return found | data | {file for file in ALWAYS if file.is_file()} | set(VERSIONS)
+    always = {
+        file for file in kept_files() if not {file, *file.parents}.isdisjoint([*ALWAYS, *VERSIONS])
+    }
+    return found | data | always
 
 
 def digest(starts: list[Path]) -> str:

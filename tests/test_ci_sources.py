@@ -1,6 +1,7 @@
 """What `.ci/run` repeats after a change: a check's sources are found through its imports."""
 
 import importlib.util
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,18 @@ def test_sources_are_found_through_imports(sources_of):
 
 def test_data_of_a_package_are_sources(sources_of):
     assert "smartview_jax/editor/page/editor.js" in sources_of("notebooks/find_and_grasp")
+
+
+def test_what_git_ignores_is_no_source(ci_sources, sources_of, tmp_path, monkeypatch):
+    """Found circles are kept beside the sample's pictures: a fresh clone has none."""
+    assert "smartview_jax/samples/rct_circle10x10/poses.csv" in sources_of("demo")
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    (tmp_path / ".gitignore").write_text("found.csv\n")
+    for name in ("poses.csv", "found.csv"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(ci_sources, "ROOT", tmp_path)
+    names = {file.name for file in ci_sources.kept_files.__wrapped__()}
+    assert names == {".gitignore", "poses.csv"}
 
 
 def test_what_starts_processes_depends_on_the_whole_package(sources_of):
