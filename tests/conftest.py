@@ -90,7 +90,7 @@ def pytest_collection_finish():
     gc.set_threshold(20_000, 20, 20)
 
 
-MAX_MEMORY_MAPS = 3_000
+MAX_MEMORY_MAPS = 4_500
 """Number of this process's memory maps at which its programs are let go: some 0.5 MB for each."""
 
 
