@@ -12,6 +12,7 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
+from .fisher_scoring import StandardDeviationPrior
 from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
     TARGET_SCALE,
@@ -117,9 +118,10 @@ def compare_models(
         sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
         initial = initial_standard_deviations(sigma_prior, views.white_sigma)
         free_poses = views.linearised_at_fit(problem, solution.z, equations)
-        is_of_pose = np.arange(len(initial.field) + 2) < 2
-        white, _ = fit_good_or_weak_robot(free_poses, initial, is_of_pose, sigma_prior)
-        views, z, linearised = _linearised_at_mode(views, solution.z, free_poses, white.sigmas)
+        white = _likeliest_white_noise(free_poses, views.group_names, initial, sigma_prior, prior)
+        views, z, linearised = _linearised_at_mode(
+            views, built.shared_names, solution.z, free_poses, white
+        )
         # No fit explains the pixels better than free poses do, unless a pose that the robot
         # reported far from the true one went astray: that fit is made again from this one.
         excess = float(linearised.residual_sum_of_squares)
@@ -158,8 +160,29 @@ def compare_models(
     )
 
 
+def _likeliest_white_noise(
+    views: LinearisedViews,
+    groups: tuple[str, ...],
+    initial: StandardDeviations,
+    sigma_prior: StandardDeviationPrior,
+    prior: RobotPrior,
+) -> StandardDeviations:
+    """Return the likelier standard deviations of white noise: target as stated, or of any size."""
+    white = {WHITE_NOISE: Candidate(frozenset(), 0.0)}
+    fitted = fit_candidates(
+        views, white, groups, initial, sigma_prior, prior.wrong_target_probability
+    )
+    if not fitted:
+        return initial._replace(field=np.zeros_like(initial.field))
+    return max(fitted.values(), key=lambda candidate: candidate.log_weight).maximum.sigmas
+
+
 def _linearised_at_mode(
-    views: ViewStatistics, z: Step, linearised: LinearisedViews, sigmas: StandardDeviations
+    views: ViewStatistics,
+    names: Sequence[str],
+    z: Step,
+    linearised: LinearisedViews,
+    sigmas: StandardDeviations,
 ) -> tuple[ViewStatistics, Step, LinearisedViews]:
     """Linearise the views at the most probable parameters for given standard deviations.
 
@@ -169,6 +192,7 @@ def _linearised_at_mode(
 
     Args:
         views: statistics of the views.
+        names: names of the free shared parameters.
         z: step at which they have been linearised.
         linearised: the views linearised there.
         sigmas: standard deviations of all errors.
@@ -177,7 +201,14 @@ def _linearised_at_mode(
         The statistics with the robot error field evaluated at the poses of the fit, the fit, and
         the views linearised there.
     """
-    start = jax.tree.map(np.add, z, posterior_mode_step(linearised, sigmas))
+    step = posterior_mode_step(linearised, sigmas)
+    start = jax.tree.map(np.add, z, step)
+    if TARGET_SCALE in names:
+        # Poses are proportional to the scale, whose logarithm is the parameter: a step d of the
+        # linear model is a factor of 1 + d.
+        k = names.index(TARGET_SCALE)
+        factor = np.clip(1.0 + step.shared[k], *TARGET_SCALE_LIMITS)
+        start.shared[k] = z.shared[k] + np.log(factor)
     if not all(np.isfinite(part).all() for part in start):
         return views, z, linearised
     views = views.with_noise_corrections(np.asarray(start.per_view))
