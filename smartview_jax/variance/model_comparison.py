@@ -156,7 +156,7 @@ def compare_models(
         fitted,
         probabilities,
         _candidate_results(fitted, probabilities, views.white_sigma),
-        _target_scale_evidence(built, linearised, z, fitted, probabilities) if test_scale else None,
+        target_scale_evidence(built, linearised, z, fitted, probabilities) if test_scale else None,
     )
 
 
@@ -235,7 +235,7 @@ def _candidate_results(
     )
 
 
-def _target_scale_evidence(
+def target_scale_evidence(
     built: BuiltProblem,
     views: LinearisedViews,
     z: Step,
