@@ -23,7 +23,6 @@ from .model_selection import (
     candidate_models,
     encompassing_field,
     fit_candidates,
-    fit_good_or_weak_robot,
     initial_standard_deviations,
     posterior_probabilities,
     standard_deviation_prior,
