@@ -25,6 +25,7 @@ BENCHMARKS = {
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "few_views": "the default on few views beside the best of simple fits, simulated and real",
+    "weak_robots": "robots from exact to 20 mm of noise: the default against the best simple fit",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",
@@ -64,7 +65,7 @@ def main() -> int:
         "--results",
         type=Path,
         metavar="FILE",
-        help="localization, mutations: earlier records, to go on from",
+        help="localization, mutations, weak_robots: earlier records, to go on from",
     )
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
@@ -91,6 +92,7 @@ def _holds(name: str, arguments: argparse.Namespace) -> bool:
         "startup": {"beside": arguments.beside},
         "localization": {"results": arguments.results},
         "mutations": {"results": arguments.results},
+        "weak_robots": {"results": arguments.results},
     }
     begun = time.perf_counter()
     module = importlib.import_module(f"benchmarks.{name}")

@@ -268,7 +268,9 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     # What the first fit held is held again: its free parameters have names, the others have not.
     start, estimated = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
-    free = tuple(name for name in ("target_scale",) if name in estimated)
+    # A size that was not asked for is held as well: a fit that trusts the robot would bend it.
+    not_asked_for = () if fit.noise_estimate is None else fit.noise_estimate.free
+    free = tuple(name for name in estimated & {"target_scale"} if name not in not_asked_for)
     used = fit.joint.problem.observations.visible
     options: JointOptions = {"noise": "trusted", "fixed": fixed, "free": free}
     if fit.noise_estimate is not None:

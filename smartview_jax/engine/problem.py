@@ -5,7 +5,6 @@ Both are pure functions. Any optimistix least-squares solver can minimise `resid
 """
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,6 +21,7 @@ from ..dataset import Observations
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
 from .pose_jacobians import PoseJacobians, linearise_poses
+from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
 from .view_normal_equations import INVALID_PROJECTION_RESIDUAL, ViewNormalEquations, linearise_views
 
@@ -78,8 +78,8 @@ class JointProblem(eqx.Module):
         scale: length of one unit of step, for the free shared parameters and for each view's own;
             for solvers that treat all parameters alike.
         loss: robust loss; None is least squares.
-        prepared_poses: what the robot error field needs of the reported poses, as its `prepare`
-            returns it; None without a field.
+        prepared_poses: what the robot error field needs of the reported poses, and where it is
+            evaluated; None without a field.
         mesh: devices over which the views are distributed; None is one device.
     """
 
@@ -92,14 +92,19 @@ class JointProblem(eqx.Module):
     prior_weight: Step
     scale: Step
     loss: AbstractLoss | None
-    prepared_poses: Any = None
+    prepared_poses: PreparedPoses | None = None
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     def with_observations(self, observations: Observations) -> "JointProblem":
         """Return the problem with other observations, of the same robot."""
         error = self.parameters.start.robot_error
-        prepared = None if error is None else error.field.prepare(observations.command)
+        prepared = None if error is None else PreparedPoses.at(error.field, observations.command)
         return dataclasses.replace(self, observations=observations, prepared_poses=prepared)
+
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "JointProblem":
+        """Return the problem with the robot error field evaluated at poses less their noise."""
+        error, command = self.parameters.start.robot_error, self.observations.command
+        return dataclasses.replace(self, prepared_poses=prepare_poses(error, command, corrections))
 
     def zero_step(self) -> Step:
         """Return the zero step."""
@@ -121,11 +126,10 @@ class JointProblem(eqx.Module):
         """Return the chain of every view at a scaled step."""
         calibration, pose_corrections = self.calibration(z)
         _, poses = self._corrected_poses(z)
-        reported, error = self.observations.base_from_tool, calibration.robot_error
-        field_corrections = jnp.zeros((len(reported.wxyz_xyz), 6))
-        if error is not None:
-            actual = error.field.prepared_pose(self.prepared_poses, error.coefficients)
-            field_corrections = (reported.inverse() @ actual).log()
+        error = calibration.robot_error
+        field_corrections = jnp.zeros((len(self.observations.visible), 6))
+        if error is not None and self.prepared_poses is not None:
+            field_corrections = self.prepared_poses.error(error.field, error.coefficients).log()
         camera_from_world = calibration.camera_from_world(poses, corrected=False).as_matrix()
         return FittedChain(calibration, pose_corrections, field_corrections, camera_from_world)
 
@@ -142,9 +146,11 @@ class JointProblem(eqx.Module):
         """Return the calibration and the corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
-        if error is not None:
-            poses = error.field.prepared_pose(self.prepared_poses, error.coefficients)
-        return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
+        if len(corrections):
+            poses = poses @ SE3.exp(-corrections)
+        if error is not None and self.prepared_poses is not None:
+            poses = poses @ self.prepared_poses.error(error.field, error.coefficients)
+        return calibration, poses
 
     def _whitened_residuals_at(
         self, calibration: Calibration, poses: SE3, observations: Observations

@@ -145,7 +145,7 @@ def fit_joint(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field = start, noise, field
-        noise_estimate, free_paths, held_paths = None, tuple(free), ()
+        noise_estimate, free_paths, held_paths, all_priors = None, tuple(free), (), priors
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
@@ -158,8 +158,9 @@ def fit_joint(
                 robot_prior=robot_prior,
             )
             initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
-            # The target's size is free if the views favour another one than stated.
+            # The target's size is averaged if the views may favour another one than stated.
             free_paths += noise_estimate.free
+            all_priors = {**(priors or {}), **noise_estimate.priors(start)}
         built = build_problem(
             data,
             initial,
@@ -167,10 +168,11 @@ def fit_joint(
             loss=loss,
             fixed=(*fixed, *held_paths),
             free=free_paths,
-            priors=priors,
+            priors=all_priors,
             field=error_field,
             # What is estimated moves the start, but not what was known before any picture.
             prior_centre=start,
+            noise_corrections=None if noise_estimate is None else noise_estimate.noise_corrections,
         )
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         say(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
@@ -282,12 +284,13 @@ def _assemble_fit(
     degrees_of_freedom = np.full(len(std), np.inf)
     if noise_estimate is not None:
         # Estimated variance components add the Kenward-Roger term and finite degrees of freedom.
+        # So do models between which the data do not decide.
         small_sample = noise_estimate.correction_of(built.shared_names)
-        common_covariance, degrees_of_freedom = (
-            common_covariance + small_sample.added_covariance,
-            small_sample.degrees_of_freedom,
-        )
-        std = np.sqrt(std**2 + np.diagonal(small_sample.added_covariance))
+        added = small_sample.added_covariance
+        added = added + noise_estimate.covariance_between_models(built.shared_names)
+        common_covariance = common_covariance + added
+        degrees_of_freedom = small_sample.degrees_of_freedom
+        std = np.sqrt(std**2 + np.diagonal(added))
     # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
     correction_std = per_view_std(reduced, common_covariance, factor)
     correction_std = correction_std[np.asarray(problem.per_view_free)]

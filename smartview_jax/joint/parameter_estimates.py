@@ -43,7 +43,9 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
         # Pose corrections are in `std` too, but only common parameters have an interval.
         std = half_width = None
         if name in fit.std:
-            std, half_width = factor * fit.std[name], factor * fit.confidence_half_width(name)
+            # The parameter of the target's scale is its logarithm.
+            unit_size = value if name == "target_scale" else factor
+            std, half_width = unit_size * fit.std[name], unit_size * fit.confidence_half_width(name)
         estimates.append(ParameterEstimate(name, factor * value, unit, std, half_width))
     return tuple(estimates)
 

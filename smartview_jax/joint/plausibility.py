@@ -9,7 +9,8 @@ hand-eye calibration needs.
 import numpy as np
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS
-from ..variance import FREE_SCALE_PROBABILITY, TARGET_SCALE
+from ..geometry import host_matrices
+from ..variance import TARGET_SCALE, TargetScaleEvidence
 from .joint_fit import JointFit, half_width
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
@@ -30,8 +31,9 @@ MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, that no lens and no arm explains."""
 
-MIN_SCALE_PROBABILITY = 0.05
-"""The probability of another target size from which a warning mentions it."""
+MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
+"""The probability of another target size from which a warning mentions it, and from which only it
+is an answer."""
 
 
 def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
@@ -89,11 +91,33 @@ def _target_warnings(fit: JointFit) -> list[str]:
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
         return []
-    scale_text = f"of its stated size (probability {scale.probability:.2f})"
-    if scale.probability > FREE_SCALE_PROBABILITY:
-        size, std = float(fit.calibration.target_scale), fit.std[TARGET_SCALE]
-        return [f"the target is {size:.4f} +- {std:.4f} {scale_text}, and taken so: measure it"]
-    return [f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {scale_text}: measure it"]
+    size = f"of its stated size (probability {scale.probability:.2f})"
+    if scale.probability > MAX_SCALE_PROBABILITY:
+        # The parameter is the logarithm: its standard deviation is relative.
+        value = float(fit.calibration.target_scale)
+        std = value * fit.std[TARGET_SCALE]
+        return [f"the target is {value:.4f} +- {std:.4f} {size}, and taken so: measure it"]
+    text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: measure it"
+    return [text + _mount_by_size(fit, scale)]
+
+
+def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
+    """Return where the mount is for both sizes of the target; empty where it is held."""
+    mount = fit.calibration.transform_names[0]
+    names = [f"{mount}.translation.{axis}" for axis in "xyz"]
+    if not {TARGET_SCALE, *names} <= set(fit.parameter_names):
+        return ""
+    rows = [fit.parameter_names.index(name) for name in names]
+    size = fit.parameter_names.index(TARGET_SCALE)
+    # Given the size, all other parameters follow by regression.
+    by_log_size = fit.covariance[rows, size] / fit.covariance[size, size]
+    answer = host_matrices(fit.calibration.camera_from_mount)[:3, 3]
+    of_answer = np.log(float(fit.calibration.target_scale))
+    stated, other = (
+        ", ".join(f"{1e3 * x:.2f}" for x in answer + by_log_size * (of_log_size - of_answer))
+        for of_log_size in (0.0, np.log(scale.scale))
+    )
+    return f"; {mount} is ({stated}) mm for the stated size, ({other}) mm for this one"
 
 
 def _robot_warnings(fit: JointFit) -> list[str]:

@@ -11,6 +11,10 @@ mm. Absolute accuracy before kinematic calibration is 0.3 to several mm. Its lar
 zeros wrong by 0.01 to 1 degree; link lengths and twists contribute some tenths of a mm and of a
 milliradian (Mooring, Roth and Driels, Fundamentals of Manipulator Calibration, 1991; Nubiola and
 Bonev, Absolute calibration of an ABB IRB 1600 robot using a laser tracker, 2013).
+
+Some robots are far weaker: light arms, arms that still move when the picture is taken, poses of
+another instant. They are a hypothesis of their own with its own medians, not the far end of good
+arms' errors: there, every halving of the noise would seem many times as plausible.
 """
 
 import dataclasses
@@ -66,9 +70,12 @@ class RobotPrior:
         geometric_std: exp of the standard deviation of the logarithm, for repeatability.
         group_geometric_std: the same for groups of a field.
         other_group_geometric_std: the same for groups that `group_medians` does not name.
+        weak_robot_probability: probability of a robot whose reported poses scatter by millimetres.
+        weak_translation_median: median repeatability of such a robot's position, per axis, m.
+        weak_rotation_median: median repeatability of its orientation, per axis, rad.
         wrong_target_probability: probability that the target is not of its stated size.
-        wrong_target_scale_std: standard deviation of the ratio of true to stated size of such a
-            target.
+        wrong_target_scale_std: standard deviation of the logarithm of the ratio of true to stated
+            size of such a target.
     """
 
     translation_median: float = 5e-5
@@ -78,6 +85,9 @@ class RobotPrior:
     geometric_std: float = float(np.e)
     group_geometric_std: float = float(np.exp(0.9))
     other_group_geometric_std: float = float(np.exp(3.0))
+    weak_robot_probability: float = 0.01
+    weak_translation_median: float = 5e-3
+    weak_rotation_median: float = 1.7e-2
     wrong_target_probability: float = 0.01
     wrong_target_scale_std: float = 0.5
 
@@ -86,6 +96,8 @@ class RobotPrior:
             "translation_median",
             "rotation_median",
             "other_group_median",
+            "weak_translation_median",
+            "weak_rotation_median",
             "wrong_target_scale_std",
         )
         named = {name: getattr(self, name) for name in positive}
@@ -97,11 +109,12 @@ class RobotPrior:
             value = getattr(self, name)
             if not 1.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a factor above 1, found {value}")
-        if not 0.0 <= self.wrong_target_probability < 1.0:
-            raise ValueError(
-                f"RobotPrior.wrong_target_probability: expected a probability below 1, found "
-                f"{self.wrong_target_probability}"
-            )
+        for name in ("weak_robot_probability", "wrong_target_probability"):
+            value = getattr(self, name)
+            if not 0.0 <= value < 1.0:
+                raise ValueError(
+                    f"RobotPrior.{name}: expected a probability below 1, found {value}"
+                )
 
     def medians(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
         """Return the median standard deviations of translation, rotation and each field group."""

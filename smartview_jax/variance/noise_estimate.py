@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..engine import Noise
+from ..engine import Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
 from .model_selection import TARGET_SCALE, ModelName
-
-FREE_SCALE_PROBABILITY = 0.5
-"""Probability that the target does not have its stated size, above which its scale is made free."""
 
 
 class CandidateResult(NamedTuple):
@@ -63,6 +61,8 @@ class NoiseEstimate(NamedTuple):
         calibration: the calibration at the end of the estimation.
         candidates: all models of the robot error that were tried.
         target_scale: evidence on the target's size; None where its scale was not in question.
+        target_scale_std: prior standard deviation of the logarithm of the target's size in the
+            averaged model, about the stated size; None where the size is held.
         mount_displacement: translation (m) and rotation (rad) of the camera's mount with the robot
             error field, relative to that with white noise alone; None where there is no field, or
             the mount is held.
@@ -73,7 +73,11 @@ class NoiseEstimate(NamedTuple):
         parameter_names: names of the fit's shared parameters.
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
+        between_models_covariance: covariance of the shared parameters between the models, about
+            those of the averaged model.
         robot_prior: prior of the robot's errors.
+        noise_corrections: twists at the tool that correct the reported poses for noise; the robot
+            error field is evaluated at the corrected poses. None evaluates it at the reported ones.
     """
 
     name: str
@@ -83,23 +87,36 @@ class NoiseEstimate(NamedTuple):
     calibration: Calibration
     candidates: tuple[CandidateResult, ...]
     target_scale: TargetScaleEvidence | None
+    target_scale_std: float | None
     mount_displacement: tuple[float, ...] | None
     converged: bool
     relative_std: tuple[float, ...]
     parameter_names: tuple[str, ...]
     small_sample_correction: SmallSampleCorrection
+    between_models_covariance: Float[np.ndarray, "shared shared"]
     robot_prior: RobotPrior
+    noise_corrections: Float[np.ndarray, "views 6"] | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
         """The paths of the parameters that are made free because the views call for it."""
-        scale_is_free = (
-            self.target_scale is not None and self.target_scale.probability > FREE_SCALE_PROBABILITY
-        )
-        return (TARGET_SCALE,) if scale_is_free else ()
+        return () if self.target_scale_std is None else (TARGET_SCALE,)
+
+    def priors(self, start: Calibration) -> dict[str, Prior]:
+        """Return the priors of these parameters, about their values in the start."""
+        if self.target_scale_std is None:
+            return {}
+        return {TARGET_SCALE: Prior(std=self.target_scale_std * float(start.target_scale))}
 
     def correction_of(self, names: Sequence[str]) -> SmallSampleCorrection:
         """Return the small-sample correction for a subset of the parameters."""
-        return self.small_sample_correction.subset(
-            np.array([self.parameter_names.index(n) for n in names], dtype=int)
-        )
+        return self.small_sample_correction.subset(self._indices(names))
+
+    def covariance_between_models(self, names: Sequence[str]) -> Float[np.ndarray, "subset subset"]:
+        """Return the covariance between the models for a subset of the parameters."""
+        indices = self._indices(names)
+        return self.between_models_covariance[np.ix_(indices, indices)]
+
+    def _indices(self, names: Sequence[str]) -> np.ndarray:
+        """Return the indices of parameters."""
+        return np.array([self.parameter_names.index(n) for n in names], dtype=int)

@@ -4,6 +4,7 @@ The statistics are the best free pose of each view, and the camera of the fit wi
 `likelihood.py`. They change with the linearisation only, not with the standard deviations.
 """
 
+import copy
 import dataclasses
 
 import equinox as eqx
@@ -79,6 +80,12 @@ class ViewStatistics:
         )
         shared, per_view = jax.tree.map(np.asarray, _offset_at_start(padded(problem)))
         self._offset_at_start = Step(shared[self.free], per_view[: len(self.per_view_free)])
+
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "ViewStatistics":
+        """Return the statistics with the robot error field evaluated at poses less their noise."""
+        views = copy.copy(self)
+        views.problem = self.problem.with_noise_corrections(corrections)
+        return views
 
     def linearise(self, z: Step) -> LinearisedViews:
         """Linearise the problem at a step, by another pass over the pixels."""

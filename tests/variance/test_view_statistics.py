@@ -72,5 +72,6 @@ def test_offsets_are_from_the_means_of_the_priors(statistics):
     z = statistics.problem.zero_step()
     offset = statistics.linearise(z).offset_from_prior.shared
     start = statistics.problem.parameters.start
-    expected = [start.camera.alpha_u - 2010.0, start.target_scale - 0.99]
+    # The parameter of the target's scale is its logarithm.
+    expected = [start.camera.alpha_u - 2010.0, np.log(start.target_scale / 0.99)]
     np.testing.assert_allclose(offset[offset != 0.0], expected, rtol=1e-12)
