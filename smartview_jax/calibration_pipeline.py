@@ -302,7 +302,11 @@ def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
         )
     if joint.calibration.robot_error is not None:
         uncorrected_rms = rms(
-            chain_residuals(joint.calibration.uncorrected, joint.problem.observations)
+            # The points of the problem are those of the true shape already.
+            chain_residuals(
+                dataclasses.replace(joint.calibration.uncorrected, target_shape=None),
+                joint.problem.observations,
+            )
         )
         if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
             messages.append(

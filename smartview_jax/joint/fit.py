@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 
 from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
-from ..calibration import Calibration
+from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..compilation import refuse_traced
 from ..dataset import Dataset, chain_residuals
@@ -140,11 +140,14 @@ def fit_joint(
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     say, start = progress or (lambda _: None), with_lens(start, lens)
+    # The engine is given the points where they truly are; the shape is estimated with the noise.
+    stated_shape = None if noise == "estimated" else start.target_shape
+    start = dataclasses.replace(start, target_shape=None)
 
     def fit_once(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
-        initial, noise_model, error_field = start, noise, field
+        initial, noise_model, error_field, shape = start, noise, field, stated_shape
         noise_estimate, free_paths, held_paths, all_priors = None, tuple(free), (), priors
         if noise == "estimated":
             noise_estimate = estimate_noise(
@@ -158,9 +161,13 @@ def fit_joint(
                 robot_prior=robot_prior,
             )
             initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
+            if noise_estimate.target_shape is not None:
+                shape = noise_estimate.target_shape.shape
             # The target's size is averaged if the views may favour another one than stated.
             free_paths += noise_estimate.free
             all_priors = {**(priors or {}), **noise_estimate.priors(start)}
+        if shape is not None:
+            data = dataclasses.replace(data, points=shape.displaced(data.points))
         built = build_problem(
             data,
             initial,
@@ -194,7 +201,9 @@ def fit_joint(
             )
             built = dataclasses.replace(built, problem=problem)
         _log.info("%d steps to a cost of %.6g", solution.steps, solution.costs[-1])
-        joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
+        joint_fit = _assemble_fit(
+            data, built, solution, equations, noise_estimate, rejected_points, shape
+        )
         return joint_fit, equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
@@ -269,6 +278,7 @@ def _assemble_fit(
     equations: NormalEquations,
     noise_estimate: NoiseEstimate | None,
     rejected_points: tuple[Rejection, ...],
+    shape: TargetShape | None,
 ) -> JointFit:
     """Build the result: covariances, degrees of freedom, inliers and rejections at the solution."""
     problem, chain = built.problem, solution.chain
@@ -287,7 +297,7 @@ def _assemble_fit(
         # So do models between which the data do not decide.
         small_sample = noise_estimate.correction_of(built.shared_names)
         added = small_sample.added_covariance
-        added = added + noise_estimate.covariance_between_models(built.shared_names)
+        added = added + noise_estimate.covariance_of_choices(built.shared_names)
         common_covariance = common_covariance + added
         degrees_of_freedom = small_sample.degrees_of_freedom
         std = np.sqrt(std**2 + np.diagonal(added))
@@ -301,12 +311,14 @@ def _assemble_fit(
         max(1.0, residual_variance) if built.sigma_known else residual_variance
     )
     names = (*built.shared_names, *built.per_view_names)
+    shape_std, shape_freedom = _shape_uncertainty(noise_estimate)
     # The robot error of the result has the groups that were fitted, and no others.
     calibration, error = chain.calibration, chain.calibration.robot_error
     if noise_estimate is not None and error is not None:
         field = noise_estimate.field
         error = None if field is None else error.converted_to(field)
         calibration = dataclasses.replace(calibration, robot_error=error)
+    calibration = dataclasses.replace(calibration, target_shape=shape)
     return JointFit(
         calibration=calibration,
         covariance=common_covariance,
@@ -320,10 +332,11 @@ def _assemble_fit(
         start=problem.parameters.start if noise_estimate is None else noise_estimate.calibration,
         problem=problem,
         solution=solution,
-        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)),
-        degrees_of_freedom=dict(
-            zip(built.shared_names, map(float, degrees_of_freedom), strict=True)
-        ),
+        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)) | shape_std,
+        degrees_of_freedom={
+            **dict(zip(built.shared_names, map(float, degrees_of_freedom), strict=True)),
+            **shape_freedom,
+        },
         noise=built.noise if noise_estimate is None else noise_estimate.noise,
         noise_estimate=noise_estimate,
         rejected=_all_rejections(data, rejected_points, built.unprojectable),
@@ -331,6 +344,21 @@ def _assemble_fit(
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=_solver_result(solution),
+    )
+
+
+def _shape_uncertainty(
+    noise_estimate: NoiseEstimate | None,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return standard deviations and degrees of freedom of the target's shape, by name."""
+    if noise_estimate is None or noise_estimate.target_shape is None:
+        return {}, {}
+    names = noise_estimate.parameter_names[-len(SHAPE_NAMES) :]
+    small_sample = noise_estimate.correction_of(names)
+    covariance = noise_estimate.covariance_of_choices(names) + small_sample.added_covariance
+    return (
+        dict(zip(names, map(float, np.sqrt(np.diagonal(covariance))), strict=True)),
+        dict(zip(names, map(float, small_sample.degrees_of_freedom), strict=True)),
     )
 
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..calibration import SHAPE_NAMES, Calibration
 from ..engine import ROBOT_ERROR
 from ..geometry import host_logarithms, host_matrices
 from ..robot_errors import nominal_arm
@@ -89,6 +89,11 @@ def _parameter_values(calibration: Calibration) -> dict[str, float]:
                 f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
             }
     values["target_scale"] = float(calibration.target_scale)
+    if calibration.target_shape is not None:
+        values |= {
+            f"target_shape.{name}": float(x)
+            for name, x in zip(SHAPE_NAMES, calibration.target_shape.coefficients, strict=True)
+        }
     return values
 
 
@@ -118,6 +123,8 @@ def _prismatic_offset_names(calibration: Calibration) -> set[str]:
 
 def _display_unit(name: str, prismatic_offsets: set[str]) -> tuple[float, str]:
     """Return the factor from SI units, and the unit to print, of a parameter by its name."""
+    if name.startswith("target_shape."):
+        return 1e3, "mm"
     if ".translation." in name or ".link_length." in name or name in prismatic_offsets:
         return 1e3, "mm"
     if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:

@@ -31,6 +31,9 @@ MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, that no lens and no arm explains."""
 
+MIN_BOW_SIGMAS = 3.0
+"""The bow of the target that a warning mentions, in its standard deviations."""
+
 MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """The probability of another target size from which a warning mentions it, and from which only it
 is an answer."""
@@ -87,6 +90,32 @@ def _residual_warnings(fit: JointFit) -> list[str]:
 
 
 def _target_warnings(fit: JointFit) -> list[str]:
+    """Return warnings about the stated size of the target, and about its shape."""
+    return _scale_warnings(fit) + _shape_warnings(fit)
+
+
+def _shape_warnings(fit: JointFit) -> list[str]:
+    """Return a sentence on the bow of the target, where it matters for the mount."""
+    noise_estimate = fit.noise_estimate
+    if noise_estimate is None or noise_estimate.target_shape is None:
+        return []
+    estimate = noise_estimate.target_shape
+    observations = fit.problem.observations
+    bow, std = estimate.bow(np.asarray(observations.points)[np.asarray(observations.visible)])
+    mount = f"{fit.calibration.transform_names[0]}."
+    names = [name for name in fit.parameter_names if name.startswith(mount)]
+    rows = [noise_estimate.parameter_names.index(name) for name in names]
+    shift = estimate.by_shape[rows] @ np.asarray(estimate.shape.coefficients)
+    stds = np.array([fit.std[name] for name in names])
+    if not bow > MIN_BOW_SIGMAS * std or not (np.abs(shift) > stds).any():
+        return []
+    return [
+        f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected: taken for "
+        f"flat it would move {mount[:-1]} by {1e3 * np.linalg.norm(shift[:3]):.2f} mm"
+    ]
+
+
+def _scale_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the stated size of the target."""
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
