@@ -294,7 +294,8 @@ def test_priors_about_the_start_stay_there_while_the_noise_is_estimated():
     )
     known = {path: Prior(std), "camera.u0": Prior(0.01)}
     estimated = fit_joint(scene.data, start, field=None, priors=known)
-    stated = fit_joint(scene.data, start, field=None, priors=known, noise=estimated.noise)
+    of_shape = dataclasses.replace(start, target_shape=estimated.calibration.target_shape)
+    stated = fit_joint(scene.data, of_shape, field=None, priors=known, noise=estimated.noise)
     moved = (estimated.calibration.camera_from_tool.rotation() @ mount.rotation().inverse()).log()
     # Halfway between the data's answer and the prior's, which weigh the same.
     assert float(moved[0]) == pytest.approx(1.5 * std, rel=0.15)
