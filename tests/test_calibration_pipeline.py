@@ -1,6 +1,6 @@
-import dataclasses
-
 """Staged, then joint: what either left out, and what is said before anything is compiled."""
+
+import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
