@@ -7,12 +7,12 @@ one axis more than along the other, or sheared. Equal stretch of both axes is th
 """
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import AnyArray, to_device
-from ..compilation import one_program
+from ..array_namespace import AnyArray, array_namespace, as_float_array, to_device
+from ..compilation import is_traced
 
 SHAPE_NAMES = ("bow_x", "bow_xy", "bow_y", "aspect", "shear")
 """Names of the coefficients."""
@@ -31,7 +31,7 @@ EDGE = 1.25
 
 
 class TargetShape(eqx.Module):
-    """How the points of a flat target deviate from where they are stated.
+    """The deviation of a flat target's points from where they are stated.
 
     Attributes:
         centre: centre of the target in its plane (x, y), m.
@@ -53,35 +53,33 @@ class TargetShape(eqx.Module):
         Args:
             points: points as stated, in the target's frame, m.
         """
-        return _displaced(self, points)
+        # On the host outside of a transformation: a program of its own would take longer.
+        shape, stated = self, points
+        if not is_traced(self, points):
+            shape, stated = jax.tree.map(np.asarray, (self, points))
+        xp = array_namespace(shape, stated)
+        displacement = xp.einsum("...ci,c->...i", shape.directions(stated), shape.coefficients)
+        return as_float_array(stated + displacement)
 
-    def directions(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 5 3"]:
+    def directions(self, points: Float[AnyArray, "*points 3"]) -> Float[AnyArray, "*points 5 3"]:
         """Return how each coefficient displaces each point, per metre."""
+        xp = array_namespace(self, points)
         # A point that is not on the target must not be moved by an extrapolated parabola.
         x, y = (
-            jnp.clip((points[..., k] - self.centre[k]) / self.half_size, -EDGE, EDGE)
+            xp.clip((points[..., k] - self.centre[k]) / self.half_size, -EDGE, EDGE)
             for k in range(2)
         )
-        zero = jnp.zeros_like(x)
+        zero = xp.zeros_like(x)
         products = (x * x, x * y, y * y)
         bow = (p - mean for p, mean in zip(products, self.mean_products, strict=True))
-        along_x = jnp.stack([zero, zero, zero, x, y], axis=-1)
-        along_y = jnp.stack([zero, zero, zero, -y, x], axis=-1)
-        along_z = jnp.stack([*bow, zero, zero], axis=-1)
-        return jnp.stack([along_x, along_y, along_z], axis=-1)
+        along_x = xp.stack([zero, zero, zero, x, y], axis=-1)
+        along_y = xp.stack([zero, zero, zero, -y, x], axis=-1)
+        along_z = xp.stack([*bow, zero, zero], axis=-1)
+        return xp.stack([along_x, along_y, along_z], axis=-1)
 
     def with_coefficients(self, coefficients: Float[np.ndarray, "5"]) -> "TargetShape":
         """Return the shape with other coefficients."""
         return eqx.tree_at(lambda shape: shape.coefficients, self, to_device(coefficients))
-
-
-@one_program
-def _displaced(
-    shape: TargetShape, points: Float[AnyArray, "*points 3"]
-) -> Float[Array, "*points 3"]:
-    """Return the displaced points."""
-    moved = jnp.einsum("...ci,c->...i", shape.directions(points), shape.coefficients)
-    return jnp.asarray(points) + moved
 
 
 def flat_shape(

@@ -52,6 +52,7 @@ from ..robot_errors import (
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views
+from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
 from .view_rejection import inconsistent_view, inflation_reason, suspect_view
@@ -268,7 +269,8 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
     fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
-    return dataclasses.replace(fit, warnings=plausibility_warnings(fit))
+    warnings = (*plausibility_warnings(fit), *held_value_warnings(fit))
+    return dataclasses.replace(fit, warnings=warnings)
 
 
 def _assemble_fit(

@@ -46,6 +46,6 @@ def precompile(
         Calibration(camera, identity, identity, data.mount),
         noise=noise_model,
         field="auto" if field is None else field,
-        priors={"camera": Prior(1.0)},
+        priors={"camera": Prior(std=1.0)},
     ).problem
     solve(problem)

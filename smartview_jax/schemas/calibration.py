@@ -47,7 +47,7 @@ _Displacement = Annotated[
 
 
 class ShapeCoefficientsEntry(Entry):
-    """How far the edge of a target is displaced, m."""
+    """The displacements of a target's edge, m."""
 
     bow_x: _Displacement
     bow_xy: _Displacement

@@ -93,6 +93,6 @@ def test_a_calibration_predicts_the_target_as_it_is(bowed, tmp_path):
     np.testing.assert_allclose(again, pixels, atol=1e-9)
     text = (tmp_path / "calibration.yaml").read_text()
     assert all(name in text for name in SHAPE_NAMES)
-    (tmp_path / "wrong.yaml").write_text(text.replace("half_size: 0.025", "half_size: -0.025"))
+    (tmp_path / "wrong.yaml").write_text(text.replace("half_size: 0.02", "half_size: -0.02"))
     with pytest.raises(ValueError, match=r"target_shape\.half_size: .*half of a target's longer"):
         Calibration.load(tmp_path / "wrong.yaml")

@@ -185,7 +185,7 @@ def test_data_without_any_noise_are_fitted_exactly():
 def test_a_prior_on_what_is_estimated_is_refused():
     scene = scene_of(0, VIEWS)
     with pytest.raises(ValueError, match=r"prior on 'pose_corrections.3': .* give a Noise"):
-        fit(scene, priors={"pose_corrections.3": Prior(1e-3)})
+        fit(scene, priors={"pose_corrections.3": Prior(std=1e-3)})
 
 
 def test_a_field_of_given_size_needs_a_deviation_for_each_group(crooked):
