@@ -211,7 +211,7 @@ def _linearised_at_mode(
         # linear model is a factor of 1 + d.
         k = names.index(TARGET_SCALE)
         factor = np.clip(1.0 + step.shared[k], *TARGET_SCALE_LIMITS)
-        start.shared[k] = z.shared[k] + np.log(factor)
+        start.shared[k] = np.asarray(z.shared)[k] + np.log(factor)
     if not all(np.isfinite(part).all() for part in start):
         return views, z, linearised
     views = moved.with_noise_corrections(np.asarray(start.per_view))

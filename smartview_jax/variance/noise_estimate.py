@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -69,8 +70,9 @@ class TargetShapeEstimate(NamedTuple):
         Args:
             points: the target's points as stated, m.
         """
-        along_z = np.asarray(self.shape.directions(points))[..., 2]
-        heights = along_z @ np.asarray(self.shape.coefficients)
+        shape = jax.tree.map(np.asarray, self.shape)
+        along_z = np.asarray(shape.directions(points))[..., 2]
+        heights = along_z @ shape.coefficients
         difference = along_z[np.argmax(heights)] - along_z[np.argmin(heights)]
         std = np.sqrt(difference @ self.covariance @ difference)
         return float(np.ptp(heights)), float(std)
