@@ -55,7 +55,8 @@ class _Refit(NamedTuple):
         calibration: its calibration.
         difference: difference of every free shared parameter from the fit in question, by name.
         std: standard deviations of these parameters.
-        cost: half the sum of squared whitened residuals.
+        cost: half the sum of squared whitened residuals, those of the priors included.
+        rms: RMS residual, px.
         freedom: number of residuals minus number of parameters.
     """
 
@@ -63,6 +64,7 @@ class _Refit(NamedTuple):
     difference: dict[str, float]
     std: dict[str, float]
     cost: float
+    rms: float
     freedom: int
 
     def text(self, name: str) -> str:
@@ -95,7 +97,7 @@ def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
 def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[str]:
     """Return a sentence on held parameters that the pictures want elsewhere, if there are any."""
     problem, z = fit.problem, fit.solution.z
-    before = _cost(problem, fit.solution.chain)
+    before, rms = fit.solution.costs[-1], _rms(problem, fit.solution.chain)
     if (
         set(range(PINHOLE_COUNT)) <= set(held)
         and problem.parameters.layout.camera.stop == PINHOLE_COUNT
@@ -104,9 +106,13 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
         problem, count = _with_richer_lens(problem)
         behind = np.where(held >= PINHOLE_COUNT, held + count, held)
         held = np.union1d(behind, PINHOLE_COUNT + np.arange(count))
-    refit = _refit(problem, z, np.union1d(np.asarray(problem.free), held))
-    if refit is None:
+    # The target's shape may have been bent to make up for what was held.
+    free = np.union1d(np.asarray(problem.free), held)
+    refits = (_refit(one, z, free) for one in (problem, _with_stated_shape(problem, fit)))
+    determined = [refit for refit in refits if refit is not None]
+    if not determined:
         return []
+    refit = min(determined, key=lambda one: one.cost)
     gain = (before - refit.cost) / len(held) / (refit.cost / refit.freedom)
     if not (gain > 0.0 and fdtrc(len(held), refit.freedom, gain) < MAX_P_VALUE):
         return []
@@ -118,12 +124,9 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
         return []
     at = displayed_values(problem.parameters.start)
     listed = ", ".join(f"{name} {refit.text(name)} (held at {at[name][0]:.6g})" for name in wanted)
-    rms, falls_to = (np.sqrt(x / _visible_count(problem)) for x in (before, refit.cost))
-    # Two components of a point: the RMS is of their vector's length.
-    to_px = float(np.sqrt(2.0)) * float(problem.pixel_sigma)
     return [
         f"the pictures contradict what is held: they want {listed}; the residual falls from "
-        f"{to_px * rms:.3g} to {to_px * falls_to:.3g} px RMS with it free: correct or free it"
+        f"{rms:.3g} to {refit.rms:.3g} px RMS with it free: correct or free it"
     ]
 
 
@@ -180,7 +183,7 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
     if np.linalg.matrix_rank(correlation, hermitian=True) < len(free):
         return None
     freedom = max(2 * _visible_count(problem) - len(free), 1)
-    cost = _cost(released, solution.chain)
+    cost = solution.costs[-1]
     variance = 2.0 * cost / freedom * np.diagonal(np.linalg.inv(correlation)) / norms**2
     names = [parameter_names(problem.parameters.start)[k] for k in free]
     return _Refit(
@@ -188,8 +191,18 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
         dict(zip(names, map(float, found - start[free]), strict=True)),
         dict(zip(names, map(float, np.sqrt(variance)), strict=True)),
         cost,
+        _rms(released, solution.chain),
         freedom,
     )
+
+
+def _with_stated_shape(problem: JointProblem, fit: JointFit) -> JointProblem:
+    """Return the problem with the points of the target where they are stated."""
+    shape = fit.calibration.target_shape
+    if shape is None:
+        return problem
+    opposite = shape.with_coefficients(-np.asarray(shape.coefficients))
+    return dataclasses.replace(problem, observations=problem.observations.of_shape(opposite))
 
 
 def _with_richer_lens(problem: JointProblem) -> tuple[JointProblem, int]:
@@ -213,10 +226,11 @@ def _with_richer_lens(problem: JointProblem) -> tuple[JointProblem, int]:
     ), count
 
 
-def _cost(problem: JointProblem, chain: FittedChain) -> float:
-    """Return half the sum of squared whitened residuals at a fit."""
+def _rms(problem: JointProblem, chain: FittedChain) -> float:
+    """Return the RMS residual of a fit, px."""
     visible = np.asarray(problem.observations.visible)
-    return 0.5 * float(squared_residuals(problem, chain)[visible].sum())
+    square = float(squared_residuals(problem, chain)[visible].mean())
+    return float(np.sqrt(square)) * float(problem.pixel_sigma)
 
 
 def _visible_count(problem: JointProblem) -> int:
