@@ -57,20 +57,20 @@ class RobotError(eqx.Module):
         return _command(self, actual, near)
 
 
-# Each is one program; operation by operation there would be dozens for each number of views.
+# Operation by operation there would be dozens of programs for each number of views.
 @compiled
 def _actual_pose(error: RobotError, reported: Command) -> SE3:
-    """Return `RobotError.actual_pose`."""
+    """Compute `RobotError.actual_pose` as one program."""
     return error.field.actual_pose(reported, error.coefficients)
 
 
 @compiled
 def _jacobian(error: RobotError, reported: Command) -> Float[Array, "views 6 coefficients"]:
-    """Return `RobotError.jacobian`."""
+    """Compute `RobotError.jacobian` as one program."""
     return error.field.jacobian(reported, error.coefficients)
 
 
 @compiled
 def _command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
-    """Return `RobotError.command`."""
+    """Compute `RobotError.command` as one program."""
     return error.field.command(actual, error.coefficients, near)

@@ -123,7 +123,7 @@ def six_axis_scene(
     command = arm.command(joints)
     actual_poses = as_se3(host_matrices(error.actual_pose(command)) @ noise)
     datasets: list[Dataset] = []
-    joints_by_part: list[Array] = []
+    joints_by_part: list[Float[Array, "_ joints"]] = []
     for view_slice, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
         part = jax.tree.map(lambda x, chosen=view_slice: to_device(np.asarray(x)[chosen]), command)
         actual_part = SE3(to_device(np.asarray(actual_poses.wxyz_xyz)[view_slice]))
@@ -134,7 +134,7 @@ def six_axis_scene(
             dataclasses.replace(simulated, points=flat, base_from_tool=part.base_from_tool)
         )
         joints_by_part.append(part.joints)
-    return ArmScene(*datasets, truth, *joints_by_part)
+    return ArmScene(datasets[0], datasets[1], truth, joints_by_part[0], joints_by_part[1])
 
 
 def _board_points() -> Float[np.ndarray, "points 3"]:

@@ -106,7 +106,7 @@ class InformationModel(eqx.Module):
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
         # Prior information is the square of the weight on each free parameter.
         weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
-        near_joints = None if arm is None else as_float_array(near)
+        near_joints = None if arm is None or near is None else as_float_array(near)
         prior = to_device(np.diag(weight**2))
         model = cls(problem, target, prior, near_joints, built.shared_names)
         if previous_data is None:
