@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import jax
 
-from smartview_jax.program_store import READ_EVENT, forget_programs
+from smartview_jax.program_store import READ_EVENT
 
 NEW_PROGRAM = ("/jax/core/compile/backend_compile_duration", READ_EVENT)
 
@@ -24,12 +24,3 @@ def programs_added() -> Iterator[list[float]]:
         yield seconds
     finally:
         jax.monitoring.unregister_event_duration_listener(note)
-
-
-@contextmanager
-def programs_built() -> Iterator[list[float]]:
-    """As `programs_added`, but every program is built again within, and by later tests too."""
-    jax.clear_caches()
-    forget_programs()
-    with programs_added() as seconds:
-        yield seconds
