@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,8 +59,7 @@ ARMS = {
 }
 
 
-# One program for all arms; without `jit` every operation is one.
-all_joints = eqx.filter_jit(puma_joints)
+all_joints = puma_joints
 nearest_joints = joints_for_pose
 
 
