@@ -6,7 +6,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..array_namespace import to_device
-from ..compilation import compiled
+from ..compilation import compiled, compiled_optimised
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .field import AbstractField
 
@@ -70,7 +70,7 @@ def _jacobian(error: RobotError, reported: Command) -> Float[Array, "views 6 coe
     return error.field.jacobian(reported, error.coefficients)
 
 
-@compiled
+@compiled_optimised
 def _command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
     """Compute `RobotError.command` as one program."""
     return error.field.command(actual, error.coefficients, near)
