@@ -105,7 +105,7 @@ _stores: "weakref.WeakSet[ProgramStore]" = weakref.WeakSet()
 
 
 def forget_programs() -> None:
-    """Let all programs in memory go, as `jax.clear_caches` does with those that JAX holds."""
+    """Let all programs in memory go; JAX holds none of them, and cannot."""
     for store in list(_stores):
         store._forget()
 
