@@ -229,9 +229,12 @@ def calibrate(
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
     views_to_use(data, camera)
     noise = joint_options.get("noise", "estimated")
+    field = joint_options.get("field", "auto")
     # XLA compiles the joint fit while the staged fit runs.
     with ThreadPoolExecutor(max_workers=1) as background:
-        precompilation = background.submit(precompile, data, lens, camera=camera, noise=noise)
+        precompilation = background.submit(
+            precompile, data, lens, camera=camera, noise=noise, field=field
+        )
         staged = fit_staged(
             data, lens, camera=camera, step2=STEP2_METHODS[step2], progress=progress
         )
