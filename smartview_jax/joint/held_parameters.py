@@ -83,8 +83,10 @@ def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
     Args:
         fit: the fit.
     """
-    problem = fit.problem
-    stated = np.arange(problem.parameters.layout.target_scale.start)
+    problem, layout = fit.problem, fit.problem.parameters.layout
+    # Where every view has a free pose, nothing is known of the transforms.
+    poses_are_free = len(problem.per_view_free) and not np.any(problem.prior_weight.per_view)
+    stated = np.arange(layout.camera.stop if poses_are_free else layout.target_scale.start)
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
     held = np.setdiff1d(stated, free)
     with_prior = np.intersect1d(stated[weight[stated] > 0.0], free)
@@ -177,6 +179,8 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
     matrix = np.asarray(reduced_equations(equations.matrix).schur_complement)
     found = np.asarray(solution.z.shared)
     if not (np.isfinite(found).all() and np.isfinite(matrix).all()):
+        return None
+    if not (np.diagonal(matrix) > 0.0).all():
         return None
     norms = np.sqrt(np.diagonal(matrix))
     correlation = matrix / np.outer(norms, norms)
