@@ -32,6 +32,7 @@ import numpy as np
 from jaxlie import SE3
 
 from ..dataset import Dataset
+from ..detection import DetectionLimits, checked_pixels
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
@@ -56,6 +57,7 @@ def load_dataset_folder(
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
     holder_from_world: PoseLike | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
     # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
@@ -100,6 +102,7 @@ def load_dataset_folder(
             folder / DETECTIONS_FILE if keep_detections else None,
             rough_holder_from_world if holder_from_world is None else holder_from_world,
             board_heights,
+            detection_limits,
         )
         return _with_joints(readings, data, description_path)
     if not (folder / DETECTIONS_FILE).is_file():
@@ -107,21 +110,29 @@ def load_dataset_folder(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
         )
     try:
+        detected = read_detections(
+            folder / DETECTIONS_FILE,
+            readings.view_ids,
+            len(target.points),
+            None if description.detections is None else description.detections.rows,
+        )
+        pixels, failed, notes = checked_pixels(
+            target.points, detected, readings.view_ids, image_size, detection_limits
+        )
+        if len(failed) == len(readings.view_ids):
+            view, reason = next(iter(failed.items()))
+            raise ValueError(f"view {view}: {reason}; so are all {len(failed)} views")
         data = Dataset.from_arrays(
             target.points,
-            read_detections(
-                folder / DETECTIONS_FILE,
-                readings.view_ids,
-                len(target.points),
-                None if description.detections is None else description.detections.rows,
-            ),
+            pixels,
             readings.poses,
             image_size,
             view_ids=readings.view_ids,
             mount=mount,
             bad_views=bad_views,
-            masked_views=list(readings.masked_views.items()),
+            masked_views=list({**failed, **readings.masked_views}.items()),
             target=target,
+            notes=notes,
         )
     except ValueError as error:
         # Messages of `read_detections` name the file already; those of `Dataset` do not.

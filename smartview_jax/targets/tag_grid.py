@@ -34,6 +34,7 @@ class TagGrid(AbstractTarget):
     first_id: int = 0
 
     y_up: ClassVar[bool] = True
+    lengths: ClassVar[tuple[str, ...]] = ("size", "gap")
 
     def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""
