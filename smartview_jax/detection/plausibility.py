@@ -209,8 +209,8 @@ def left_out_note(left_out: dict[str, int]) -> tuple[str, ...]:
         return ()
     views = ", ".join(list(left_out)[:5]) + (", ..." if len(left_out) > 5 else "")
     return (
-        f"{sum(left_out.values())} detected points are left out, because they do not lie where the "
-        f"target's other points put them (views {views})",
+        "detected points left out because they do not lie where the target's other points put "
+        f"them: {sum(left_out.values())} (views {views})",
     )
 
 
