@@ -6,7 +6,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from ..targets import AbstractTarget, Charuco, Chessboard, CircleGrid, StackedTarget, TagGrid
+from ..targets import (
+    AbstractTarget,
+    AprilGrid,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    StackedTarget,
+    TagGrid,
+)
 from .chessboard import detect_chessboard
 from .circles import detect_circles
 from .detection import Detection
@@ -17,6 +25,7 @@ _DETECTORS: tuple[tuple[type[AbstractTarget], Callable[..., Detection]], ...] = 
     (CircleGrid, detect_circles),
     (Charuco, detect_charuco),
     (TagGrid, detect_tags),
+    (AprilGrid, detect_tags),
 )
 """Detector of each kind of target, except the chessboard, which has two."""
 

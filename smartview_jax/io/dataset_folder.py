@@ -16,7 +16,8 @@ Instead of poses, or in addition to them, the folder may have joint readings (se
 Pictures, poses and joint readings are matched by the view's name, never by their order. Where the
 target's pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that
 stands beside the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the
-file is in `schemas.dataset`; an unknown key is an error.
+file is in `schemas.dataset`; an unknown key is an error. A board that Kalibr printed is named by
+Kalibr's own file: `target: {kind: aprilgrid, file: target.yaml}`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -35,7 +36,7 @@ from ..dataset import Dataset
 from ..detection import DetectionLimits, checked_pixels
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike
-from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
+from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
@@ -43,6 +44,7 @@ from .pictures import dataset_from_pictures, refuse_unmatched_pictures
 from .poses import write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
+from .target_file import read_target
 
 FORMAT_VERSION = 1
 """Version of the format of `dataset.yaml`."""
@@ -73,7 +75,7 @@ def load_dataset_folder(
     width, height = description.camera.image_size
     image_size = (width, height)
     try:
-        target = target_from_dict(content["target"])
+        target = read_target(folder, content["target"])
         rough_holder_from_world = rough_pose(description)
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error

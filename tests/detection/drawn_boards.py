@@ -50,3 +50,38 @@ def seen_in_perspective(board, points, size=(640, 480), seed=0, tilt=0.15, noise
 def distance_to_nearest(pixels, truth):
     """Distance of each pixel to the nearest true one, in whatever order they are."""
     return np.linalg.norm(pixels[:, None] - truth[None], axis=-1).min(axis=1)
+
+
+def tag_print(
+    rows, columns, side, gap, border_bits, turned=False, from_bottom=False, squares=False
+):
+    """A flat print of AprilTags, and the corners of each tag: from its bottom left, anticlockwise.
+
+    Args:
+        rows, columns: number of tags down and across.
+        side, gap: of a tag and between two, px.
+        border_bits: width of the black border in cells.
+        turned: whether each tag is turned by half a turn against OpenCV's drawing.
+        from_bottom: whether the numbers begin in the bottom row.
+        squares: whether black squares fill the crossings of the gaps.
+
+    Returns:
+        The print, and `(tags, 4, 2)` corners in the order of the tags' numbers.
+    """
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    pitch, around = side + gap, 2 * side
+    size = rows * pitch - gap, columns * pitch - gap
+    board = np.full((size[0] + 2 * around, size[1] + 2 * around), 235, dtype=np.uint8)
+    corners = []
+    for tag in range(rows * columns):
+        i, j = divmod(tag, columns)
+        y, x = around + (rows - 1 - i if from_bottom else i) * pitch, around + j * pitch
+        marker = cv2.aruco.generateImageMarker(dictionary, tag, side, borderBits=border_bits)
+        board[y : y + side, x : x + side] = np.clip(
+            marker[::-1, ::-1] if turned else marker, 20, 235
+        )
+        corners.append([[x, y + side], [x + side, y + side], [x + side, y], [x, y]])
+        for dx in (-gap, side) if squares else ():
+            for dy in (-gap, side):
+                board[y + dy : y + dy + gap, x + dx : x + dx + gap] = 20
+    return board, np.array(corners) - 0.5
