@@ -40,9 +40,8 @@ def new(
         path = write_new_dataset(folder, robot, target, mount, size, suffix)
         images = folder / "images"
         if found:
-            typer.echo(
-                f"{images}: {found.count} pictures named *{suffix}, {size[0]} x {size[1]} px"
-            )
+            count = found.picture_count
+            typer.echo(f"{images}: {count} pictures named *{suffix}, {size[0]} x {size[1]} px")
             if found.others:
                 typer.echo(f"{images}: not among them: {', '.join(found.others[:5])}")
         typer.echo(f"{path}: now")

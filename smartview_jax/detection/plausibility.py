@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from .detection import Detection, empty_detection
-from .symmetric_lens import fit_symmetric_lens, spanned_coordinates
+from .symmetric_lens import MIN_POINTS, fit_symmetric_lens, spanned_coordinates
 
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 """Median length of a plane vector whose components have unit standard deviation."""
@@ -31,13 +31,16 @@ _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 _CELL_STD = 1.0 / np.sqrt(12.0)
 """Standard deviation of a point that lies anywhere in its cell, in parts of the cell's width."""
 
+_LEAST_SPACING = 2.0
+"""Least distance between neighbours, px: two edges that are nearer are one in a picture."""
+
 _MAX_ROUNDS = 6
 """Number of fits, each without the points that failed in the one before."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DetectionLimits:
-    """How far detected points may lie from where the target's other points put them.
+    """The distances at which detected points may lie from where the target's others put them.
 
     Attributes:
         noise: standard deviation, px, that a good detection may have without being doubted;
@@ -130,6 +133,9 @@ def check_points(
     """
     limits = limits or DetectionLimits()
     spacing = _spacing(points, pixels)
+    if len(points) >= MIN_POINTS and np.median(spacing) < _LEAST_SPACING:
+        reason = f"its points lie {np.median(spacing):.2g} px apart, less than a detector can tell"
+        return PointTest(np.zeros(len(points), dtype=bool), 0.0, reason)
     by_camera = _by_camera(points, pixels, image_size, spacing, limits)
     if by_camera is None or by_camera.reason is None:
         return by_camera or PointTest(np.ones(len(points), dtype=bool), 0.0, None)
@@ -221,7 +227,7 @@ def _spacing(points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     nearest = np.asarray(KDTree(points).query(points, k=2)[1])
     # A point that is given twice has a distance of zero.
     neighbour = np.where(nearest[:, 1] == np.arange(len(points)), nearest[:, 0], nearest[:, 1])
-    return np.maximum(np.linalg.norm(pixels - pixels[neighbour], axis=1), 1.0)
+    return np.maximum(np.linalg.norm(pixels - pixels[neighbour], axis=1), 1e-3)
 
 
 def _by_camera(

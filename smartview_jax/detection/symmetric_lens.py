@@ -45,7 +45,7 @@ _MAX_EVALUATIONS = 40
 
 
 class SymmetricLensFit(NamedTuple):
-    """How far the points of a picture are from where the fitted camera puts them.
+    """The misfit of a camera that was fitted to the points of a picture.
 
     Attributes:
         residuals: measured minus fitted pixel of every point, px.

@@ -82,13 +82,13 @@ class FoundPictures(NamedTuple):
     Attributes:
         image_size: width and height of the first, px.
         suffix: of most of them, with its dot.
-        count: number of pictures with that suffix.
+        picture_count: number of pictures with that suffix.
         others: names of pictures with other suffixes.
     """
 
     image_size: tuple[int, int]
     suffix: str
-    count: int
+    picture_count: int
     others: tuple[str, ...]
 
 

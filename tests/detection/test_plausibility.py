@@ -156,6 +156,12 @@ def test_few_points_are_not_judged():
         assert check_points(points, pixels, SIZE).passed.all()
 
 
+def test_points_on_top_of_each_other_are_no_detection():
+    assert "px apart" in check_points(GRID.points, np.full((70, 2), 7.0), SIZE).reason
+    shrunk = 100.0 + 0.01 * pinhole(0, GRID.points)
+    assert check_points(GRID.points, shrunk, SIZE).reason is not None
+
+
 def test_imported_views_are_tested_one_by_one():
     target = Chessboard(5, 8, 0.03)
     pixels = np.stack([pinhole(seed, target.points) for seed in range(3)])
