@@ -146,12 +146,15 @@ def _decoded(path: Path, data: bytes) -> np.ndarray:
 
 def _as_grey_picture(path: Path, image: np.ndarray) -> Picture:
     """Return the picture with 8 bits, stretched if it had more."""
+    if image.dtype == np.uint8:
+        counts = cv2.calcHist([image], [0], None, [256], [0, 256]).ravel()
+        shares = 100.0 * np.cumsum(counts) / image.size
+        low, high = (float(np.searchsorted(shares, p)) for p in STRETCH_PERCENTILES)
+        return Picture(image, (low, high), 255.0)
     finite = np.isfinite(image)
     if not finite.all():
         raise ValueError(f"{path}: {np.count_nonzero(~finite)} pixels are not finite")
     low, high = (float(value) for value in np.percentile(image, STRETCH_PERCENTILES))
-    if image.dtype == np.uint8:
-        return Picture(image, (low, high), 255.0)
     is_integer = np.issubdtype(image.dtype, np.integer)
     largest = float(np.iinfo(image.dtype).max) if is_integer else float(image.max())
     scale = 255.0 / max(high - low, 1.0 if is_integer else 1e-30)

@@ -150,12 +150,16 @@ def read_kept_detections(
             continue
         pixels = _pixels_from_table(path, view_rows, [view], point_count)[0]
         visible = np.asarray(np.isfinite(pixels).all(axis=1))
-        same = note.get("pictures") == marked
-        reason, left_out = (note.get("reason"), note.get("left_out")) if same else (None, 0)
-        kept[view] = KeptDetection(
-            key,
-            Detection(pixels, visible, reason, left_out=left_out if type(left_out) is int else 0),
+        reason, left_out = note.get("reason"), note.get("left_out")
+        # A note of other pictures, or one that somebody has changed, says nothing.
+        known = note.get("pictures") == marked
+        detection = Detection(
+            pixels,
+            visible,
+            reason if known and isinstance(reason, str) else None,
+            left_out=left_out if known and type(left_out) is int else 0,
         )
+        kept[view] = KeptDetection(key, detection)
     return kept
 
 
