@@ -134,7 +134,7 @@ def _outline_problem(
                 f"what was found are not {stated}, since its outermost points are others: are rows "
                 "and columns stated rightly?"
             )
-        # A line of which most is not in the picture says nothing.
+        # A line that is mostly outside the picture says nothing.
         if np.isfinite(beyond).mean() > 0.5 and np.nanmean(beyond) > _LEAST_SADDLE:
             return f"the board goes on beyond {stated}: are rows and columns stated rightly?"
     return None

@@ -61,7 +61,7 @@ def read_picture(
 ) -> UInt8[np.ndarray, "rows columns"]:
     """Read a picture as grey uint8, in the orientation of the sensor.
 
-    An orientation stored in the file (EXIF) is ignored: a camera's pixels are those of its sensor,
+    An orientation stored in the file (EXIF) is ignored: a camera model describes its sensor,
     and if only some of the files store an orientation, only those would be rotated. Pictures of
     more than 8 bits are stretched by `STRETCH_PERCENTILES`.
 

@@ -56,8 +56,8 @@ class DetectionLimits:
         left_out: largest part of a picture's points that may be left out as wrong; with more, what
             is left need not be the right ones.
         ring: number of neighbours to which a point is compared.
-        ring_points: number of points from which a target may be judged by rings alone: in fewer,
-            the smooth map bends to whatever is there.
+        ring_lines: number of rows and columns of points from which a target may be judged by rings
+            alone: through three the smooth map passes wherever they are.
     """
 
     noise: float = 0.5
@@ -67,7 +67,7 @@ class DetectionLimits:
     wrong_points: float = 1e-3
     left_out: float = 0.25
     ring: int = 24
-    ring_points: int = 25
+    ring_lines: int = 5
 
     def __post_init__(self) -> None:
         """Raise a ValueError that names the first limit that is not positive."""
@@ -83,8 +83,8 @@ class DetectionLimits:
 
     def largest(self, spacing: float) -> float:
         """Return the standard deviation beyond which a picture is not believed, px."""
-        # A third of what points have that lie anywhere in their cells is the most where a picture
-        # is so small that pixels are no measure.
+        # In a picture so small that pixels are no measure, the limit is a third of the noise of
+        # points that lie anywhere in their cells.
         limit = float(np.hypot(self.largest_noise, self.spacing_share * spacing))
         return min(limit, _CELL_STD * spacing / 3.0)
 
@@ -269,7 +269,11 @@ def _by_rings(
 ) -> PointTest | None:
     """Test points against their neighbours; None if the target is too small for that."""
     coordinates = spanned_coordinates(points)
-    if coordinates.shape[1] != 2 or len(points) < limits.ring_points:
+    if coordinates.shape[1] != 2 or len(points) <= limits.ring_lines:
+        return None
+    step = np.median(np.asarray(KDTree(coordinates).query(coordinates, k=2)[0])[:, 1])
+    # A little less, since distances are rounded.
+    if np.ptp(coordinates, axis=0).min() < (limits.ring_lines - 1.01) * step:
         return None
     every_point = np.ones(len(points), dtype=bool)
     residuals = _ring_residuals(coordinates, pixels, limits.ring)

@@ -119,14 +119,14 @@ def test_a_bent_board_is_judged_by_neighbours():
     assert test.passed.mean() > 0.85
 
 
-@pytest.mark.parametrize("rows", [3, 7])
-def test_an_outer_row_that_was_taken_from_the_outline_is_no_detection(rows):
-    points = CircleGrid(rows, 8, 0.04).points
-    pixels = pinhole(1, points).reshape(rows, 8, 2)
-    pixels[0] += 0.6 * (pixels[1] - pixels[0])
-    pixels[:, 0] += 0.6 * (pixels[:, 1] - pixels[:, 0])
+@pytest.mark.parametrize("rows", [3, 4, 7])
+@pytest.mark.parametrize("columns", [5, 12])
+def test_an_outer_row_that_was_taken_from_the_outline_is_not_believed(rows, columns):
+    points = CircleGrid(rows, columns, 0.04).points
+    pixels = pinhole(1, points).reshape(rows, columns, 2)
+    pixels[0] += 0.45 * (pixels[1] - pixels[0])
     test = check_points(points, pixels.reshape(-1, 2), SIZE)
-    assert test.reason is not None or not test.passed.reshape(rows, 8)[0].any()
+    assert test.reason is not None or not test.passed.reshape(rows, columns)[0].any()
 
 
 def test_noise_that_no_subpixel_detector_has_is_refused():
