@@ -24,6 +24,9 @@ from .detections import KeptDetection, read_kept_detections, write_kept_detectio
 _PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 """Suffixes of files that are counted as pictures, in lower case."""
 
+_DECIDING_PICTURES = 3
+"""Number of pictures of another size than stated, all equal, after which no more are looked at."""
+
 
 def detect_views(
     pictures: Mapping[str, Sequence[Path]],
@@ -171,10 +174,21 @@ def _checked_size(
             wrong, not a picture.
     """
     first_error: Exception | None = None
+    other_sizes: list[tuple[int, int]] = []
     for path in (path for paths in pictures.values() for path in paths):
         try:
-            rows, columns = read_picture(path, stated).shape
-            return columns, rows
+            rows, columns = read_picture(path).shape
         except (FileNotFoundError, ValueError) as error:
             first_error = first_error or error
+            continue
+        if stated is None or (columns, rows) == tuple(stated):
+            return columns, rows
+        other_sizes.append((columns, rows))
+        first_error = first_error or ValueError(
+            f"{path}: expected {stated[0]} x {stated[1]} px, found {columns} x {rows}: is the size "
+            "of the pictures stated rightly?"
+        )
+        # A picture or two may be others; more of one size are the data set's.
+        if len(other_sizes) >= _DECIDING_PICTURES and len(set(other_sizes)) == 1:
+            break
     raise first_error or ValueError("pictures: expected at least one view")
