@@ -29,6 +29,12 @@ _DETECTORS: tuple[tuple[type[AbstractTarget], Callable[..., Detection]], ...] = 
 )
 """Detector of each kind of target, except the chessboard, which has two."""
 
+_TURNED_TAGS = (
+    "but every tag turned by half a turn would: Kalibr's boards are of kind aprilgrid, others are "
+    "tag_grid, with rows_from: bottom where the numbers begin there"
+)
+"""What to do where each tag is turned, as in the boards of Kalibr against others."""
+
 
 def detect(
     image: np.ndarray, target: AbstractTarget, limits: DetectionLimits | None = None
@@ -56,8 +62,27 @@ def detect(
     for kind, detector in _DETECTORS:
         if isinstance(target, kind):
             size = (grey.shape[1], grey.shape[0])
-            return checked_detection(detector(grey, target), target.points, size, limits)
+            found = detector(grey, target)
+            checked = checked_detection(found, target.points, size, limits)
+            if checked.reason is not None and _has_turned_tags(found, target, size, limits):
+                return checked._replace(reason=f"{checked.reason}; {_TURNED_TAGS}")
+            return checked
     raise ValueError(f"there is no detector for a {type(target).__name__}; detect its board")
+
+
+def _has_turned_tags(
+    found: Detection,
+    target: AbstractTarget,
+    size: tuple[int, int],
+    limits: DetectionLimits | None,
+) -> bool:
+    """Return whether tags lie as the target's do if each is turned by half a turn."""
+    if not isinstance(target, TagGrid | AprilGrid) or not found.visible.any():
+        return False
+    turned = found.pixels.reshape(-1, 4, 2)[:, [2, 3, 0, 1]].reshape(-1, 2)
+    visible = np.asarray(np.isfinite(turned).all(axis=1))
+    again = Detection(turned, visible, None)
+    return checked_detection(again, target.points, size, limits).reason is None
 
 
 def detection_identity(target: AbstractTarget) -> str:
