@@ -14,8 +14,8 @@ hand-eye transform hold the truth.
 import argparse
 import dataclasses
 import sys
-from collections.abc import Collection, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import cv2
 import jax
@@ -89,7 +89,7 @@ def run(smoke: bool = False, seeds: int = SEEDS, views: Collection[int] = VIEWS)
     return all(kept)
 
 
-def _is_good(row: Row, outcomes: dict[str, Sequence[Outcome]]) -> bool:
+def _is_good(row: Row, outcomes: Mapping[str, Sequence[Outcome]]) -> bool:
     """Return whether the default keeps its bounds."""
     default, flat, released = (_rms(outcomes[name]) for name in (DEFAULT, FLAT, RELEASED))
     # Six numbers of a run are not independent: count them as two.
@@ -165,13 +165,14 @@ def _with_released_points(data: sv.Dataset) -> sv.Dataset:
     views = [one[visible] for one in pixels]
     # The point that is held besides the first two corners: the end of the first row.
     index = int(np.flatnonzero(np.flatnonzero(visible) == COLUMNS - 1)[0])
+    unknown: Any = None
     found = cv2.calibrateCameraRO(
         [points[visible]] * len(views),
         views,
         data.image_size,
         index,
-        None,
-        None,
+        unknown,
+        unknown,
         flags=cv2.CALIB_FIX_K3,
     )
     released = np.asarray(data.points)[0].copy()
