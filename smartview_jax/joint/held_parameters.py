@@ -85,7 +85,8 @@ def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
     """
     problem, layout = fit.problem, fit.problem.parameters.layout
     # Where every view has a free pose, nothing is known of the transforms.
-    poses_are_free = len(problem.per_view_free) and not np.any(problem.prior_weight.per_view)
+    weights = np.asarray(problem.prior_weight.per_view)
+    poses_are_free = len(problem.per_view_free) and not weights.any()
     stated = np.arange(layout.camera.stop if poses_are_free else layout.target_scale.start)
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
     held = np.setdiff1d(stated, free)
