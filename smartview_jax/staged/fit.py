@@ -5,7 +5,7 @@ camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and 
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -15,12 +15,20 @@ from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import to_device
 from ..blas_threads import on_one_blas_thread
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration, host_mount_from_holder, transform_names
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..compilation import refuse_traced
-from ..dataset import Dataset, Observations, chain_residuals
+from ..dataset import (
+    Dataset,
+    Observations,
+    chain_residuals,
+    repeated_views,
+    require_motion,
+)
 from ..fit_result import FitCode, FitResult, Rejection
+from ..geometry import PoseLike, host_matrices
 from .conventions import ConventionReport, check_conventions
+from .given_start import known_transforms
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
@@ -103,12 +111,27 @@ class StagedFit(eqx.Module):
         return Interpolation(self.step2.camera, robot, camera_from_world)
 
 
-def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
-    """Return the indices of the views that show enough points, not all on one line.
+def views_to_use(
+    data: Dataset, camera: Camera | None = None, place_is_given: bool = False
+) -> np.ndarray:
+    """Return the indices of the views that show enough points, not all on one line, once each.
+
+    Args:
+        data: the data set.
+        camera: a known camera; fewer points suffice then.
+        place_is_given: whether the camera's or the target's place is known, which a robot that
+            never turns does not tell.
 
     Raises:
-        ValueError: fewer than three are left; the message says what is wrong with the others.
+        ValueError: fewer than three are left, and the message says what is wrong with the others;
+            or the robot did not move or turn.
     """
+    poses = host_matrices(data.base_from_tool)
+    mount_name = transform_names(data.mount)[0]
+    unusable = _views_without_pose(data, _minimum_points(camera))
+    seen = np.setdiff1d(np.arange(data.view_count), list(unusable))
+    # Before views that repeat others are set aside: nothing would be left to speak of.
+    require_motion(poses[seen], mount_name, place_is_given)
     unusable = _unusable_views(data, _minimum_points(camera))
     _require_minimum_views(data, unusable, _minimum_points(camera))
     return np.setdiff1d(np.arange(data.view_count), list(unusable))
@@ -147,6 +170,12 @@ def _mask_unusable_views(
 
 
 def _unusable_views(data: Dataset, minimum: int) -> dict[int, str]:
+    """Return the views whose pose cannot be determined or repeats another's, with the reason."""
+    unusable = _views_without_pose(data, minimum)
+    return unusable | repeated_views(data.mask_views(list(unusable)))
+
+
+def _views_without_pose(data: Dataset, minimum: int) -> dict[int, str]:
     """Return the views whose pose cannot be determined, with the reason."""
     reasons, visible = dict(data.masked_views), np.asarray(data.visible)
     point_counts, collinear = visible.sum(axis=1), collinear_views(np.asarray(data.points), visible)
@@ -178,6 +207,7 @@ def fit_staged(
     gate_probability: float = 0.9999,
     conventions: str = "raise",
     step2: Callable[..., CommonCameraFit] = kalman_filter,
+    start: Calibration | Mapping[str, PoseLike] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> StagedFit:
     """Calibrate in three steps: each view (Weng), all views (Kalman), hand-eye (BFGS).
@@ -194,16 +224,21 @@ def fit_staged(
             `"report"` it in the result.
         step2: the paper's filter, or a function with the same arguments, such as
             `joint.batch_least_squares`.
+        start: a calibration or transforms by name, as far as they are known: what the robot's
+            motion leaves undetermined stays there.
         progress: called with a sentence about each step.
 
     Raises:
-        ValueError: too few usable views, or poses that cannot belong to these pictures.
+        ValueError: too few usable views, a robot that did not move, or that never turned where no
+            start says the camera's place, or poses that cannot belong to these pictures.
     """
     refuse_traced("fit_staged", data, camera)
+    known = known_transforms(start, data.mount)
     say = progress or (lambda _: None)
     if conventions not in ("raise", "report"):
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
-    views_to_use(data, camera)
+    place_is_given = rough_translation is not None or any(pose is not None for pose in known)
+    views_to_use(data, camera, place_is_given)
     unusable = _unusable_views(data, _minimum_points(camera))
     say(f"Step 1: each of {data.view_count - len(unusable)} views by itself")
     observations, used = _mask_unusable_views(data, unusable)
@@ -264,6 +299,7 @@ def fit_staged(
         to_device(np.asarray(consistent, dtype=float)),
         rough_translation,
         length_scale,
+        known,
     )
     _log.info("Step 2: %.3f px RMS; Step 3: %d views", float(common_fit.rms), int(consistent.sum()))
     calibration = Calibration(
