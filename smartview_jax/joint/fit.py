@@ -15,7 +15,7 @@ from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import refuse_traced
-from ..dataset import Dataset, chain_residuals
+from ..dataset import Dataset, chain_residuals, given_places, repeated_views, require_motion
 from ..engine import (
     ROBOT_ERROR,
     AbstractLoss,
@@ -42,6 +42,7 @@ from ..engine import (
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
+from ..geometry import host_matrices
 from ..robot_errors import (
     AbstractField,
     FieldChoice,
@@ -54,6 +55,7 @@ from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
+from .undetermined import undetermined_motion, with_undetermined
 from .view_rejection import inconsistent_view, inflation_reason, suspect_view
 
 _log = logging.getLogger(__name__)
@@ -139,6 +141,10 @@ def fit_joint(
     require_names("free", free)
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
+    place_is_given = given_places(start.transform_names, fixed, priors or {})
+    poses = host_matrices(data.base_from_tool)[data.usable_views()]
+    require_motion(poses, start.transform_names[0], place_is_given)
+    data = without_views(data, repeated_views(data))
     say, start = progress or (lambda _: None), with_lens(start, lens)
 
     def fit_once(
@@ -146,12 +152,14 @@ def fit_joint(
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field = start, noise, field
         noise_estimate, free_paths, held_paths = None, tuple(free), ()
+        open_motion = undetermined_motion(data, start, fixed, priors)
+        fixed_paths = (*fixed, *open_motion.held)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
                 initial,
                 field=field,
-                fixed=fixed,
+                fixed=fixed_paths,
                 free=free,
                 priors=priors,
                 progress=progress,
@@ -165,7 +173,7 @@ def fit_joint(
             initial,
             noise=noise_model,
             loss=loss,
-            fixed=(*fixed, *held_paths),
+            fixed=(*fixed_paths, *held_paths),
             free=free_paths,
             priors=priors,
             field=error_field,
@@ -193,7 +201,7 @@ def fit_joint(
             built = dataclasses.replace(built, problem=problem)
         _log.info("%d steps to a cost of %.6g", solution.steps, solution.costs[-1])
         joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
-        return joint_fit, equations.matrix
+        return with_undetermined(joint_fit, open_motion), equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
         return _finish_fit(fit_once(data, ())[0], data, all_data)

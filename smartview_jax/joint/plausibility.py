@@ -8,7 +8,8 @@ hand-eye calibration needs.
 
 import numpy as np
 
-from ..dataset import MINIMUM_RELIABLE_VIEWS
+from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
+from ..geometry import host_matrices
 from ..variance import FREE_SCALE_PROBABILITY, TARGET_SCALE
 from .joint_fit import JointFit, half_width
 
@@ -49,7 +50,10 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
         f"the data do not tell: {direction.description}"
         for direction in fit.observability.null_directions
     ]
-    used_views = int(np.asarray(fit.inliers).any(axis=1).sum())
+    warnings += repetition_warnings(fit.rejected)
+    # Several pictures from one pose tell no more of the robot than one.
+    poses = host_matrices(fit.problem.observations.base_from_tool)
+    used_views = len(distinct_poses(poses[np.asarray(fit.inliers).any(axis=1)]))
     if used_views < MINIMUM_RELIABLE_VIEWS:
         warnings.append(
             f"{used_views} views are few: no figure is reliable with fewer than "
@@ -134,6 +138,9 @@ def _mount_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the hand-eye transform: wide intervals, or a shift by correction."""
     mount = fit.calibration.transform_names[0]
     warnings, coarse_names = [], set()
+    undetermined = {
+        name for direction in fit.observability.null_directions for name, _ in direction.components
+    }
     stds, freedoms = fit.std, fit.degrees_of_freedom
     for part, limit, unit, scale in (
         ("translation", MAX_TRANSLATION_HALF_WIDTH, "mm", 1e3),
@@ -142,7 +149,12 @@ def _mount_warnings(fit: JointFit) -> list[str]:
         names = [n for n in fit.parameter_names if n.startswith(f"{mount}.{part}.")]
         # Not by the fit's own method: Equinox copies a module, corrections and all, for each call.
         half_widths = {name: half_width(stds[name], freedoms[name]) for name in names}
-        coarse = {name: width for name, width in half_widths.items() if not width <= limit}
+        # What is not determined at all is named with its direction.
+        coarse = {
+            name: width
+            for name, width in half_widths.items()
+            if not width <= limit and name not in undetermined
+        }
         coarse_names |= set(coarse)
         if coarse:
             worst = max(coarse, key=lambda name: coarse[name])
