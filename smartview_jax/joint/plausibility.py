@@ -8,7 +8,9 @@ hand-eye calibration needs.
 
 import numpy as np
 
+from ..calibration import Calibration
 from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
+from ..engine import Direction
 from ..geometry import host_matrices
 from ..variance import FREE_SCALE_PROBABILITY, TARGET_SCALE
 from .joint_fit import JointFit, half_width
@@ -47,7 +49,7 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     warnings += _robot_warnings(fit)
     warnings += _mount_warnings(fit)
     warnings += [
-        f"the data do not tell: {direction.description}"
+        f"the data do not tell: {direction.description}; {_way_out(direction, fit.calibration)}"
         for direction in fit.observability.null_directions
     ]
     warnings += repetition_warnings(fit.rejected)
@@ -60,6 +62,25 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
             f"{MINIMUM_RELIABLE_VIEWS}"
         )
     return tuple(warnings)
+
+
+def _way_out(direction: Direction, calibration: Calibration) -> str:
+    """Return where an undetermined direction is left, and what determines it, in words."""
+    mount = calibration.transform_names[0]
+    names = [name for name, _ in direction.components]
+    name = next((name for name in names if name.startswith(f"{mount}.")), names[0])
+    path, place = name.split("."), ""
+    if path[0] in calibration.transform_names:
+        place = f"start={{'{path[0]}': ...}} and "
+    prior = (
+        f"priors={{'{name}': Prior(std=...)}}"
+        if "rotation" in path
+        else f"priors={{'{name}': Prior(mean=..., std=...)}}"
+    )
+    return (
+        "it is left where the fit started. Turn the robot about another axis, or give it: "
+        f"{place}fixed=('{name}',), or {prior}"
+    )
 
 
 def _residual_warnings(fit: JointFit) -> list[str]:

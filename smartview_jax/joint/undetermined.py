@@ -145,7 +145,7 @@ def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
             if name in std or name == held:
                 std[name] = freedom[name] = np.inf
         text = describe_direction(components, fit.calibration)
-        named.append(Direction(0.0, components, f"{text}; {_way_out(components, fit.calibration)}"))
+        named.append(Direction(0.0, components, text))
     observability = fit.observability._replace(
         parameter_count=fit.observability.parameter_count + len(named),
         null_directions=(*named, *fit.observability.null_directions),
@@ -162,18 +162,3 @@ def _sparse(motion: UndeterminedMotion) -> Float[np.ndarray, "directions 12"]:
     directions = np.linalg.solve(motion.directions[:, held], motion.directions)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
-
-def _way_out(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
-    """Return how the user can determine a direction, in words."""
-    mount = calibration.transform_names[0]
-    name = next((name for name, _ in components if name.startswith(f"{mount}.")), components[0][0])
-    transform, part, _ = name.split(".")
-    prior = (
-        f"priors={{'{name}': Prior(mean=..., std=...)}}"
-        if part == "translation"
-        else f"priors={{'{name}': Prior(std=...)}} about start={{'{transform}': ...}}"
-    )
-    return (
-        "it is left where the fit started; turn the robot about another axis, or give it: "
-        f"start={{'{transform}': ...}} with fixed=('{name}',), or {prior}"
-    )

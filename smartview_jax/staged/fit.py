@@ -129,6 +129,7 @@ def views_to_use(
     poses = host_matrices(data.base_from_tool)
     mount_name = transform_names(data.mount)[0]
     unusable = _views_without_pose(data, _minimum_points(camera))
+    _require_minimum_views(data, unusable, _minimum_points(camera))
     seen = np.setdiff1d(np.arange(data.view_count), list(unusable))
     # Before views that repeat others are set aside: nothing would be left to speak of.
     require_motion(poses[seen], mount_name, place_is_given)
