@@ -14,7 +14,7 @@ from .argument_checks import require_instance
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
 from .compilation import refuse_traced
-from .dataset import Dataset, chain_residuals, given_places
+from .dataset import Dataset, chain_residuals, given_places, repetition_warnings
 from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, Prior, parameter_names
 from .fit_result import FitResult, Rejection
 from .geometry import PoseLike
@@ -100,7 +100,13 @@ class CalibrationFit(eqx.Module):
     @property
     def warnings(self) -> tuple[str, ...]:
         """The doubts about the answer: the joint fit's own, and differences from the staged fit."""
-        return (*self.joint.warnings, *_staged_comparison_warnings(self))
+        # The joint fit does not see what the staged fit had set aside.
+        repetitions = [
+            text
+            for text in repetition_warnings(self.staged.rejected)
+            if text not in self.joint.warnings
+        ]
+        return (*self.joint.warnings, *repetitions, *_staged_comparison_warnings(self))
 
     @property
     def calibration(self) -> Calibration:

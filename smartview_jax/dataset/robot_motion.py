@@ -2,8 +2,8 @@
 
 Three things are asked of the poses alone, and of whether the pictures moved with them:
 
-- Was every pose read again? A row of the pose file that repeats an earlier one although the picture
-  moved belongs to another picture; such a view is set aside, and so is a view that is given twice.
+- Was every pose read again? A row of the pose file that repeats the one before although the picture
+  moved was not; such a view is set aside, and so is a view that is given twice.
 - Did the robot move at all? Equal poses in all views tell nothing.
 - Did it turn? Without a turn the camera's place on the robot cannot be told from the target's:
   both can be shifted together. If all turns have one axis, that is so along the axis.
@@ -105,12 +105,15 @@ def repeated_views(data: "Dataset") -> dict[int, str]:
         if not common.any():
             continue
         shift = np.linalg.norm(pixels[k, common] - pixels[earlier, common], axis=-1)
+        # Equal poses apart from each other may be a pose from another row: either can be wrong,
+        # and the other views say which.
+        follows = first[place - 1] == first[place]
         if not shift.any() and np.array_equal(visible[k], visible[earlier]):
             reasons[int(k)] = f"{_DUPLICATE} {data.view_ids[earlier]}"
-        elif (moved := float(np.median(shift))) > MOVED_PICTURE_SHARE * max(data.image_size):
+        elif follows and (moved := np.median(shift)) > MOVED_PICTURE_SHARE * max(data.image_size):
             reasons[int(k)] = (
-                f"{_REPEATED} {data.view_ids[earlier]}'s though the picture moved by {moved:.0f} px: it "
-                f"was not read again"
+                f"{_REPEATED} {data.view_ids[earlier]}'s though the picture moved by {moved:.0f} "
+                "px: it was not read again"
             )
     return reasons
 
@@ -119,7 +122,7 @@ def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
     """Return a sentence each about poses that were not read again and views given twice."""
     warnings = []
     for beginning, text in (
-        (_REPEATED, "repeat an earlier pose though the picture moved, and are left out: the "
+        (_REPEATED, "repeat the pose before though the picture moved, and are left out: the "
         "robot's pose was not read again for them"),
         (_DUPLICATE, "repeat picture and pose of an earlier view, and count once"),
     ):

@@ -14,6 +14,7 @@ from ..engine import Direction
 from ..geometry import host_matrices
 from ..variance import FREE_SCALE_PROBABILITY, TARGET_SCALE
 from .joint_fit import JointFit, half_width
+from .last_joint import half_widths_with_last_joint_held
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
 """The largest plausible smooth correction of a reported pose, m and rad."""
@@ -32,6 +33,9 @@ MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 
 MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, that no lens and no arm explains."""
+
+OWN_VARIANCE_SHARE = 0.5
+"""The share of a mount's variance below which most of it is the last joint's."""
 
 MIN_SCALE_PROBABILITY = 0.05
 """The probability of another target size from which a warning mentions it."""
@@ -163,6 +167,7 @@ def _mount_warnings(fit: JointFit) -> list[str]:
         name for direction in fit.observability.null_directions for name, _ in direction.components
     }
     stds, freedoms = fit.std, fit.degrees_of_freedom
+    last_joint_held = half_widths_with_last_joint_held(fit)
     for part, limit, unit, scale in (
         ("translation", MAX_TRANSLATION_HALF_WIDTH, "mm", 1e3),
         ("rotation", MAX_ROTATION_HALF_WIDTH, "degrees", float(np.rad2deg(1.0))),
@@ -176,6 +181,20 @@ def _mount_warnings(fit: JointFit) -> list[str]:
             for name, width in half_widths.items()
             if not width <= limit and name not in undetermined
         }
+        # No view tells the last joint's zero from the mount's turn.
+        by_nature = {
+            name
+            for name in coarse
+            if last_joint_held.get(name, np.inf) ** 2 < OWN_VARIANCE_SHARE * coarse[name] ** 2
+        }
+        if by_nature:
+            worst = max(by_nature, key=lambda name: coarse[name])
+            warnings.append(
+                f"{worst} is known to +- {scale * coarse[worst]:.3g} {unit} only, because the zero "
+                "of the last joint is a turn of the mount by nature: no view tells them apart, and "
+                f"both together are known to +- {scale * last_joint_held[worst]:.3g} {unit}"
+            )
+            coarse = {name: width for name, width in coarse.items() if name not in by_nature}
         coarse_names |= set(coarse)
         if coarse:
             worst = max(coarse, key=lambda name: coarse[name])
