@@ -122,8 +122,11 @@ def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
     """Return a sentence each about poses that were not read again and views given twice."""
     warnings = []
     for beginning, text in (
-        (_REPEATED, "repeat the pose before though the picture moved, and are left out: the "
-        "robot's pose was not read again for them"),
+        (
+            _REPEATED,
+            "repeat the pose before though the picture moved, and are left out: the "
+            "robot's pose was not read again for them",
+        ),
         (_DUPLICATE, "repeat picture and pose of an earlier view, and count once"),
     ):
         views = [entry.view for entry in rejected if entry.reason.startswith(beginning)]

@@ -161,4 +161,3 @@ def _sparse(motion: UndeterminedMotion) -> Float[np.ndarray, "directions 12"]:
     held = [motion.names.index(name) for name in motion.held]
     directions = np.linalg.solve(motion.directions[:, held], motion.directions)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-

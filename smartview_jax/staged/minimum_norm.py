@@ -137,7 +137,9 @@ def _jacobian(
     generators[[0, 1, 2], [0, 1, 2], 3] = 1.0
     generators[3:, :3, :3] = host_cross_matrices(np.eye(3))
     chain, before = (T @ world)[:, None], (camera @ T)[:, None]
-    derivative = np.concatenate([camera @ generators @ chain, before @ (generators @ world)], axis=1)
+    derivative = np.concatenate(
+        [camera @ generators @ chain, before @ (generators @ world)], axis=1
+    )
     derivative = derivative[:, :, :3].copy()
     derivative[..., 3] /= unit
     return derivative.reshape(len(T), 12, 12).swapaxes(1, 2).reshape(-1, 12)
@@ -178,4 +180,3 @@ def _shifted_to_start(
         if np.linalg.norm(step) < 1e-12:
             break
     return camera, world
-
