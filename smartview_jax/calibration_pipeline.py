@@ -106,7 +106,12 @@ class CalibrationFit(eqx.Module):
             for text in repetition_warnings(self.staged.rejected)
             if text not in self.joint.warnings
         ]
-        return (*self.joint.warnings, *repetitions, *_staged_comparison_warnings(self))
+        return (
+            *self.joint.warnings,
+            *self.staged.warnings,
+            *repetitions,
+            *_staged_comparison_warnings(self),
+        )
 
     @property
     def calibration(self) -> Calibration:

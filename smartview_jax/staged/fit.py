@@ -34,6 +34,7 @@ from .interpolation import Interpolation
 from .kalman import kalman_filter
 from .region import with_region
 from .target_checks import collinear_views, mismatched_views
+from .two_poses import choose_poses
 from .view_consistency import find_consistent_views, median_reprojection_errors
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
@@ -90,6 +91,7 @@ class StagedFit(eqx.Module):
         views: indices of the views that Step 3 used.
         conventions: how well robot and camera motion agree.
         result: whether all steps converged.
+        warnings: the reasons to doubt the answer, a sentence each.
     """
 
     calibration: Calibration
@@ -102,6 +104,7 @@ class StagedFit(eqx.Module):
     views: tuple[int, ...] = eqx.field(static=True)
     conventions: ConventionReport = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def interpolation(self, data: Dataset) -> Interpolation:
         """Return the paper's comparison method: interpolation between the viewpoints of `data`."""
@@ -268,6 +271,28 @@ def fit_staged(
         hold_camera=camera is not None,
         progress=progress,
     )
+    robot = host_mount_from_holder(data.mount, data.base_from_tool)
+    choice = choose_poses(
+        observations,
+        common_fit.camera,
+        common_fit.camera_from_world,
+        robot,
+        used,
+        _pixel_noise(common_fit),
+        known,
+    )
+    if choice is not None and choice.exchanged:
+        say(f"Step 2 again: {len(choice.exchanged)} views have their other pose")
+        common_fit = step2(
+            observations,
+            common_fit.camera,
+            choice.camera_from_world,
+            start_inliers,
+            pixel_sigma,
+            gate_probability,
+            hold_camera=camera is not None,
+            progress=progress,
+        )
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
     report = check_conventions(
@@ -276,7 +301,6 @@ def fit_staged(
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
-    robot = host_mount_from_holder(data.mount, data.base_from_tool)
     # Step 3 has no outlier gate of its own: Eq. 17 is a sum of squares, which one wrong pair of
     # picture and pose can dominate.
     consistency = find_consistent_views(
@@ -323,7 +347,17 @@ def fit_staged(
         tuple(int(view) for view in np.flatnonzero(consistent)),
         report,
         _fit_result(common_fit, step3, calibration),
+        (choice.warning,) if choice is not None and choice.warning else (),
     )
+
+
+def _pixel_noise(common_fit: CommonCameraFit) -> float:
+    """Return the standard deviation of u and v, px, with the freedom of the views' poses."""
+    points = np.asarray(common_fit.inliers).sum(axis=1)
+    # Six numbers of a pose take up half of the residuals of four corners.
+    freedom = max(2.0 * points.sum() - 6.0 * np.count_nonzero(points), 1.0)
+    pooled = float(common_fit.rms) * np.sqrt(points.sum() / freedom)
+    return max(float(common_fit.pixel_sigma), pooled)
 
 
 def _run_step1(
