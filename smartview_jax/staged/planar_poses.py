@@ -64,19 +64,19 @@ def mirrored_poses(
 
 
 def refined_poses(
-    poses: Float[np.ndarray, "views 4 4"], sight: Sight
+    poses: Float[np.ndarray, "views 4 4"], sight: Sight, maximum_steps: int = MAX_STEPS
 ) -> tuple[Float[np.ndarray, "views 4 4"], Float[np.ndarray, "views"]]:
     """Return the poses at the nearest minimum of the sum of squares, and that sum for each view."""
     residual, jacobian, cost = _linearised(poses, sight)
     damping = np.full(len(poses), 1e-3)
-    for _ in range(MAX_STEPS):
+    for _ in range(maximum_steps):
         matrix = jacobian.swapaxes(1, 2) @ jacobian
         gradient = np.einsum("vri,vr->vi", jacobian, residual)
         diagonal = np.einsum("vii->vi", matrix)
         floor = 1e-12 * np.maximum(diagonal.max(axis=1, keepdims=True), 1e-300)
-        damped = matrix + np.eye(6) * (damping[:, None] * np.maximum(diagonal, floor) + floor)[
-            :, None
-        ]
+        damped = (
+            matrix + np.eye(6) * (damping[:, None] * np.maximum(diagonal, floor) + floor)[:, None]
+        )
         step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
         trial = host_exponentials(step) @ poses
         trial_residual, trial_jacobian, trial_cost = _linearised(trial, sight)

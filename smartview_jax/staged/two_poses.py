@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..cameras import Camera
-from ..dataset import Observations
+from ..dataset import Observations, undetermined_twists
 from ..geometry import (
     host_cross_matrices,
     host_exponentials,
@@ -30,11 +30,19 @@ from ..geometry import (
     host_nearest_rotation,
     host_transforms,
 )
+from .minimum_norm import minimum_norm_transforms
 from .planar_poses import MIN_DEPTH, Sight, mirrored_poses, refined_poses
 from .weng import unprojected
 from .weng_start import coplanar, extents
 
 _Matrices = Float[np.ndarray, "views 4 4"]
+
+MAX_ASKED_POINTS = 16
+"""The number of points of a view by which it is asked first whether it is ambiguous."""
+
+STEPS_TO_ASK = 8
+"""The number of steps from the mirrored pose by which it is asked: a small target needs three, and
+with a large one the other pose leaves far too much anyway."""
 
 MAX_SEPARATION = 5.0
 """How plainly a view tells its poses apart, in standard deviations, below which the robot is asked.
@@ -46,6 +54,9 @@ MAX_TRIPLES, MAX_TRIED_TRIPLES = 250, 3000
 """The number of triples of views that are solved, and of those among which they are chosen.
 
 If half of the views tell their poses badly, a triple of good ones is among 250 in every case."""
+
+MAX_GUESSES, GUESS_ROUNDS = 8, 3
+"""The number of random choices of poses where triples tell nothing, and of rounds of each."""
 
 MAX_SCORED_VIEWS = 60
 """The number of views on which the transforms of triples are scored."""
@@ -66,6 +77,10 @@ RIVAL_DEVIANCE = 2.0 * np.log(1e3)
 """The difference of -2 log of the likelihood up to which a rival answer is named: it is then more
 likely than one in a thousand."""
 
+EXPLAINED_SHARE = 0.1
+"""The share of the target's size in the picture, up to which its points are where the transforms
+put them: with any other pose of the target they would be off by more than half of its size."""
+
 MAX_SQUARE = 1.0
 """The square at which the distance of a point from its ray ends to count: 45 degrees."""
 
@@ -82,11 +97,15 @@ class PoseChoice(NamedTuple):
     Attributes:
         camera_from_world: of every view.
         exchanged: indices of the views whose other pose was taken.
+        explained: whether one pair of transforms predicts the points of the views to a small part
+            of the target's own size: robot and camera then move alike, however uncertain the poses
+            of single views are.
         warning: a sentence if another answer explains the pictures about as well, else empty.
     """
 
     camera_from_world: SE3
     exchanged: tuple[int, ...]
+    explained: bool
     warning: str
 
 
@@ -128,7 +147,7 @@ def choose_poses(
         return None
     alpha = float(np.sqrt(float(camera.alpha_u) * float(camera.alpha_v)))
     sigma = pixel_sigma / alpha
-    if not _is_ambiguous(poses, points, seen, flat, sigma).any():
+    if not _may_be_ambiguous(poses, points, seen, flat, sigma):
         return None
     rays, valid = unprojected(observations, camera)
     seen = seen & valid[views]
@@ -148,8 +167,27 @@ def choose_poses(
     return PoseChoice(
         SE3(numbers),  # pyright: ignore[reportArgumentType]
         tuple(int(view) for view in exchanged),
+        best.scale < EXPLAINED_SHARE * _angular_size(sight),
         _rival_warning(found, alpha),
     )
+
+
+def _may_be_ambiguous(
+    poses: _Matrices,
+    points: Float[np.ndarray, "views points 3"],
+    seen: np.ndarray,
+    flat: np.ndarray,
+    sigma: float,
+) -> bool:
+    """Return whether any view may be ambiguous, by some of its points where it has many."""
+    count = points.shape[1]
+    some = np.sort(np.random.default_rng(0).permutation(count)[:MAX_ASKED_POINTS])
+    part = seen[:, some]
+    if count > len(some) and (part.sum(axis=1) * 2 > len(some)).all():
+        # Fewer points leave less: the noise is that of their mean.
+        sigma = sigma * float(np.sqrt(len(some) / count))
+        points, seen = points[:, some], part
+    return bool(_is_ambiguous(poses, points, seen, flat, sigma).any())
 
 
 def _is_ambiguous(
@@ -166,7 +204,7 @@ def _is_ambiguous(
     # of the sums of squares varies by twice its root.
     rays = np.where(seen[..., None], p[..., :2] / np.maximum(p[..., 2:], MIN_DEPTH), 0.0)
     exact = Sight(points, rays, seen)
-    other, left = refined_poses(mirrored_poses(poses, exact), exact)
+    other, left = refined_poses(mirrored_poses(poses, exact), exact, STEPS_TO_ASK)
     return flat & (np.sqrt(left) < 2.0 * MAX_SEPARATION * sigma) & (_angles(other, poses) > 1e-3)
 
 
@@ -178,13 +216,18 @@ def _ranked(
     start: tuple[Float[np.ndarray, "4 4"] | None, Float[np.ndarray, "4 4"] | None],
 ) -> list[_Transforms]:
     """Return different refined transforms, the best first, or those of the start first."""
-    cameras, worlds = _triple_transforms(candidates, robot)
+    if len(undetermined_twists(robot)):
+        cameras, worlds = _minimum_norm_guesses(candidates, robot)
+    else:
+        cameras, worlds = _triple_transforms(candidates, robot)
     spaced = np.linspace(0, len(robot) - 1, MAX_SCORED_VIEWS).round().astype(int)
     some = np.unique(spaced)
     part = Sight(sight.points[some], sight.rays[some], sight.seen[some])
     costs = np.concatenate(
         [
-            _robust_cost(_squares(cameras[k : k + 500], robot[some], worlds[k : k + 500], part), sigma)
+            _robust_cost(
+                _squares(cameras[k : k + 500], robot[some], worlds[k : k + 500], part), sigma
+            )
             for k in range(0, len(cameras), 500)
         ]
     )
@@ -196,7 +239,8 @@ def _ranked(
     refined.sort(key=lambda one: one.deviance)
     if any(pose is not None for pose in start):
         given = [
-            _refined(*pair, robot, sight, sigma) for pair in _pairs_of_start(start, candidates, robot)
+            _refined(*pair, robot, sight, sigma)
+            for pair in _pairs_of_start(start, candidates, robot)
         ]
         refined.insert(0, min(given, key=lambda one: one.deviance))
     different: list[_Transforms] = []
@@ -204,6 +248,27 @@ def _ranked(
         if not any(_is_same_answer(one, other) for other in different):
             different.append(one)
     return different
+
+
+def _minimum_norm_guesses(
+    candidates: Float[np.ndarray, "2 views 4 4"], robot: _Matrices
+) -> tuple[Float[np.ndarray, "many 4 4"], Float[np.ndarray, "many 4 4"]]:
+    """Return transforms for a motion that leaves directions undetermined, which no triple tells.
+
+    They are those of the first poses, the second ones and of random choices, each repeated with the
+    poses that are nearer to what it predicts.
+    """
+    count = len(robot)
+    random = np.random.default_rng(0).integers(0, 2, (MAX_GUESSES, count))
+    cameras, worlds = [], []
+    for choice in (np.zeros(count, int), np.ones(count, int), *random):
+        for _ in range(GUESS_ROUNDS):
+            taken = candidates[choice, np.arange(count)]
+            camera, world = minimum_norm_transforms(robot, taken)
+            choice = _nearer(candidates, camera @ robot @ world)
+        cameras.append(camera)
+        worlds.append(world)
+    return np.array(cameras), np.array(worlds)
 
 
 def _different_first(
@@ -268,7 +333,9 @@ def _triples(robot: _Matrices) -> Int[np.ndarray, "triples 3"]:
         keys = np.random.default_rng(0).random((MAX_TRIED_TRIPLES, count))
         triples = np.sort(np.argpartition(keys, 3, axis=1)[:, :3], axis=1)
     R = robot[triples][..., :3, :3]
-    turns = np.stack([R[:, j] @ R[:, i].swapaxes(1, 2) for i, j in ((0, 1), (0, 2), (1, 2))], axis=1)
+    turns = np.stack(
+        [R[:, j] @ R[:, i].swapaxes(1, 2) for i, j in ((0, 1), (0, 2), (1, 2))], axis=1
+    )
     vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 3, 3)
     second = np.linalg.svd(vectors, compute_uv=False)[:, 1]
     return triples[np.argsort(-second, kind="stable")[:MAX_TRIPLES]]
@@ -409,6 +476,14 @@ def _is_same_answer(one: _Transforms, other: _Transforms) -> bool:
         _angles(first[None], second[None])[0] < SAME_ANSWER
         for first, second in ((one.camera, other.camera), (one.world, other.world))
     )
+
+
+def _angular_size(sight: Sight) -> float:
+    """Return the median distance of the points from their middle in a view, as rays."""
+    count = np.maximum(sight.seen.sum(axis=1), 1)[:, None]
+    middle = np.sum(sight.rays, axis=1) / count
+    distance = np.linalg.norm(sight.rays - middle[:, None], axis=-1)
+    return float(np.median(distance[sight.seen]))
 
 
 def _nearer(

@@ -172,7 +172,8 @@ def unprojected(
     rays, valid = map(np.asarray, _unproject(camera, jax.device_put(pixels)))
     usable = visible & valid & (rays[..., 2] > 1e-3)
     ideal = rays[..., :2] / np.where(usable, rays[..., 2], 1.0)[..., None]
-    return without_padding((np.where(usable[..., None], ideal, 0.0), usable), *shape)
+    views, points = shape
+    return np.where(usable[..., None], ideal, 0.0)[:views, :points], usable[:views, :points]
 
 
 def _host_observations(observations: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
