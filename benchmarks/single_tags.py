@@ -153,7 +153,8 @@ def run(smoke: bool = False, sets: int | None = None) -> bool:
         verdict = "" if one.right else f"  WRONG: {one.said[:200] or 'no warning'}"
         print(
             f"{one.mount:12}{one.views:6}{1e3 * one.side:5.0f} mm{one.distance:6.2f} m"
-            f"{one.noise:6.2f} px{one.turned_over:13}{one.angle:8.2f} deg{100.0 * one.shift:8.2f} %{verdict}"
+            f"{one.noise:6.2f} px{one.turned_over:13}{one.angle:8.2f} deg"
+            f"{100.0 * one.shift:8.2f} %{verdict}"
         )
     right = sum(one.right for one in trials)
     silent = sum(not one.right and not one.warned for one in trials)

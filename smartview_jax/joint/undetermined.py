@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import qr
 
 from ..calibration import Calibration, host_mount_from_holder
 from ..dataset import Dataset, undetermined_twists
@@ -115,10 +114,16 @@ def _pivots(directions: Float[np.ndarray, "directions 12"], columns: list[int]) 
     """Return one of the columns for each direction, which together fix all; empty if none do."""
     if len(columns) < len(directions):
         return []
-    _, triangle, order = qr(directions[:, columns], pivoting=True)
-    if np.abs(np.diagonal(triangle)).min() <= DETERMINED_PART:
-        return []
-    return [columns[k] for k in order[: len(directions)]]
+    held, left = [], directions.copy()
+    for _ in directions:
+        lengths = np.linalg.norm(left[:, columns], axis=0)
+        if lengths.max() <= DETERMINED_PART:
+            return []
+        held.append(columns[int(np.argmax(lengths))])
+        # What the parameters held so far leave open of all others.
+        part = left[:, held[-1]] / np.linalg.norm(left[:, held[-1]])
+        left = left - np.outer(part, part @ left)
+    return held
 
 
 def _is_selected(name: str, paths: Collection[str]) -> bool:

@@ -55,8 +55,8 @@ MAX_TRIPLES, MAX_TRIED_TRIPLES = 250, 3000
 
 If half of the views tell their poses badly, a triple of good ones is among 250 in every case."""
 
-MAX_GUESSES, GUESS_ROUNDS = 8, 3
-"""The number of random choices of poses where triples tell nothing, and of rounds of each."""
+MAX_GUESSES, GUESS_ROUNDS = 8, 2
+"""The number of random choices of poses where triples tell nothing, and of repetitions of each."""
 
 MAX_SCORED_VIEWS = 60
 """The number of views on which the transforms of triples are scored."""
@@ -66,6 +66,9 @@ MAX_REFINED, MAX_ALIKE = 40, 15
 
 MIN_DIFFERENCE = np.deg2rad(20.0)
 """The angle by which the other transforms differ that are refined: one of the noise of a triple."""
+
+MIN_DAMPING, MAX_DAMPING = 1e-4, 1e4
+"""The damping of a step, relative to the diagonal: the first that is tried, and the last."""
 
 MAX_STEPS = 40
 """The largest number of steps of a refinement."""
@@ -262,10 +265,10 @@ def _minimum_norm_guesses(
     random = np.random.default_rng(0).integers(0, 2, (MAX_GUESSES, count))
     cameras, worlds = [], []
     for choice in (np.zeros(count, int), np.ones(count, int), *random):
+        camera, world = minimum_norm_transforms(robot, candidates[choice, np.arange(count)])
         for _ in range(GUESS_ROUNDS):
-            taken = candidates[choice, np.arange(count)]
-            camera, world = minimum_norm_transforms(robot, taken)
-            choice = _nearer(candidates, camera @ robot @ world)
+            nearer = _nearer(candidates, camera @ robot @ world)
+            camera, world = minimum_norm_transforms(robot, candidates[nearer, np.arange(count)])
         cameras.append(camera)
         worlds.append(world)
     return np.array(cameras), np.array(worlds)
@@ -401,19 +404,18 @@ def _refined(
         weighted = jacobian * weight[..., None, None]
         matrix = np.einsum("vpki,vpkj->ij", weighted, jacobian)
         gradient = np.einsum("vpki,vpk->i", weighted, residual)
-        before, damping = _robust_cost(squares[None], scale)[0], 1e-4
-        moved = False
-        while damping < 1e4:
+        before = after = float(_robust_cost(squares[None], scale)[0])
+        damping = MIN_DAMPING
+        while damping < MAX_DAMPING and not after < before:
             diagonal = np.maximum(np.diagonal(matrix), 1e-9 * np.diagonal(matrix).max())
             step = -np.linalg.solve(matrix + damping * np.diag(diagonal), gradient)
             trial = camera @ host_exponentials(step[:6]), host_exponentials(step[6:]) @ world
-            after = _robust_cost(_squares(trial[0][None], robot, trial[1][None], sight), scale)[0]
+            trial_squares = _squares(trial[0][None], robot, trial[1][None], sight)
+            after = float(_robust_cost(trial_squares, scale)[0])
             if after < before:
                 camera, world = trial
-                moved = True
-                break
             damping *= 10.0
-        if not moved or before - after < 1e-6 * before:
+        if before - after < 1e-6 * before:
             break
     squares = _squares(camera[None], robot, world[None], sight)
     return _Transforms(camera, world, *_scale_and_deviance(squares[0], sight, sigma))
