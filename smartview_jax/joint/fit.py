@@ -139,6 +139,8 @@ def fit_joint(
     field, all_data = checked_field_choice(field), data
     require_names("fixed", fixed)
     require_names("free", free)
+    for path, prior in (priors or {}).items():
+        require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     place_is_given = given_places(start.transform_names, fixed, priors or {})
