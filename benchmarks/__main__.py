@@ -28,6 +28,7 @@ BENCHMARKS = {
     "weak_robots": "robots from exact to 20 mm of noise: the default against the best simple fit",
     "target_shape": "bowed boards, a lens of higher order: mounts and intervals, beside OpenCV",
     "target_size": "intervals where data hardly tell the size of the target: do they agree",
+    "single_tags": "a single small tag, two poses in each view: right in how many sets?",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",

@@ -36,7 +36,7 @@ from ..padding import over_padded_views
 from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
-from .file_content import content_of, parts_of
+from .file_content import check_content, content_of, parts_of
 from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
 from .target_shape import TargetShape
 
@@ -377,8 +377,12 @@ class Calibration(eqx.Module):
             warnings: sentences such as a fit's `warnings`; for human readers, not read back.
             source: where the calibration is from, such as the data set's name; likewise.
             uncertainty: how well it is known, as `JointFit.save` writes it.
+
+        Raises:
+            ValueError: a value that no calibration has, so that the file could not be read back.
         """
         content = self.to_dict(run, warnings, source=source, uncertainty=uncertainty)
+        check_content(content, path)
         as_json = pathlib.PurePath(path).suffix.lower() == ".json"
         write_atomically(path, dump_json(content) if as_json else dump_yaml(content))
 

@@ -3,6 +3,7 @@
 This is what its YAML and JSON files contain.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +58,19 @@ def content_of(
     # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.
     content["end"] = _END_MARK
     return content
+
+
+def check_content(content: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+    """Raise a ValueError if a file with this content would be refused when it is read."""
+    from ..schemas.calibration import CALIBRATION_SCHEMA
+    from ..schemas.validation import validate_content
+
+    try:
+        validate_content(content, CALIBRATION_SCHEMA)
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: not written, because no calibration has such values: {error}"
+        ) from error
 
 
 def parts_of(

@@ -66,7 +66,8 @@ def observability(
         # At most eight components, and none below 5 % of the largest: more are unreadable.
         largest = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
         components = tuple((names[i], float(Vt[k, i] * inverse_norms[i])) for i in largest)
-        return Direction(float(singular_values[k]), components, _describe(components, calibration))
+        text = describe_direction(components, calibration)
+        return Direction(float(singular_values[k]), components, text)
 
     return Observability(
         int(np.sum(singular_values > RANK_TOLERANCE)),
@@ -82,11 +83,15 @@ def observability(
     )
 
 
-def _describe(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
+def describe_direction(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
     """Describe a direction as a sentence.
 
     A shift of the camera on its mount, alone or together with a shift of the target, is described
     in the frame of the mount; every other direction as a list of parameters.
+
+    Args:
+        components: the direction, as in `Direction`.
+        calibration: the calibration whose parameters these are.
     """
     camera_transform, world_transform = calibration.transform_names
     blocks = {".".join(name.split(".")[:2]) for name, _ in components}

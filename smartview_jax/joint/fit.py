@@ -15,7 +15,7 @@ from ..array_namespace import to_device
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..compilation import refuse_traced
-from ..dataset import Dataset, chain_residuals
+from ..dataset import Dataset, chain_residuals, given_places, repeated_views, require_motion
 from ..engine import (
     ROBOT_ERROR,
     AbstractLoss,
@@ -42,6 +42,7 @@ from ..engine import (
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
+from ..geometry import host_matrices
 from ..robot_errors import (
     AbstractField,
     FieldChoice,
@@ -55,6 +56,7 @@ from .gross_errors import remove_gross_errors, without_views
 from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
+from .undetermined import undetermined_motion, with_undetermined
 from .view_rejection import inconsistent_view, inflation_reason, suspect_view
 
 _log = logging.getLogger(__name__)
@@ -138,8 +140,14 @@ def fit_joint(
     field, all_data = checked_field_choice(field), data
     require_names("fixed", fixed)
     require_names("free", free)
+    for path, prior in (priors or {}).items():
+        require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
+    place_is_given = given_places(start.transform_names, fixed, priors or {})
+    poses = host_matrices(data.base_from_tool)[data.usable_views()]
+    require_motion(poses, start.transform_names[0], place_is_given)
+    data = without_views(data, repeated_views(data))
     say, start = progress or (lambda _: None), with_lens(start, lens)
     # The engine is given the points where they truly are; the shape is estimated with the noise.
     stated_shape = None if noise == "estimated" else start.target_shape
@@ -150,12 +158,14 @@ def fit_joint(
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
         noise_estimate, free_paths, held_paths, all_priors = None, tuple(free), (), priors
+        open_motion = undetermined_motion(data, start, fixed, priors)
+        fixed_paths = (*fixed, *open_motion.held)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
                 initial,
                 field=field,
-                fixed=fixed,
+                fixed=fixed_paths,
                 free=free,
                 priors=priors,
                 progress=progress,
@@ -174,7 +184,7 @@ def fit_joint(
             initial,
             noise=noise_model,
             loss=loss,
-            fixed=(*fixed, *held_paths),
+            fixed=(*fixed_paths, *held_paths),
             free=free_paths,
             priors=all_priors,
             field=error_field,
@@ -205,7 +215,7 @@ def fit_joint(
         joint_fit = _assemble_fit(
             data, built, solution, equations, noise_estimate, rejected_points, shape
         )
-        return joint_fit, equations.matrix
+        return with_undetermined(joint_fit, open_motion), equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
         return _finish_fit(fit_once(data, ())[0], data, all_data)

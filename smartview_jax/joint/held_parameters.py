@@ -89,7 +89,9 @@ def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
     poses_are_free = len(problem.per_view_free) and not weights.any()
     stated = np.arange(layout.camera.stop if poses_are_free else layout.target_scale.start)
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
-    held = np.setdiff1d(stated, free)
+    # What the robot's motion leaves open is held as well, but by nobody's word.
+    names = parameter_names(problem.parameters.start)
+    held = np.array([k for k in np.setdiff1d(stated, free) if names[k] not in fit.std], dtype=int)
     with_prior = np.intersect1d(stated[weight[stated] > 0.0], free)
     return (
         *(_contradicted_values(fit, held) if len(held) else ()),
