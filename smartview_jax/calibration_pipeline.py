@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .argument_checks import require_instance
-from .calibration import Calibration
+from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
 from .compilation import refuse_traced
-from .dataset import Dataset, chain_residuals
-from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, parameter_names
+from .dataset import Dataset, chain_residuals, given_places, repetition_warnings
+from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, Prior, parameter_names
 from .fit_result import FitResult, Rejection
 from .geometry import PoseLike
 from .joint import (
@@ -100,7 +100,18 @@ class CalibrationFit(eqx.Module):
     @property
     def warnings(self) -> tuple[str, ...]:
         """The doubts about the answer: the joint fit's own, and differences from the staged fit."""
-        return (*self.joint.warnings, *_staged_comparison_warnings(self))
+        # The joint fit does not see what the staged fit had set aside.
+        repetitions = [
+            text
+            for text in repetition_warnings(self.staged.rejected)
+            if text not in self.joint.warnings
+        ]
+        return (
+            *self.joint.warnings,
+            *self.staged.warnings,
+            *repetitions,
+            *_staged_comparison_warnings(self),
+        )
 
     @property
     def calibration(self) -> Calibration:
@@ -227,13 +238,25 @@ def calibrate(
     # A start of other data would be found out only by a fit that goes astray.
     check_start(start, data)
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
-    views_to_use(data, camera)
+    priors = joint_options.get("priors") or {}
+    # What is held without a start would be held at what the staged fit cannot know either.
+    held = joint_options.get("fixed", ()) if start else ()
+    place_is_given = given_places(transform_names(data.mount), held, priors)
+    views_to_use(data, camera, place_is_given)
     noise = joint_options.get("noise", "estimated")
+    field = joint_options.get("field", "auto")
     # XLA compiles the joint fit while the staged fit runs.
     with ThreadPoolExecutor(max_workers=1) as background:
-        precompilation = background.submit(precompile, data, lens, camera=camera, noise=noise)
+        precompilation = background.submit(
+            precompile, data, lens, camera=camera, noise=noise, field=field
+        )
         staged = fit_staged(
-            data, lens, camera=camera, step2=STEP2_METHODS[step2], progress=progress
+            data,
+            lens,
+            camera=camera,
+            step2=STEP2_METHODS[step2],
+            start=start or _places_of_priors(priors, data.mount),
+            progress=progress,
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
@@ -247,6 +270,19 @@ def calibrate(
         **joint_options,
     )
     return CalibrationFit(staged, joint)
+
+
+def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:
+    """Return the transforms, unturned, whose place priors state in all axes."""
+    places: dict[str, PoseLike] = {}
+    for name in transform_names(mount):
+        paths = [f"{name}.translation.{axis}" for axis in "xyz"]
+        means = [priors[path].mean for path in paths if path in priors]
+        if len(means) == len(paths):
+            pose = np.eye(4)
+            pose[:3, 3] = [0.0 if mean is None else mean for mean in means]
+            places[name] = pose
+    return places
 
 
 def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
@@ -302,7 +338,11 @@ def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
         )
     if joint.calibration.robot_error is not None:
         uncorrected_rms = rms(
-            chain_residuals(joint.calibration.uncorrected, joint.problem.observations)
+            # The points of the problem are those of the true shape already.
+            chain_residuals(
+                dataclasses.replace(joint.calibration.uncorrected, target_shape=None),
+                joint.problem.observations,
+            )
         )
         if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
             messages.append(

@@ -8,7 +8,8 @@ import pytest
 from smartview_jax.dataset import Dataset
 from smartview_jax.io import import_correspondences
 
-_ROOT = Path(__file__).resolve().parents[2] / "shared" / "data"
+_SHARED = Path(__file__).resolve().parents[2] / "shared"
+_ROOT = _SHARED / "data"
 
 
 def shared_data(name: str) -> Path:
@@ -30,3 +31,11 @@ def shared_pairs(name: str, prefix: str = "") -> tuple[Dataset, dict]:
         mount="eye_in_hand" if reference["eye_in_hand"] else "eye_to_hand",
     )
     return data, reference
+
+
+def shared_case(name: str) -> Path:
+    """File or folder of one small case; skips the test, with the reason, where it is missing."""
+    path = _SHARED / "cases" / name
+    if not path.exists():
+        pytest.skip(f"the case {name} is not beside this checkout (shared/cases/{name})")
+    return path

@@ -3,6 +3,7 @@
 This is what its YAML and JSON files contain.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from ..cameras import AbstractLens, camera_from_dict, camera_to_dict
 from ..geometry import region_from_dict, region_to_dict, transform_from_dict, transform_to_dict
 from ..robot_errors import AbstractField, robot_error_from_dict, robot_error_to_dict
 from .mount import transform_names
+from .target_shape import shape_from_dict, shape_to_dict
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -45,6 +47,8 @@ def content_of(
     for name, transform in zip(calibration.transform_names, transforms, strict=True):
         content[name] = transform_to_dict(transform)
     content["target_scale"] = float(calibration.target_scale)
+    if calibration.target_shape is not None:
+        content["target_shape"] = shape_to_dict(calibration.target_shape)
     error = calibration.robot_error
     content["robot_error"] = None if error is None else robot_error_to_dict(error)
     if calibration.region is not None:
@@ -54,6 +58,19 @@ def content_of(
     # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.
     content["end"] = _END_MARK
     return content
+
+
+def check_content(content: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+    """Raise a ValueError if a file with this content would be refused when it is read."""
+    from ..schemas.calibration import CALIBRATION_SCHEMA
+    from ..schemas.validation import validate_content
+
+    try:
+        validate_content(content, CALIBRATION_SCHEMA)
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: not written, because no calibration has such values: {error}"
+        ) from error
 
 
 def parts_of(
@@ -79,6 +96,7 @@ def parts_of(
         transform_from_dict(name, content[name]) for name in transform_names(content["mount"])
     )
     error, region = content.get("robot_error"), content.get("region")
+    shape = content.get("target_shape")
     return {
         "camera": camera_from_dict(content["camera"], lens),
         "camera_from_mount": camera_from_mount,
@@ -87,4 +105,5 @@ def parts_of(
         "target_scale": float(content["target_scale"]),
         "robot_error": None if error is None else robot_error_from_dict(error, field),
         "region": None if region is None else region_from_dict(region),
+        "target_shape": None if shape is None else shape_from_dict(shape),
     }

@@ -33,6 +33,7 @@ class DatasetFigures(NamedTuple):
         usable_views: number of views with enough points.
         extent: how far the tool moved along x, y, z of the base, m; None below two usable views.
         largest_rotation: largest angle between two poses of the tool, rad, likewise.
+        one_axis: whether all turns of the tool share an axis.
     """
 
     points: tuple[int, int, float]
@@ -40,6 +41,7 @@ class DatasetFigures(NamedTuple):
     usable_views: int
     extent: tuple[float, ...] | None
     largest_rotation: float | None
+    one_axis: bool = False
 
 
 def check(
@@ -55,12 +57,14 @@ def check(
     with errors_reported(debug):
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress)
+        given, data = data, _without_repetitions(data)
         figures = _figures(data)
         if not json:
             typer.echo(f"{name}: {data.view_count} views, {data.mount}")
             for text in (*data.notes, *_seen(figures, data), *_motion(figures)):
                 typer.echo(text)
-        problems = _contradictions(data)
+        # As they are given: where all poses are equal, nothing is left of them here.
+        problems = _contradictions(given)
         if json:
             print_document("check", _document(name, data, figures, problems))
         else:
@@ -72,10 +76,24 @@ def check(
             typer.echo("camera and robot agree: smartview calibrate can begin")
 
 
+def _without_repetitions(data: "Dataset") -> "Dataset":
+    """Return the data without views that repeat others, with the reason for each."""
+    import dataclasses
+
+    from ..dataset import repeated_views
+
+    reasons = repeated_views(data)
+    masked = [(data.view_ids[view], text) for view, text in reasons.items()]
+    return dataclasses.replace(
+        data.mask_views(list(reasons)), masked_views=(*data.masked_views, *masked)
+    )
+
+
 def _figures(data: "Dataset") -> DatasetFigures:
     """Measure what is seen and how the robot moved."""
     import numpy as np
 
+    from ..dataset import turns_about_one_axis
     from ..geometry import host_matrices
 
     visible = np.asarray(data.visible)
@@ -95,7 +113,8 @@ def _figures(data: "Dataset") -> DatasetFigures:
     traces = np.einsum("iab,jab->ij", poses[:, :3, :3], poses[:, :3, :3])
     largest = float(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)).max())
     extent = tuple(np.ptp(poses[:, :3, 3], axis=0).tolist())
-    return DatasetFigures(points, picture_used, len(used), extent, largest)
+    one_axis = turns_about_one_axis(poses)
+    return DatasetFigures(points, picture_used, len(used), extent, largest, one_axis)
 
 
 def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
@@ -114,12 +133,19 @@ def _motion(figures: DatasetFigures) -> list[str]:
     if figures.extent is None or figures.largest_rotation is None:
         return [f"usable views: {figures.usable_views}; take more"]
     largest = math.degrees(figures.largest_rotation)
+    advice = ""
+    if figures.one_axis:
+        advice = (
+            "; all turns share one axis, and the camera's place along it stays unknown: turn the "
+            "tool about another axis too"
+        )
+    elif largest < MIN_TURN:
+        advice = "; turn the tool more"
     more = "; take more" if figures.usable_views < MIN_VIEWS else ""
     return [
         f"usable views: {figures.usable_views}{more}",
         f"the tool moved by {', '.join(f'{1e3 * x:.0f}' for x in figures.extent)} mm along x, y, z",
-        f"largest rotation between two views: {largest:.0f} degrees"
-        + ("; turn the tool more" if largest < MIN_TURN else ""),
+        f"largest rotation between two views: {largest:.0f} degrees{advice}",
     ]
 
 
@@ -139,6 +165,7 @@ def _document(
         "picture_used": figures.picture_used,
         "tool_extent_mm": None if extent is None else [1e3 * x for x in extent],
         "largest_rotation_deg": None if rotation is None else math.degrees(rotation),
+        "turns_about_one_axis": figures.one_axis,
         "notes": list(data.notes),
         "problems": list(problems),
         # What the exit code says too.

@@ -7,3 +7,11 @@ from .observations import Observations as Observations
 from .observations import chain_residuals as chain_residuals
 from .observations import medians_by_view as medians_by_view
 from .observations import view_residuals as view_residuals
+from .robot_motion import distinct_poses as distinct_poses
+from .robot_motion import given_places as given_places
+from .robot_motion import never_turns as never_turns
+from .robot_motion import repeated_views as repeated_views
+from .robot_motion import repetition_warnings as repetition_warnings
+from .robot_motion import require_motion as require_motion
+from .robot_motion import turns_about_one_axis as turns_about_one_axis
+from .robot_motion import undetermined_twists as undetermined_twists

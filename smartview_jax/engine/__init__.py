@@ -17,7 +17,9 @@ from .losses import GemanMcClure as GemanMcClure
 from .losses import Huber as Huber
 from .losses import StudentT as StudentT
 from .noise import Noise as Noise
+from .observability import Direction as Direction
 from .observability import Observability as Observability
+from .observability import describe_direction as describe_direction
 from .observability import observability as observability
 from .parameters import POSE_CORRECTIONS as POSE_CORRECTIONS
 from .parameters import ROBOT_ERROR as ROBOT_ERROR

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..calibration import Calibration
+from ..geometry import host_matrices
 from .covariance import RANK_TOLERANCE, ScaledJacobian
 
 WEAK_SINGULAR_VALUE = 1e-3
@@ -65,7 +66,8 @@ def observability(
         # At most eight components, and none below 5 % of the largest: more are unreadable.
         largest = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
         components = tuple((names[i], float(Vt[k, i] * inverse_norms[i])) for i in largest)
-        return Direction(float(singular_values[k]), components, _describe(components, calibration))
+        text = describe_direction(components, calibration)
+        return Direction(float(singular_values[k]), components, text)
 
     return Observability(
         int(np.sum(singular_values > RANK_TOLERANCE)),
@@ -81,11 +83,15 @@ def observability(
     )
 
 
-def _describe(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
+def describe_direction(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
     """Describe a direction as a sentence.
 
     A shift of the camera on its mount, alone or together with a shift of the target, is described
     in the frame of the mount; every other direction as a list of parameters.
+
+    Args:
+        components: the direction, as in `Direction`.
+        calibration: the calibration whose parameters these are.
     """
     camera_transform, world_transform = calibration.transform_names
     blocks = {".".join(name.split(".")[:2]) for name, _ in components}
@@ -100,7 +106,7 @@ def _describe(components: tuple[tuple[str, float], ...], calibration: Calibratio
             if name.startswith(camera_translation):
                 displacement["xyz".index(name[-1])] = value
         # t = translation of camera_from_mount is in camera axes; R^T t is in the axes of the mount.
-        rotation = np.asarray(calibration.camera_from_mount.rotation().as_matrix())
+        rotation = host_matrices(calibration.camera_from_mount)[:3, :3]
         axis = _describe_axis(rotation.T @ displacement)
         return f"camera offset along the {mount}'s {axis}: all rotations share that axis"
     listed = ", ".join(f"{name} ({value:+.2g})" for name, value in components)

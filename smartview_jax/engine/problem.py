@@ -16,7 +16,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..array_namespace import to_device
-from ..calibration import Calibration
+from ..calibration import Calibration, TargetShape
 from ..dataset import Observations
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
@@ -200,6 +200,51 @@ class JointProblem(eqx.Module):
         pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
+
+    def normal_equations_with_shape(self, z: Step, shape: TargetShape) -> NormalEquations:
+        """Return the normal equations of the observations, with the target's shape as parameters.
+
+        The coefficients of the shape come after the free shared parameters.
+
+        Args:
+            z: step from the start.
+            shape: shape of the target; the observations' points are displaced by it already.
+        """
+        pose_jacobians = self._linearise_poses(z)
+        calibration = pose_jacobians.calibration
+        views = linearise_views(
+            calibration.camera,
+            pose_jacobians.camera_from_world,
+            self.observations,
+            calibration.target_scale,
+            self.pixel_sigma,
+            self.loss,
+            shape,
+        )
+        # S_v and O_v as in `_apply_chain_rule`, with an identity for the shape between the
+        # camera's rows and the twist's, and a column for each coefficient at the end.
+        n, size = self.parameters.layout.camera.stop, len(shape.coefficients)
+        without_shape = self._shared_jacobian(pose_jacobians)
+        count, _, free = without_shape.shape
+        rows = jnp.broadcast_to(jnp.eye(size, free + size, free)[None], (count, size, free + size))
+        columns = jnp.pad(without_shape, ((0, 0), (0, 0), (0, size)))
+        shared = jnp.concatenate([columns[:, :n], rows, columns[:, n:]], axis=1)
+        per_view = self._per_view_jacobian(pose_jacobians)
+        corrected, twist = slice(len(per_view)), slice(n + size, None)
+        matrix_shared = views.matrix @ shared
+        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
+        return NormalEquations(
+            jnp.sum(views.cost),
+            Step(
+                jnp.einsum("vki,vk->i", shared, views.gradient),
+                jnp.einsum("vki,vk->vi", per_view, views.gradient[corrected, twist]),
+            ),
+            BlockArrow(
+                jnp.einsum("vki,vkj->ij", shared, matrix_shared),
+                per_view_transposed @ matrix_shared[corrected, twist],
+                per_view_transposed @ views.matrix[corrected, twist, twist] @ per_view,
+            ),
+        )
 
     def _linearise_poses(self, z: Step) -> PoseJacobians:
         """Return the pose of the camera in every view at a scaled step, with its derivatives."""

@@ -39,8 +39,17 @@ _UPPER = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 
 
 def save_object_model(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
-    """Write an object model as JSON in metres, completely or not at all."""
-    return write_atomically(path, _readable_json(object_model_to_dict(model)))
+    """Write an object model as JSON in metres, completely or not at all.
+
+    Raises:
+        ValueError: a value that no object model has, so that the file could not be read back.
+    """
+    content = object_model_to_dict(model)
+    try:
+        object_model_from_dict(content)
+    except ValueError as error:
+        raise ValueError(f"{path}: not written, it could not be read back: {error}") from error
+    return write_atomically(path, _readable_json(content))
 
 
 def load_object_model(path: str | os.PathLike[str]) -> ObjectModel:

@@ -12,10 +12,10 @@ from jaxtyping import Array, Bool
 
 from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
-from ..calibration import Calibration
+from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..compilation import refuse_traced
-from ..dataset import Dataset, chain_residuals
+from ..dataset import Dataset, chain_residuals, given_places, repeated_views, require_motion
 from ..engine import (
     ROBOT_ERROR,
     AbstractLoss,
@@ -42,6 +42,7 @@ from ..engine import (
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
+from ..geometry import host_matrices
 from ..robot_errors import (
     AbstractField,
     FieldChoice,
@@ -52,8 +53,10 @@ from ..robot_errors import (
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views
+from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
+from .undetermined import undetermined_motion, with_undetermined
 from .view_rejection import inconsistent_view, inflation_reason, suspect_view
 
 _log = logging.getLogger(__name__)
@@ -137,36 +140,51 @@ def fit_joint(
     field, all_data = checked_field_choice(field), data
     require_names("fixed", fixed)
     require_names("free", free)
+    for path, prior in (priors or {}).items():
+        require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
+    place_is_given = given_places(start.transform_names, fixed, priors or {})
+    poses = host_matrices(data.base_from_tool)[data.usable_views()]
+    require_motion(poses, start.transform_names[0], place_is_given)
+    data = without_views(data, repeated_views(data))
     say, start = progress or (lambda _: None), with_lens(start, lens)
+    # The engine is given the points where they truly are; the shape is estimated with the noise.
+    stated_shape = None if noise == "estimated" else start.target_shape
+    start = dataclasses.replace(start, target_shape=None)
 
     def fit_once(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
-        initial, noise_model, error_field = start, noise, field
+        initial, noise_model, error_field, shape = start, noise, field, stated_shape
         noise_estimate, free_paths, held_paths, all_priors = None, tuple(free), (), priors
+        open_motion = undetermined_motion(data, start, fixed, priors)
+        fixed_paths = (*fixed, *open_motion.held)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
                 initial,
                 field=field,
-                fixed=fixed,
+                fixed=fixed_paths,
                 free=free,
                 priors=priors,
                 progress=progress,
                 robot_prior=robot_prior,
             )
             initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
+            if noise_estimate.target_shape is not None:
+                shape = noise_estimate.target_shape.shape
             # The target's size is averaged if the views may favour another one than stated.
             free_paths += noise_estimate.free
             all_priors = {**(priors or {}), **noise_estimate.priors(start)}
+        if shape is not None:
+            data = dataclasses.replace(data, points=shape.displaced(data.points))
         built = build_problem(
             data,
             initial,
             noise=noise_model,
             loss=loss,
-            fixed=(*fixed, *held_paths),
+            fixed=(*fixed_paths, *held_paths),
             free=free_paths,
             priors=all_priors,
             field=error_field,
@@ -194,8 +212,10 @@ def fit_joint(
             )
             built = dataclasses.replace(built, problem=problem)
         _log.info("%d steps to a cost of %.6g", solution.steps, solution.costs[-1])
-        joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
-        return joint_fit, equations.matrix
+        joint_fit = _assemble_fit(
+            data, built, solution, equations, noise_estimate, rejected_points, shape
+        )
+        return with_undetermined(joint_fit, open_motion), equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
         return _finish_fit(fit_once(data, ())[0], data, all_data)
@@ -259,7 +279,8 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
     fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
-    return dataclasses.replace(fit, warnings=plausibility_warnings(fit))
+    warnings = (*plausibility_warnings(fit), *held_value_warnings(fit))
+    return dataclasses.replace(fit, warnings=warnings)
 
 
 def _assemble_fit(
@@ -269,6 +290,7 @@ def _assemble_fit(
     equations: NormalEquations,
     noise_estimate: NoiseEstimate | None,
     rejected_points: tuple[Rejection, ...],
+    shape: TargetShape | None,
 ) -> JointFit:
     """Build the result: covariances, degrees of freedom, inliers and rejections at the solution."""
     problem, chain = built.problem, solution.chain
@@ -287,7 +309,7 @@ def _assemble_fit(
         # So do models between which the data do not decide.
         small_sample = noise_estimate.correction_of(built.shared_names)
         added = small_sample.added_covariance
-        added = added + noise_estimate.covariance_between_models(built.shared_names)
+        added = added + noise_estimate.covariance_of_choices(built.shared_names)
         common_covariance = common_covariance + added
         degrees_of_freedom = small_sample.degrees_of_freedom
         std = np.sqrt(std**2 + np.diagonal(added))
@@ -301,12 +323,14 @@ def _assemble_fit(
         max(1.0, residual_variance) if built.sigma_known else residual_variance
     )
     names = (*built.shared_names, *built.per_view_names)
+    shape_std, shape_freedom = _shape_uncertainty(noise_estimate)
     # The robot error of the result has the groups that were fitted, and no others.
     calibration, error = chain.calibration, chain.calibration.robot_error
     if noise_estimate is not None and error is not None:
         field = noise_estimate.field
         error = None if field is None else error.converted_to(field)
         calibration = dataclasses.replace(calibration, robot_error=error)
+    calibration = dataclasses.replace(calibration, target_shape=shape)
     return JointFit(
         calibration=calibration,
         covariance=common_covariance,
@@ -320,10 +344,11 @@ def _assemble_fit(
         start=problem.parameters.start if noise_estimate is None else noise_estimate.calibration,
         problem=problem,
         solution=solution,
-        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)),
-        degrees_of_freedom=dict(
-            zip(built.shared_names, map(float, degrees_of_freedom), strict=True)
-        ),
+        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)) | shape_std,
+        degrees_of_freedom={
+            **dict(zip(built.shared_names, map(float, degrees_of_freedom), strict=True)),
+            **shape_freedom,
+        },
         noise=built.noise if noise_estimate is None else noise_estimate.noise,
         noise_estimate=noise_estimate,
         rejected=_all_rejections(data, rejected_points, built.unprojectable),
@@ -331,6 +356,21 @@ def _assemble_fit(
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=_solver_result(solution),
+    )
+
+
+def _shape_uncertainty(
+    noise_estimate: NoiseEstimate | None,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return standard deviations and degrees of freedom of the target's shape, by name."""
+    if noise_estimate is None or noise_estimate.target_shape is None:
+        return {}, {}
+    names = noise_estimate.parameter_names[-len(SHAPE_NAMES) :]
+    small_sample = noise_estimate.correction_of(names)
+    covariance = noise_estimate.covariance_of_choices(names) + small_sample.added_covariance
+    return (
+        dict(zip(names, map(float, np.sqrt(np.diagonal(covariance))), strict=True)),
+        dict(zip(names, map(float, small_sample.degrees_of_freedom), strict=True)),
     )
 
 

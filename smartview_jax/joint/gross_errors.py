@@ -29,12 +29,18 @@ from ..engine import (
     solve_with_estimated_sigma,
     squared_residuals,
     updated_sigma,
+    variance_factor,
     with_free_camera_poses,
     with_pixel_sigma,
 )
 from ..fit_result import Rejection
 from ..geometry import host_matrices, host_transforms
-from ..staged import estimate_view_poses, find_consistent_views, median_reprojection_errors
+from ..staged import (
+    MAX_UNCHECKED_POINTS,
+    estimate_view_poses,
+    find_consistent_views,
+    median_reprojection_errors,
+)
 from ..variance import encompassing_field
 
 MAX_SQUARED_RESIDUAL = 144.0
@@ -96,8 +102,10 @@ def remove_gross_errors(
     sigma, residual_norms, poses = _robust_poses(located_data, start, poses, fixed, priors)
     visible = np.asarray(located_data.visible)
     # Gate on squared whitened residuals: |r|^2 > MAX_SQUARED_RESIDUAL sigma^2.
-    outside = visible & (residual_norms > np.sqrt(MAX_SQUARED_RESIDUAL) * sigma)
-    count, outlier_count = visible.sum(axis=1), outside.sum(axis=1)
+    count = visible.sum(axis=1)
+    checked = visible & (count > MAX_UNCHECKED_POINTS)[:, None]
+    outside = checked & (residual_norms > np.sqrt(MAX_SQUARED_RESIDUAL) * sigma)
+    outlier_count = outside.sum(axis=1)
     rejected_views = {
         int(k): f"no pose fits it: {outlier_count[k]} of its {count[k]} points lie apart"
         for k in np.flatnonzero(outlier_count > MAX_OUTLIER_FRACTION * count)
@@ -192,12 +200,15 @@ def _robust_poses(
     # The field has no effect, but with it the fit is compiled together with those that follow.
     field = encompassing_field(data, len(data.usable_views())) if data.arm is None else None
     free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses, field)
+    # Without enough points in a view there is no robust fit of its pose.
+    count = np.asarray(data.visible).sum(axis=1)
+    is_checked = 2 * np.sum(count[count > MAX_UNCHECKED_POINTS]) > np.sum(count)
     camera_priors = {path: prior for path, prior in (priors or {}).items() if _is_camera_path(path)}
     problem = build_problem(
         free_pose_data,
         identity_start,
         noise=Noise(1.0, np.inf, np.inf),
-        loss=Cauchy(),
+        loss=Cauchy() if is_checked else None,
         fixed=(*identity_start.transform_names, *filter(_is_camera_path, fixed)),
         priors=camera_priors,
     ).problem
@@ -207,7 +218,11 @@ def _robust_poses(
     problem, solution, _, sigma = solve_with_estimated_sigma(
         with_pixel_sigma(problem, updated_sigma(1.0, first_factor)),
         lambda problem, step: solve(problem, LOOSE_SOLVER, start=step),
-        lambda problem, squares: robust_variance(squares, np.asarray(problem.observations.visible)),
+        lambda problem, squares: (
+            robust_variance(squares, np.asarray(problem.observations.visible))
+            if is_checked
+            else variance_factor(problem, squares)
+        ),
         SIGMA_TOLERANCE,
         MAX_SIGMA_FITS,
     )

@@ -8,10 +8,13 @@ hand-eye calibration needs.
 
 import numpy as np
 
-from ..dataset import MINIMUM_RELIABLE_VIEWS
+from ..calibration import Calibration
+from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
+from ..engine import Direction
 from ..geometry import host_matrices
 from ..variance import TARGET_SCALE, TargetScaleEvidence
 from .joint_fit import JointFit, half_width
+from .last_joint import half_widths_with_last_joint_held
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
 """The largest plausible smooth correction of a reported pose, m and rad."""
@@ -31,9 +34,15 @@ MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, that no lens and no arm explains."""
 
+MIN_BOW_SIGMAS = 3.0
+"""The bow of the target that a warning mentions, in its standard deviations."""
+
 MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """The probability of another target size from which a warning mentions it, and from which only it
 is an answer."""
+
+OWN_VARIANCE_SHARE = 0.5
+"""The share of a mount's variance below which most of it is the last joint's."""
 
 
 def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
@@ -48,16 +57,38 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     warnings += _robot_warnings(fit)
     warnings += _mount_warnings(fit)
     warnings += [
-        f"the data do not tell: {direction.description}"
+        f"the data do not tell: {direction.description}; {_way_out(direction, fit.calibration)}"
         for direction in fit.observability.null_directions
     ]
-    used_views = int(np.asarray(fit.inliers).any(axis=1).sum())
+    warnings += repetition_warnings(fit.rejected)
+    # Several pictures from one pose tell no more of the robot than one.
+    poses = host_matrices(fit.problem.observations.base_from_tool)
+    used_views = len(distinct_poses(poses[np.asarray(fit.inliers).any(axis=1)]))
     if used_views < MINIMUM_RELIABLE_VIEWS:
         warnings.append(
             f"{used_views} views are few: no figure is reliable with fewer than "
             f"{MINIMUM_RELIABLE_VIEWS}"
         )
     return tuple(warnings)
+
+
+def _way_out(direction: Direction, calibration: Calibration) -> str:
+    """Return where an undetermined direction is left, and what determines it, in words."""
+    mount = calibration.transform_names[0]
+    names = [name for name, _ in direction.components]
+    name = next((name for name in names if name.startswith(f"{mount}.")), names[0])
+    path, place = name.split("."), ""
+    if path[0] in calibration.transform_names:
+        place = f"start={{'{path[0]}': ...}} and "
+    prior = (
+        f"priors={{'{name}': Prior(std=...)}}"
+        if "rotation" in path
+        else f"priors={{'{name}': Prior(mean=..., std=...)}}"
+    )
+    return (
+        "it is left where the fit started. Turn the robot about another axis, or give it: "
+        f"{place}fixed=('{name}',), or {prior}"
+    )
 
 
 def _residual_warnings(fit: JointFit) -> list[str]:
@@ -87,6 +118,32 @@ def _residual_warnings(fit: JointFit) -> list[str]:
 
 
 def _target_warnings(fit: JointFit) -> list[str]:
+    """Return warnings about the stated size of the target, and about its shape."""
+    return _scale_warnings(fit) + _shape_warnings(fit)
+
+
+def _shape_warnings(fit: JointFit) -> list[str]:
+    """Return a sentence on the bow of the target, where it matters for the mount."""
+    noise_estimate = fit.noise_estimate
+    if noise_estimate is None or noise_estimate.target_shape is None:
+        return []
+    estimate = noise_estimate.target_shape
+    observations = fit.problem.observations
+    bow, std = estimate.bow(np.asarray(observations.points)[np.asarray(observations.visible)])
+    mount = f"{fit.calibration.transform_names[0]}."
+    names = [name for name in fit.parameter_names if name.startswith(mount)]
+    rows = [noise_estimate.parameter_names.index(name) for name in names]
+    shift = estimate.by_shape[rows] @ np.asarray(estimate.shape.coefficients)
+    stds = np.array([fit.std[name] for name in names])
+    if not bow > MIN_BOW_SIGMAS * std or not (np.abs(shift) > stds).any():
+        return []
+    return [
+        f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected: taken for "
+        f"flat it would move {mount[:-1]} by {1e3 * np.linalg.norm(shift[:3]):.2f} mm"
+    ]
+
+
+def _scale_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the stated size of the target."""
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
@@ -158,7 +215,11 @@ def _mount_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the hand-eye transform: wide intervals, or a shift by correction."""
     mount = fit.calibration.transform_names[0]
     warnings, coarse_names = [], set()
+    undetermined = {
+        name for direction in fit.observability.null_directions for name, _ in direction.components
+    }
     stds, freedoms = fit.std, fit.degrees_of_freedom
+    last_joint_held = half_widths_with_last_joint_held(fit)
     for part, limit, unit, scale in (
         ("translation", MAX_TRANSLATION_HALF_WIDTH, "mm", 1e3),
         ("rotation", MAX_ROTATION_HALF_WIDTH, "degrees", float(np.rad2deg(1.0))),
@@ -166,7 +227,26 @@ def _mount_warnings(fit: JointFit) -> list[str]:
         names = [n for n in fit.parameter_names if n.startswith(f"{mount}.{part}.")]
         # Not by the fit's own method: Equinox copies a module, corrections and all, for each call.
         half_widths = {name: half_width(stds[name], freedoms[name]) for name in names}
-        coarse = {name: width for name, width in half_widths.items() if not width <= limit}
+        # What is not determined at all is named with its direction.
+        coarse = {
+            name: width
+            for name, width in half_widths.items()
+            if not width <= limit and name not in undetermined
+        }
+        # No view tells the last joint's zero from the mount's turn.
+        by_nature = {
+            name
+            for name in coarse
+            if last_joint_held.get(name, np.inf) ** 2 < OWN_VARIANCE_SHARE * coarse[name] ** 2
+        }
+        if by_nature:
+            worst = max(by_nature, key=lambda name: coarse[name])
+            warnings.append(
+                f"{worst} is known to +- {scale * coarse[worst]:.3g} {unit} only, because the zero "
+                "of the last joint is a turn of the mount by nature: no view tells them apart, and "
+                f"both together are known to +- {scale * last_joint_held[worst]:.3g} {unit}"
+            )
+            coarse = {name: width for name, width in coarse.items() if name not in by_nature}
         coarse_names |= set(coarse)
         if coarse:
             worst = max(coarse, key=lambda name: coarse[name])

@@ -19,6 +19,7 @@ from .closure import relative_motions as relative_motions
 from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
+from .fit import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
 from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged

@@ -19,6 +19,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float, Int
 
 from ..calibration import mount_frames
+from ..dataset import turns_about_one_axis
 from ..geometry import host_matrices
 from .closure import (
     ClosureError,
@@ -126,7 +127,9 @@ def check_conventions(
     if used.sum() < 3:
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
     motions = _relative_motions(robot, camera, used, in_hand)
-    comparable = motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
+    # Turns that are noise seem to have many axes.
+    turned = not turns_about_one_axis(robot[used])
+    comparable = turned and motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
     given_error, ratio = closure_error(motions), length_ratio(motions) if comparable else 1.0
     problems, hypotheses = (), ()
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave

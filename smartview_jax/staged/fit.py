@@ -5,7 +5,7 @@ camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and 
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -15,21 +15,41 @@ from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import to_device
 from ..blas_threads import on_one_blas_thread
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration, host_mount_from_holder, transform_names
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..compilation import refuse_traced
-from ..dataset import Dataset, Observations, chain_residuals
+from ..dataset import (
+    Dataset,
+    Observations,
+    chain_residuals,
+    repeated_views,
+    require_motion,
+)
 from ..fit_result import FitCode, FitResult, Rejection
+from ..geometry import PoseLike, host_matrices
 from .conventions import ConventionReport, check_conventions
+from .given_start import known_transforms
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
 from .region import with_region
 from .target_checks import collinear_views, mismatched_views
+from .two_poses import choose_poses
 from .view_consistency import find_consistent_views, median_reprojection_errors
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
 _log = logging.getLogger(__name__)
+
+MAX_UNCHECKED_POINTS = 6
+"""The number of points up to which a view does not say which of them lies apart.
+
+A pose passes through any three points exactly, so that good points look like outliers, or outliers
+like good points, where these are half of all.
+"""
+
+UNCHECKED_GATE_PROBABILITY = 1.0 - 1e-14
+"""The least probability of the outlier gate where most views have so few points: eight standard
+deviations, which are understated there, since the poses of the views follow the noise."""
 
 MINIMUM_POINTS = 6
 """Smallest number of points with which a view can be calibrated by itself."""
@@ -82,6 +102,7 @@ class StagedFit(eqx.Module):
         views: indices of the views that Step 3 used.
         conventions: how well robot and camera motion agree.
         result: whether all steps converged.
+        warnings: the reasons to doubt the answer, a sentence each.
     """
 
     calibration: Calibration
@@ -94,6 +115,7 @@ class StagedFit(eqx.Module):
     views: tuple[int, ...] = eqx.field(static=True)
     conventions: ConventionReport = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def interpolation(self, data: Dataset) -> Interpolation:
         """Return the paper's comparison method: interpolation between the viewpoints of `data`."""
@@ -103,12 +125,28 @@ class StagedFit(eqx.Module):
         return Interpolation(self.step2.camera, robot, camera_from_world)
 
 
-def views_to_use(data: Dataset, camera: Camera | None = None) -> np.ndarray:
-    """Return the indices of the views that show enough points, not all on one line.
+def views_to_use(
+    data: Dataset, camera: Camera | None = None, place_is_given: bool = False
+) -> np.ndarray:
+    """Return the indices of the views that show enough points, not all on one line, once each.
+
+    Args:
+        data: the data set.
+        camera: a known camera; fewer points suffice then.
+        place_is_given: whether the camera's or the target's place is known, which a robot that
+            never turns does not tell.
 
     Raises:
-        ValueError: fewer than three are left; the message says what is wrong with the others.
+        ValueError: fewer than three are left, and the message says what is wrong with the others;
+            or the robot did not move or turn.
     """
+    poses = host_matrices(data.base_from_tool)
+    mount_name = transform_names(data.mount)[0]
+    unusable = _views_without_pose(data, _minimum_points(camera))
+    _require_minimum_views(data, unusable, _minimum_points(camera))
+    seen = np.setdiff1d(np.arange(data.view_count), list(unusable))
+    # Before views that repeat others are set aside: nothing would be left to speak of.
+    require_motion(poses[seen], mount_name, place_is_given)
     unusable = _unusable_views(data, _minimum_points(camera))
     _require_minimum_views(data, unusable, _minimum_points(camera))
     return np.setdiff1d(np.arange(data.view_count), list(unusable))
@@ -147,6 +185,12 @@ def _mask_unusable_views(
 
 
 def _unusable_views(data: Dataset, minimum: int) -> dict[int, str]:
+    """Return the views whose pose cannot be determined or repeats another's, with the reason."""
+    unusable = _views_without_pose(data, minimum)
+    return unusable | repeated_views(data.mask_views(list(unusable)))
+
+
+def _views_without_pose(data: Dataset, minimum: int) -> dict[int, str]:
     """Return the views whose pose cannot be determined, with the reason."""
     reasons, visible = dict(data.masked_views), np.asarray(data.visible)
     point_counts, collinear = visible.sum(axis=1), collinear_views(np.asarray(data.points), visible)
@@ -178,6 +222,7 @@ def fit_staged(
     gate_probability: float = 0.9999,
     conventions: str = "raise",
     step2: Callable[..., CommonCameraFit] = kalman_filter,
+    start: Calibration | Mapping[str, PoseLike] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> StagedFit:
     """Calibrate in three steps: each view (Weng), all views (Kalman), hand-eye (BFGS).
@@ -194,16 +239,21 @@ def fit_staged(
             `"report"` it in the result.
         step2: the paper's filter, or a function with the same arguments, such as
             `joint.batch_least_squares`.
+        start: a calibration or transforms by name, as far as they are known: what the robot's
+            motion leaves undetermined stays there.
         progress: called with a sentence about each step.
 
     Raises:
-        ValueError: too few usable views, or poses that cannot belong to these pictures.
+        ValueError: too few usable views, a robot that did not move, or that never turned where no
+            start says the camera's place, or poses that cannot belong to these pictures.
     """
     refuse_traced("fit_staged", data, camera)
+    known = known_transforms(start, data.mount)
     say = progress or (lambda _: None)
     if conventions not in ("raise", "report"):
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
-    views_to_use(data, camera)
+    place_is_given = rough_translation is not None or any(pose is not None for pose in known)
+    views_to_use(data, camera, place_is_given)
     unusable = _unusable_views(data, _minimum_points(camera))
     say(f"Step 1: each of {data.view_count - len(unusable)} views by itself")
     observations, used = _mask_unusable_views(data, unusable)
@@ -221,6 +271,11 @@ def fit_staged(
             observations, data.image_size, used, lens, camera
         )
     weights = to_device(used.astype(float))
+    point_counts = np.asarray(observations.visible).sum(axis=1)
+    unchecked = np.sum(point_counts[point_counts <= MAX_UNCHECKED_POINTS])
+    if 2 * unchecked > point_counts.sum():
+        gate_probability = max(gate_probability, UNCHECKED_GATE_PROBABILITY)
+        start_inliers = observations.visible
     say("Step 2: one camera for all views")
     common_fit = step2(
         observations,
@@ -232,15 +287,39 @@ def fit_staged(
         hold_camera=camera is not None,
         progress=progress,
     )
+    robot = host_mount_from_holder(data.mount, data.base_from_tool)
+    choice = choose_poses(
+        observations,
+        common_fit.camera,
+        common_fit.camera_from_world,
+        robot,
+        used,
+        _pixel_noise(common_fit),
+        known,
+    )
+    if choice is not None and choice.exchanged:
+        say(f"Step 2 again: {len(choice.exchanged)} views have their other pose")
+        common_fit = step2(
+            observations,
+            common_fit.camera,
+            choice.camera_from_world,
+            start_inliers,
+            pixel_sigma,
+            gate_probability,
+            hold_camera=camera is not None,
+            progress=progress,
+        )
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
     report = check_conventions(
         data.base_from_tool, common_fit.camera_from_world, data.mount, weights
     )
+    if choice is not None and choice.explained:
+        # The poses of a small target scatter by more than the check allows for.
+        report = report._replace(problems=(), hypotheses=())
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
-    robot = host_mount_from_holder(data.mount, data.base_from_tool)
     # Step 3 has no outlier gate of its own: Eq. 17 is a sum of squares, which one wrong pair of
     # picture and pose can dominate.
     consistency = find_consistent_views(
@@ -264,6 +343,7 @@ def fit_staged(
         to_device(np.asarray(consistent, dtype=float)),
         rough_translation,
         length_scale,
+        known,
     )
     _log.info("Step 2: %.3f px RMS; Step 3: %d views", float(common_fit.rms), int(consistent.sum()))
     calibration = Calibration(
@@ -286,7 +366,17 @@ def fit_staged(
         tuple(int(view) for view in np.flatnonzero(consistent)),
         report,
         _fit_result(common_fit, step3, calibration),
+        (choice.warning,) if choice is not None and choice.warning else (),
     )
+
+
+def _pixel_noise(common_fit: CommonCameraFit) -> float:
+    """Return the standard deviation of u and v, px, with the freedom of the views' poses."""
+    points = np.asarray(common_fit.inliers).sum(axis=1)
+    # Six numbers of a pose take up half of the residuals of four corners.
+    freedom = max(2.0 * points.sum() - 6.0 * np.count_nonzero(points), 1.0)
+    pooled = float(common_fit.rms) * np.sqrt(points.sum() / freedom)
+    return max(float(common_fit.pixel_sigma), pooled)
 
 
 def _run_step1(

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+from jaxlie import SE3
 
 from ..calibration import Calibration, host_mount_from_holder, transform_names
 from ..cameras import Camera
@@ -69,3 +70,15 @@ def merged_start(
         camera_from_mount=host_transforms(given[mount_name]),
         holder_from_world=host_transforms(given[holder_name]),
     )
+
+
+def known_transforms(
+    start: Calibration | Mapping[str, PoseLike] | None, mount: str
+) -> tuple[SE3 | None, SE3 | None]:
+    """Return `camera_from_mount` and `holder_from_world` of a start, as far as it has them."""
+    if isinstance(start, Calibration):
+        return start.camera_from_mount, start.holder_from_world
+    mount_name, holder_name = (
+        as_se3(start[name]) if start and name in start else None for name in transform_names(mount)
+    )
+    return mount_name, holder_name

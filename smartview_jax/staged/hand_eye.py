@@ -15,6 +15,7 @@ result depends on the unit of length. It is the metre here, unless a length scal
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,12 +25,17 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
+from ..dataset import require_motion, undetermined_twists
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from .closed_form import CLOSED_FORMS, mean_camera_from_mount
 from .frobenius import frobenius_factor
+from .minimum_norm import minimum_norm_transforms
 
 PAPER_START = "paper: rotation identity"
 """The name of the paper's start: identity rotation and a roughly known translation."""
+
+MINIMUM_NORM_START = "minimum norm"
+"""The name of the search where the motion leaves directions undetermined (`minimum_norm.py`)."""
 
 
 class SearchRecord(NamedTuple):
@@ -77,8 +83,12 @@ def solve_hand_eye(
     weights: Float[Array, "views"] | Float[np.ndarray, "views"] | None = None,
     rough_translation: Float[Array, "3"] | np.ndarray | None = None,
     length_scale: float = 1.0,
+    start: tuple[SE3 | None, SE3 | None] = (None, None),
 ) -> HandEyeResult:
     """Compute hand-eye and world transforms from robot poses and camera poses, `(views)` each.
+
+    A direction that the motion does not determine, such as the camera's place along the only axis
+    about which the robot turned, stays where it starts.
 
     Args:
         mount_from_holder: `tool_from_base` for a camera on the hand.
@@ -87,15 +97,28 @@ def solve_hand_eye(
         rough_translation: the user's rough `holder_from_world` translation, m, for the paper's
             start; zero if not given.
         length_scale: metres per unit of length in Eq. 17; smaller gives translation more weight.
+        start: `camera_from_mount` and `holder_from_world` as far as they are known; the first that
+            is given decides what the motion leaves undetermined.
 
     Raises:
-        ValueError: fewer than three views.
+        ValueError: fewer than three different poses, or a robot that never turned without a start
+            or a rough translation.
     """
     T, C = host_matrices(mount_from_holder), host_matrices(camera_from_world)
     w = np.ones(len(T)) if weights is None else np.asarray(weights, dtype=float)
     # Two motions about different axes are needed, hence three views.
     if np.count_nonzero(w) < 3:
         raise ValueError(f"Step 3 needs at least 3 views, found {np.count_nonzero(w)}")
+    known = [None if pose is None else host_matrices(pose) for pose in start]
+    if rough_translation is not None and known[1] is None and known[0] is None:
+        known[1] = np.eye(4)
+        known[1][:3, 3] = np.asarray(rough_translation)
+    finite = np.isfinite(T).all() and np.isfinite(C).all()
+    if finite:
+        place_is_given = any(pose is not None for pose in known)
+        require_motion(T[w != 0.0], "camera_from_mount", place_is_given)
+    if finite and len(undetermined_twists(T[w != 0.0])):
+        return _minimum_norm_result(T[w != 0.0], C[w != 0.0], w[w != 0.0], length_scale, known)
     # The closed forms are further starts beside the paper's.
     closed_forms = {
         name: tuple(host_matrices(x) for x in form(mount_from_holder, camera_from_world, w))
@@ -137,6 +160,39 @@ def solve_hand_eye(
         (world_best.name, hand_eye_best.name),
         converged,
         "converged" if converged else "BFGS did not converge; the best of its answers was taken",
+    )
+
+
+def _minimum_norm_result(
+    T: Float[np.ndarray, "views 4 4"],
+    C: Float[np.ndarray, "views 4 4"],
+    w: Float[np.ndarray, "views"],
+    length_scale: float,
+    start: Sequence[Float[np.ndarray, "4 4"] | None],
+) -> HandEyeResult:
+    """Return the result for a motion that leaves directions of the transforms undetermined.
+
+    Eq. 17 has no single minimum there, and noise of the camera's rotations would choose one.
+    """
+    camera, world = minimum_norm_transforms(T, C, (start[0], start[1]))
+    initial = np.eye(4) if start[1] is None else start[1]
+    factor = frobenius_factor(T, C, w, length_scale)
+    entries = [np.append(pose[:3, :3].ravel(), [*pose[:3, 3], 1.0]) for pose in (initial, world)]
+    costs = [float(np.sum(np.square(factor @ x))) for x in entries]
+    record = SearchRecord(MINIMUM_NORM_START, costs[0], costs[1], True, "converged")
+    camera_from_mount, holder_from_world = (
+        jax.device_put(host_transforms(pose)) for pose in (camera, world)
+    )
+    return HandEyeResult(
+        holder_from_world,
+        camera_from_mount,
+        camera_from_mount,
+        (0.0, 0.0),
+        (record,),
+        (record,),
+        (MINIMUM_NORM_START, MINIMUM_NORM_START),
+        True,
+        "converged; the robot's motion leaves directions undetermined, which stay at their start",
     )
 
 

@@ -22,9 +22,11 @@ from ..dataset import (
     Observations,
     chain_residuals,
     medians_by_view,
+    undetermined_twists,
 )
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from .closed_form import mean_camera_from_mount, park_martin
+from .minimum_norm import minimum_norm_transforms
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -223,8 +225,14 @@ def _fit_transforms(
     is NaN for every view if a pose that is used is not finite.
     """
     robot, camera = host_matrices(T), host_matrices(C)
-    _, holder_from_world = park_martin(T, C, used.astype(float))
-    world = host_matrices(holder_from_world)
+    finite = np.isfinite(robot[used]).all() and np.isfinite(camera[used]).all()
+    if finite and len(undetermined_twists(robot[used])):
+        # A closed form would divide by the noise of what the motion does not determine.
+        _, world = minimum_norm_transforms(robot[used], camera[used])
+        holder_from_world = host_transforms(world)
+    else:
+        _, holder_from_world = park_martin(T, C, used.astype(float))
+        world = host_matrices(holder_from_world)
     hand_eye = mean_camera_from_mount(
         world, robot[used], camera[used], np.ones(np.count_nonzero(used))
     )

@@ -163,6 +163,19 @@ def estimate_view_poses(
     )
 
 
+def unprojected(
+    observations: Observations, camera: Camera
+) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
+    """Return the ideal coordinates x / z, y / z of the pixels, and where they are such."""
+    shape = observations.visible.shape
+    _, pixels, visible = _host_observations(observations.padded())
+    rays, valid = map(np.asarray, _unproject(camera, jax.device_put(pixels)))
+    usable = visible & valid & (rays[..., 2] > 1e-3)
+    ideal = rays[..., :2] / np.where(usable, rays[..., 2], 1.0)[..., None]
+    views, points = shape
+    return np.where(usable[..., None], ideal, 0.0)[:views, :points], usable[:views, :points]
+
+
 def _host_observations(observations: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points, pixels and visibility as arrays of NumPy; unseen pixels are zero, not NaN."""
     visible = np.asarray(observations.visible)

@@ -8,4 +8,5 @@ from .model_selection import encompassing_field as encompassing_field
 from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
 from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
+from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
 from .variance_components import estimate_noise as estimate_noise

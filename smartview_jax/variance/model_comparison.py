@@ -3,16 +3,16 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool
 
 from ..blas_threads import on_one_blas_thread
-from ..calibration import Calibration
+from ..calibration import Calibration, flat_shape
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from .fisher_scoring import StandardDeviationPrior
+from .free_poses import fit_free_poses
 from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
     TARGET_SCALE,
@@ -29,7 +29,7 @@ from .model_selection import (
 )
 from .noise_estimate import CandidateResult, TargetScaleEvidence
 from .possible_models import TARGET_SCALE_LIMITS
-from .view_statistics import ViewStatistics, with_free_poses, with_prior_sigmas
+from .view_statistics import ViewStatistics, with_prior_sigmas
 
 MAX_FREE_FITS = 3
 """Largest number of fits with free poses, each from the poses that robot and pictures agree on."""
@@ -109,24 +109,28 @@ def compare_models(
         free=(*free, *((TARGET_SCALE,) if test_scale else ())),
         priors=priors,
     )
-    problem, start_of_free, fits = with_free_poses(built.problem), None, 0
+    shape = None
+    if not prior.target_is_flat:
+        shape = flat_shape(np.asarray(data.points), np.asarray(data.visible))
+    start_of_free, fits = None, 0
     while True:
-        solution, equations = solve(problem, start=start_of_free)
-        within_sum_of_squares, fits = 2.0 * float(equations.cost), fits + 1
-        views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale)
-        sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
+        free_fit = fit_free_poses(built, data.usable_views(), shape, start_of_free)
+        within_sum_of_squares, fits = free_fit.sum_of_squares, fits + 1
+        shape = free_fit.shape
+        views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale, shape)
+        sigma_prior = standard_deviation_prior(prior, basis, views.group_names, shape)
         initial = initial_standard_deviations(sigma_prior, views.white_sigma)
-        free_poses = views.linearised_at_fit(problem, solution.z, equations)
+        free_poses = views.linearised_at_fit(free_fit.problem, free_fit.z, free_fit.equations)
         white = _likeliest_white_noise(free_poses, views.group_names, initial, sigma_prior, prior)
         views, z, linearised = _linearised_at_mode(
-            views, built.shared_names, solution.z, free_poses, white
+            views, built.shared_names, free_fit.z, free_poses, white
         )
         # No fit explains the pixels better than free poses do, unless a pose that the robot
         # reported far from the true one went astray: that fit is made again from this one.
         excess = float(linearised.residual_sum_of_squares)
         if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares or fits == MAX_FREE_FITS:
             break
-        start_of_free = z
+        start_of_free, shape = z, views.shape
     fitted = fit_candidates(
         linearised,
         models,
@@ -201,16 +205,16 @@ def _linearised_at_mode(
         the views linearised there.
     """
     step = posterior_mode_step(linearised, sigmas)
-    start = jax.tree.map(np.add, z, step)
+    moved, start = views.moved(z, step)
     if TARGET_SCALE in names:
         # Poses are proportional to the scale, whose logarithm is the parameter: a step d of the
         # linear model is a factor of 1 + d.
         k = names.index(TARGET_SCALE)
         factor = np.clip(1.0 + step.shared[k], *TARGET_SCALE_LIMITS)
-        start.shared[k] = z.shared[k] + np.log(factor)
+        start.shared[k] = np.asarray(z.shared)[k] + np.log(factor)
     if not all(np.isfinite(part).all() for part in start):
         return views, z, linearised
-    views = views.with_noise_corrections(np.asarray(start.per_view))
+    views = moved.with_noise_corrections(np.asarray(start.per_view))
     problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
     solution, equations = solve(problem, start=start)
     return views, solution.z, views.linearised_at_fit(problem, solution.z, equations)

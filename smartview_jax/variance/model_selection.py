@@ -24,6 +24,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
 
+from ..calibration import TargetShape
 from ..dataset import Dataset
 from ..robot_errors import (
     AbstractField,
@@ -65,6 +66,12 @@ PIXEL_SIGMA_PRIOR_RATE = 0.7
 
 The two agree where the model is true; on real data sets they differ by up to a factor of ten.
 """
+
+TARGET_SHAPE = "target_shape"
+"""First part of the names of the parameters of the target's shape."""
+
+SHAPE_GROUPS = ("target_bow", "target_print")
+"""Groups of the parameters of the target's shape: out of its plane, and within it."""
 
 MIN_WEAK_ROBOT_EXCESS = 2.0
 """Standard deviations of the good robot's prior above its median from which a robot may be weak."""
@@ -195,7 +202,9 @@ def fit_candidates(
             else 0.0
         )
         for name, model in models.items():
-            model_groups = model.groups | ({TARGET_SCALE} if free_scale else set())
+            # Every target has a shape: how much of one is estimated, not chosen.
+            model_groups = model.groups | set(SHAPE_GROUPS)
+            model_groups |= {TARGET_SCALE} if free_scale else set()
             active = np.array([True, True, *(group in model_groups for group in groups)])
             maximum, evidence = fit_good_or_weak_robot(views, initial, active, prior)
             log_weight = float(evidence + model.log_odds + scale_log_odds)
@@ -301,7 +310,10 @@ def smallest_sufficient_field(
 
 
 def standard_deviation_prior(
-    prior: RobotPrior, field: AbstractField | None, group_names: Sequence[str]
+    prior: RobotPrior,
+    field: AbstractField | None,
+    group_names: Sequence[str],
+    shape: TargetShape | None = None,
 ) -> StandardDeviationPrior:
     """Return the prior of the standard deviations of reported poses and of some groups.
 
@@ -309,10 +321,15 @@ def standard_deviation_prior(
         prior: prior of the robot's errors.
         field: field that has the groups.
         group_names: names of the groups, with `TARGET_SCALE` last where the scale is one of them.
+        shape: shape of the target, where it has groups; they come before that.
     """
     field_names = [] if field is None else [name for name, _ in field.groups]
     indices = [0, 1, *(2 + field_names.index(name) for name in group_names if name in field_names)]
     median, log_std = prior.medians(field)[indices], np.asarray(prior.log_stds(field))[indices]
+    if shape is not None:
+        relative = np.array([prior.target_bow_median, prior.target_print_median])
+        median = np.append(median, float(shape.half_size) * relative)
+        log_std = np.append(log_std, np.full(2, np.log(prior.target_geometric_std)))
     if TARGET_SCALE in group_names:
         # The standard deviation of the scale is known, not estimated: a log-normal prior with a
         # negligible spread holds it.

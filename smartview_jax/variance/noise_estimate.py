@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration
+from ..calibration import Calibration, TargetShape
 from ..engine import Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
@@ -49,6 +50,34 @@ class TargetScaleEvidence(NamedTuple):
     std: float
 
 
+class TargetShapeEstimate(NamedTuple):
+    """The estimated shape of the target.
+
+    Attributes:
+        shape: the shape.
+        covariance: covariance of its coefficients, m^2.
+        by_shape: change of each of the fit's shared parameters with each coefficient; after them,
+            of the coefficients themselves.
+    """
+
+    shape: TargetShape
+    covariance: Float[np.ndarray, "5 5"]
+    by_shape: Float[np.ndarray, "shared 5"]
+
+    def bow(self, points: Float[np.ndarray, "points 3"]) -> tuple[float, float]:
+        """Return the height of the highest over the lowest point, and its standard deviation, m.
+
+        Args:
+            points: the target's points as stated, m.
+        """
+        shape = jax.tree.map(np.asarray, self.shape)
+        along_z = np.asarray(shape.directions(points))[..., 2]
+        heights = along_z @ shape.coefficients
+        difference = along_z[np.argmax(heights)] - along_z[np.argmin(heights)]
+        std = np.sqrt(difference @ self.covariance @ difference)
+        return float(np.ptp(heights)), float(std)
+
+
 class NoiseEstimate(NamedTuple):
     """A noise model, averaged over models of the robot error by their probabilities.
 
@@ -63,6 +92,7 @@ class NoiseEstimate(NamedTuple):
         target_scale: evidence on the target's size; None where its scale was not in question.
         target_scale_std: prior standard deviation of the logarithm of the target's size in the
             averaged model, about the stated size; None where the size is held.
+        target_shape: the target's shape; None where the target is not flat, or held as stated.
         mount_displacement: translation (m) and rotation (rad) of the camera's mount with the robot
             error field, relative to that with white noise alone; None where there is no field, or
             the mount is held.
@@ -70,7 +100,7 @@ class NoiseEstimate(NamedTuple):
         relative_std: relative standard errors of the estimated standard deviations of pixel,
             translation, rotation and field; large for one near zero, which the data do not
             determine.
-        parameter_names: names of the fit's shared parameters.
+        parameter_names: names of the fit's shared parameters, then of the target's shape.
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
         between_models_covariance: covariance of the shared parameters between the models, about
@@ -88,6 +118,7 @@ class NoiseEstimate(NamedTuple):
     candidates: tuple[CandidateResult, ...]
     target_scale: TargetScaleEvidence | None
     target_scale_std: float | None
+    target_shape: TargetShapeEstimate | None
     mount_displacement: tuple[float, ...] | None
     converged: bool
     relative_std: tuple[float, ...]
@@ -112,10 +143,17 @@ class NoiseEstimate(NamedTuple):
         """Return the small-sample correction for a subset of the parameters."""
         return self.small_sample_correction.subset(self._indices(names))
 
-    def covariance_between_models(self, names: Sequence[str]) -> Float[np.ndarray, "subset subset"]:
-        """Return the covariance between the models for a subset of the parameters."""
+    def covariance_of_choices(self, names: Sequence[str]) -> Float[np.ndarray, "subset subset"]:
+        """Return the covariance of some parameters that a fit of the averaged model lacks.
+
+        It is due to the disagreement between the models, and to the target's uncertain shape.
+        """
         indices = self._indices(names)
-        return self.between_models_covariance[np.ix_(indices, indices)]
+        covariance = self.between_models_covariance[np.ix_(indices, indices)]
+        if self.target_shape is None:
+            return covariance
+        by_shape = self.target_shape.by_shape[indices]
+        return covariance + by_shape @ self.target_shape.covariance @ by_shape.T
 
     def _indices(self, names: Sequence[str]) -> np.ndarray:
         """Return the indices of parameters."""

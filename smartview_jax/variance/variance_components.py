@@ -4,12 +4,11 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from ..blas_threads import on_one_blas_thread
-from ..calibration import Calibration
+from ..calibration import Calibration, TargetShape
 from ..dataset import Dataset
 from ..engine import (
     POSE_CORRECTIONS,
@@ -39,6 +38,7 @@ from .model_comparison import (
     target_scale_evidence,
 )
 from .model_selection import (
+    SHAPE_GROUPS,
     TARGET_SCALE,
     Candidate,
     FittedCandidate,
@@ -49,7 +49,7 @@ from .model_selection import (
     smallest_sufficient_field,
     standard_deviation_prior,
 )
-from .noise_estimate import NoiseEstimate
+from .noise_estimate import NoiseEstimate, TargetShapeEstimate
 from .possible_models import is_possible
 from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
@@ -119,20 +119,19 @@ def estimate_noise(
     # fits of a calibration are then solved by one compiled program.
     built = first.built.holding(_held_names(first, fitted_field, free_scale))
     scale_is_group = free_scale and first.target_scale is not None
-    views = ViewStatistics(
-        built, data.usable_views(), first.views.within_sum_of_squares, scale_is_group
-    )
-    views.problem = dataclasses.replace(
-        views.problem, prepared_poses=first.views.problem.prepared_poses
-    )
+    within = first.views.within_sum_of_squares
     sigmas = averaged_models(first.linearised, first.views.group_names, first.fitted, probabilities)
-    predicted = _predicted_optimum(first.linearised, first.z, sigmas)
+    predicted_views, predicted = first.views.moved(
+        first.z, posterior_mode_step(first.linearised, sigmas)
+    )
+    shape = predicted_views.shape
+    views = ViewStatistics(built, data.usable_views(), within, scale_is_group, shape)
     average = _iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
         {name: first.models[name] for name in field_probabilities},
         first.views.select_groups(sigmas, views.group_names),
-        standard_deviation_prior(prior, fitted_field, views.group_names),
+        standard_deviation_prior(prior, fitted_field, views.group_names, shape),
         prior.wrong_target_probability,
     )
     chain, linearised, maximum = average.chain, average.views, average.maximum
@@ -170,12 +169,13 @@ def estimate_noise(
         first.candidates,
         target_scale,
         scale_std,
+        _target_shape_estimate(average, maximum.sigmas),
         None
         if fitted_field is None
         else _mount_displacement(built, views.group_names, linearised, maximum.sigmas),
         average.converged,
         tuple(map(float, correction.relative_std)),
-        built.shared_names,
+        (*built.shared_names, *views.shape_names),
         correction,
         between_models_covariance(
             linearised, average.fitted, average.probabilities, maximum.sigmas
@@ -193,10 +193,28 @@ def _by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
     return fields
 
 
+def _target_shape_estimate(
+    average: "_Average", sigmas: StandardDeviations
+) -> TargetShapeEstimate | None:
+    """Return the target's shape, and how it affects all other parameters."""
+    shape = average.shape
+    if shape is None:
+        return None
+    covariance = np.asarray(marginalise(average.views, sigmas).shared_covariance)
+    columns = covariance[:, -len(shape.coefficients) :]
+    own = columns[-len(shape.coefficients) :]
+    # The covariance can be singular to rounding where the standard deviations are at their floor.
+    scale = np.sqrt(np.diagonal(own))
+    correlation = own / np.outer(scale, scale)
+    by_shape = np.asarray((columns / scale) @ np.linalg.pinv(correlation, hermitian=True))
+    return TargetShapeEstimate(shape, own, by_shape / scale)
+
+
 class _Average(NamedTuple):
     """The fit of the averaged model.
 
     Attributes:
+        shape: the target's shape; None where it is held as stated.
         chain: the chain of the fit.
         z: the step of the fit.
         views: the views linearised there.
@@ -208,6 +226,7 @@ class _Average(NamedTuple):
             evaluated.
     """
 
+    shape: TargetShape | None
     chain: FittedChain
     z: Step
     views: LinearisedViews
@@ -272,7 +291,9 @@ def _iterate_to_convergence(
                 return last._replace(maximum=_maximum_at(last.views, sigmas, prior))
             chain, linearised = chain_at(views.problem, initial), views.linearise(initial)
             maximum = _maximum_at(linearised, sigmas, prior)
-            return _Average(chain, initial, linearised, {}, {}, maximum, False, corrections)
+            return _Average(
+                views.shape, chain, initial, linearised, {}, {}, maximum, False, corrections
+            )
         previous, kept = sigmas, drop_negligible(posterior_probabilities(fitted))
         sigmas = averaged_models(linearised, views.group_names, fitted, kept)
         change = np.abs(sigmas.vector - previous.vector)
@@ -280,16 +301,19 @@ def _iterate_to_convergence(
         converged = bool((change <= tolerance).all())
         maximum = _maximum_at(linearised, sigmas, prior)
         last = _Average(
-            solution.chain, solution.z, linearised, fitted, kept, maximum, converged, corrections
+            views.shape,
+            solution.chain,
+            solution.z,
+            linearised,
+            fitted,
+            kept,
+            maximum,
+            converged,
+            corrections,
         )
         if converged or iterations == MAX_LINEARISATIONS:
             return last
-        initial = _predicted_optimum(linearised, solution.z, sigmas)
-
-
-def _predicted_optimum(views: LinearisedViews, z: Step, sigmas: StandardDeviations) -> Step:
-    """Compute the most probable parameters for given standard deviations, to first order."""
-    return jax.tree.map(np.add, z, posterior_mode_step(views, sigmas))
+        views, initial = views.moved(solution.z, posterior_mode_step(linearised, sigmas))
 
 
 def _transfer_step(z: Step, names: tuple[str, ...], target_names: tuple[str, ...]) -> Step:
@@ -310,7 +334,8 @@ def _mount_displacement(
     if len(indices) != 6:
         return None
     # A field with standard deviations of `ROBOT_SIGMA_FLOOR` is held at zero.
-    is_field = np.array([group != TARGET_SCALE for group in groups])
+    of_target = (*SHAPE_GROUPS, TARGET_SCALE)
+    is_field = np.array([group not in of_target for group in groups])
     white_sigmas = sigmas._replace(field=np.where(is_field, ROBOT_SIGMA_FLOOR, sigmas.field))
     with_field, without_field = (
         posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)

@@ -154,6 +154,16 @@ def test_what_is_saved_is_loaded_to_the_last_digit(name, tmp_path, eye_in_hand, 
         assert eqx.tree_equal(Calibration.load(tmp_path / "calibration.yaml"), written)
 
 
+def test_what_could_not_be_read_back_is_not_written(tmp_path, eye_in_hand):
+    far = SE3.from_translation(jnp.array([2e4, 0.0, 0.0]))
+    lost = eqx.tree_at(lambda c: c.camera_from_mount, eye_in_hand, far)
+    unknown = eqx.tree_at(lambda c: c.camera.alpha_u, eye_in_hand, jnp.asarray(jnp.nan))
+    for wrong, entry in ((lost, "camera_from_tool.translation"), (unknown, "camera.alpha_u")):
+        with pytest.raises(ValueError, match=rf"out\.yaml: not written, .*{entry}"):
+            wrong.save(tmp_path / "out.yaml")
+        assert not (tmp_path / "out.yaml").exists()
+
+
 class Squeezed(AbstractPerspectiveLens):
     """A lens of a user's own."""
 

@@ -1,5 +1,6 @@
 """What `smartview check` says of data that can be calibrated; `test_every_verb` has the others."""
 
+import pytest
 from board_scene import board_folder, run
 
 
@@ -9,3 +10,35 @@ def test_good_data_can_begin(tmp_path_factory):
     assert "board: 8 views, eye_in_hand" in ended.output
     assert "usable views: 8; take more" in ended.output
     assert "camera and robot agree" in ended.output
+
+
+@pytest.fixture
+def folder(tmp_path_factory, tmp_path):
+    """A copy of the data set without its pictures' poses, and its rows of poses."""
+    for path in board_folder(tmp_path_factory).iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def repeat_rows(folder, rows):
+    """Give each view the pose of another row."""
+    header, *lines = (folder / "poses.csv").read_text().splitlines()
+    numbers = [line.split(",", 1) for line in lines]
+    changed = [f"{name},{numbers[row][1]}" for (name, _), row in zip(numbers, rows, strict=True)]
+    (folder / "poses.csv").write_text("\n".join([header, *changed]) + "\n")
+
+
+def test_poses_that_were_not_read_again_are_named(folder):
+    repeat_rows(folder, [0, 0, 2, 3, 4, 4, 6, 7])
+    ended = run("check", folder)
+    assert ended.exit_code == 0, ended.output
+    assert ended.output.count("though the picture moved by") == 2
+    assert "usable views: 6; take more" in ended.output
+
+
+def test_equal_poses_are_a_problem(folder):
+    repeat_rows(folder, [3] * 8)
+    ended = run("check", folder)
+    assert ended.exit_code == 1
+    assert "problem: all 8 robot poses are equal: the pose was not read again" in ended.output

@@ -103,4 +103,8 @@ def test_motion_about_one_axis_says_so():
     fit = calibrate(data, "radial")
     said = " ".join(fit.warnings)
     assert "all rotations share that axis" in said
-    assert "camera_from_tool.translation.x is known to +- inf mm only" in said
+    assert "fixed=('camera_from_tool.translation." in said
+    # It is named once, and stays where the fit started: a target that is as high as the base.
+    assert "+- inf" not in said
+    assert len(fit.observability.null_directions) == 1
+    assert abs(float(fit.calibration.base_from_world.translation()[2])) < 1e-9

@@ -126,6 +126,7 @@ def test_the_errors_found_are_in_the_units_people_use(moved_view):
         None,
         None,
         None,
+        None,
         False,
         sizes,
         (),

@@ -26,7 +26,10 @@ def statistics():
         field=LinearInPosition.from_poses(scene.data.base_from_tool),
         free=("target_scale",),
         fixed=(f"pose_corrections.{scene.data.view_ids[2]}.rotation",),
-        priors={"camera.alpha_u": Prior(3.0, 2010.0), "target_scale": Prior(0.01, 0.99)},
+        priors={
+            "camera.alpha_u": Prior(std=3.0, mean=2010.0),
+            "target_scale": Prior(std=0.01, mean=0.99),
+        },
     )
     return ViewStatistics(built, np.delete(np.arange(8), 5), 100.0)
 

@@ -124,10 +124,10 @@ def test_a_prior_of_the_size_is_of_its_logarithm():
         offset = problem.offset_from_prior(problem.unscaled_step(step)).shared[place]
         return float(problem.prior_weight.shared[place][0]), float(offset[0])
 
-    np.testing.assert_allclose(weight_and_mean(Prior(0.01)), (100.0, 0.0), atol=1e-9)
-    np.testing.assert_allclose(weight_and_mean(Prior(0.01, 0.5)), (50.0, np.log(2.0)))
+    np.testing.assert_allclose(weight_and_mean(Prior(std=0.01)), (100.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(weight_and_mean(Prior(std=0.01, mean=0.5)), (50.0, np.log(2.0)))
     with pytest.raises(ValueError, match="a size is positive; found a mean of -1"):
-        weight_and_mean(Prior(0.01, -1.0))
+        weight_and_mean(Prior(std=0.01, mean=-1.0))
 
 
 def test_what_no_robot_and_no_target_can_be_is_left_out():

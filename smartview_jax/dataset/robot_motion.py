@@ -1,0 +1,211 @@
+"""Check what the robot's poses can tell, before anything is fitted to them.
+
+Three things are asked of the poses alone, and of whether the pictures moved with them:
+
+- Was every pose read again? A row of the pose file that repeats the one before although the picture
+  moved was not; such a view is set aside, and so is a view that is given twice.
+- Did the robot move at all? Equal poses in all views tell nothing.
+- Did it turn? Without a turn the camera's place on the robot cannot be told from the target's:
+  both can be shifted together. If all turns have one axis, that is so along the axis.
+
+A shift of the camera and one of the target that cancel in every view are a *twist of the holder*
+(base or tool, see `calibration`) that no motion of the robot changes: `Ad(T_i) twist` is the same
+for every pose `T_i = mount_from_holder`.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ..fit_result import Rejection
+from ..geometry import host_adjoints, host_matrices
+
+if TYPE_CHECKING:
+    from .dataset import Dataset
+
+Poses = Float[np.ndarray, "views 4 4"]
+"""Homogeneous matrices, one per view, m."""
+
+SAME_TRANSLATION, SAME_ROTATION = 2e-5, 5e-5
+"""The largest difference of two readings of one pose, m and rad.
+
+The readings of a standing arm flicker by the steps of its encoders. A camera at half a metre with a
+focal length of 1000 px sees less than 0.1 px of that.
+"""
+
+MOVED_PICTURE_SHARE = 0.02
+"""The shift of a picture, as a share of its longer side, from which the robot cannot have stood
+still.
+
+Even an arm that returns to a pose within 2 mm and 0.4 degrees only shows half of it.
+"""
+
+MIN_TURN = 0.01
+"""The smallest turn, rad times the square root of the number of views, that counts as one.
+
+A robot that is good to 0.1 mm tells the camera's place to a centimetre with it, which a ruler does
+as well; what is seen of a smaller turn is mostly the robot's error.
+"""
+
+_REPEATED, _DUPLICATE = "its pose repeats view", "its picture and pose are given before, in view"
+"""How the reasons begin for which a view is set aside here."""
+
+
+def distinct_poses(poses: Poses) -> list[int]:
+    """Return the indices of the poses that differ from all before them."""
+    return [k for k, first in enumerate(first_equal_pose(poses)) if first == k]
+
+
+def first_equal_pose(poses: Poses) -> list[int]:
+    """Return for each pose the index of the first that is equal to it, which may be its own."""
+    first: list[int] = []
+    # Poses are sorted into cells, so that many views need not be compared with all others.
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for k, pose in enumerate(poses):
+        cell = np.floor(pose[:3, 3] / SAME_TRANSLATION).astype(int)
+        near = [
+            other
+            for step in np.ndindex(3, 3, 3)
+            for other in cells.get(tuple((cell + step - 1).tolist()), [])
+        ]
+        equal = (other for other in near if _is_same_pose(pose, poses[other]))
+        found = min(equal, default=k)
+        if found == k:
+            cells.setdefault(tuple(cell.tolist()), []).append(k)
+        first.append(found)
+    return first
+
+
+def _is_same_pose(pose: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether two readings are of one pose."""
+    # |R - S|_F = sqrt(2) angle for a small angle between them.
+    return bool(
+        np.abs(pose[:3, 3] - other[:3, 3]).max() <= SAME_TRANSLATION
+        and np.linalg.norm(pose[:3, :3] - other[:3, :3]) <= np.sqrt(2.0) * SAME_ROTATION
+    )
+
+
+def repeated_views(data: "Dataset") -> dict[int, str]:
+    """Return the views that repeat an earlier one, with the reason to set each aside.
+
+    Views without visible points are not compared.
+    """
+    poses, points = host_matrices(data.base_from_tool), np.asarray(data.points)
+    pixels, visible = np.asarray(data.pixels), np.asarray(data.visible)
+    seen = np.flatnonzero(visible.any(axis=1))
+    first, reasons = first_equal_pose(poses[seen]), {}
+    for place, k in enumerate(seen):
+        earlier = int(seen[first[place]])
+        if earlier == k:
+            continue
+        # A target that is raised under a standing camera has other points.
+        common = visible[k] & visible[earlier] & (points[k] == points[earlier]).all(axis=-1)
+        if not common.any():
+            continue
+        shift = np.linalg.norm(pixels[k, common] - pixels[earlier, common], axis=-1)
+        # Equal poses apart from each other may be a pose from another row: either can be wrong,
+        # and the other views say which.
+        follows = first[place - 1] == first[place]
+        if not shift.any() and np.array_equal(visible[k], visible[earlier]):
+            reasons[int(k)] = f"{_DUPLICATE} {data.view_ids[earlier]}"
+        elif follows and (moved := np.median(shift)) > MOVED_PICTURE_SHARE * max(data.image_size):
+            reasons[int(k)] = (
+                f"{_REPEATED} {data.view_ids[earlier]}'s though the picture moved by {moved:.0f} "
+                "px: it was not read again"
+            )
+    return reasons
+
+
+def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
+    """Return a sentence each about poses that were not read again and views given twice."""
+    warnings = []
+    for beginning, text in (
+        (
+            _REPEATED,
+            "repeat the pose before though the picture moved, and are left out: the "
+            "robot's pose was not read again for them",
+        ),
+        (_DUPLICATE, "repeat picture and pose of an earlier view, and count once"),
+    ):
+        views = [entry.view for entry in rejected if entry.reason.startswith(beginning)]
+        if views:
+            named = ", ".join(views[:20]) + (", ..." if len(views) > 20 else "")
+            warnings.append(f"{len(views)} views ({named}) {text}")
+    return warnings
+
+
+def require_motion(poses: Poses, mount_name: str, place_is_given: bool) -> None:
+    """Raise a ValueError if the robot did not move, or never turned and the place is not given.
+
+    Args:
+        poses: of the views that are to be used, as reported.
+        mount_name: the hand-eye transform's name.
+        place_is_given: whether the user gives the camera's or the target's place.
+    """
+    if len(poses) < 2:
+        return
+    distinct = distinct_poses(poses)
+    if len(distinct) == 1:
+        raise ValueError(
+            f"all {len(poses)} robot poses are equal: the pose was not read again for each "
+            "picture, or the robot did not move"
+        )
+    if len(distinct) < 3:
+        raise ValueError(
+            f"a calibration needs at least 3 different robot poses; the {len(poses)} views have "
+            f"{len(distinct)}"
+        )
+    if never_turns(poses) and not place_is_given:
+        raise ValueError(
+            f"the robot never turns: from these poses the rotation of {mount_name} can be known, "
+            "its translation not at all. Turn the tool about two axes between the pictures; or "
+            "give the camera's place: start={'" + mount_name + "': POSE} with "
+            f"fixed=('{mount_name}.translation',), or a Prior with a mean for each of "
+            f"{mount_name}.translation.x, .y and .z"
+        )
+
+
+def never_turns(poses: Poses) -> bool:
+    """Return whether all poses have one orientation."""
+    return bool(_turns(poses)[0] < MIN_TURN)
+
+
+def turns_about_one_axis(poses: Poses) -> bool:
+    """Return whether all turns between the poses share an axis, or there are none."""
+    return bool(_turns(poses)[-1] < MIN_TURN)
+
+
+def _turns(poses: Poses) -> Float[np.ndarray, "3"]:
+    """Return how far the poses turn directions of the tool, largest first; see `MIN_TURN`."""
+    rotations = poses[:, :3, :3]
+    # The direction d moves by (R_i - mean R) d.
+    return np.linalg.svd((rotations - rotations.mean(axis=0)).reshape(-1, 3), compute_uv=False)
+
+
+def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6"]:
+    """Return orthonormal twists of the holder that every pose carries to one twist of the mount.
+
+    Camera and target can be moved along them together, and no picture changes. There are none if
+    the robot turned about two axes.
+    """
+    adjoints = host_adjoints(mount_from_holder)
+    rows = (adjoints - adjoints.mean(axis=0)).reshape(-1, 6)
+    _, moved, twists = np.linalg.svd(rows, full_matrices=False)
+    return twists[moved < MIN_TURN]
+
+
+def given_places(
+    transform_names: Sequence[str], fixed: Collection[str], priors: Mapping[str, object]
+) -> bool:
+    """Return whether the translation of either transform is held or has a prior in all axes."""
+    paths = (*fixed, *priors)
+
+    def is_given(name: str) -> bool:
+        """Return whether a path selects this parameter."""
+        return any(name == path or name.startswith(f"{path}.") for path in paths)
+
+    return any(
+        all(is_given(f"{name}.translation.{axis}") for axis in "xyz") for name in transform_names
+    )

@@ -1,0 +1,41 @@
+"""Tell what is open in a mount only because the last joint's errors are the mount's by nature.
+
+The last joint's zero turns everything behind it, just as the hand-eye transform does: no view tells
+the two apart, and more views do not either. What both do together is what moves the camera.
+"""
+
+import numpy as np
+
+from ..engine import ROBOT_ERROR
+from ..robot_errors import nominal_arm
+from .joint_fit import JointFit, half_width
+
+
+def half_widths_with_last_joint_held(fit: JointFit) -> dict[str, float]:
+    """Return the half widths of the mount's 95 % intervals if the last joint's errors were known.
+
+    Empty without free errors of an arm's last joint.
+    """
+    arm = nominal_arm(fit.calibration.field)
+    if arm is None:
+        return {}
+    names, last = fit.parameter_names, str(arm.joint_count)
+    mount = f"{fit.calibration.transform_names[0]}."
+    known = [
+        k
+        for k, name in enumerate(names)
+        if name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[-1] == last
+    ]
+    asked = [k for k, name in enumerate(names) if name.startswith(mount)]
+    if not known or not asked:
+        return {}
+    covariance = np.asarray(fit.covariance)
+    # Cov(a | b) = P_aa - P_ab P_bb^-1 P_ba
+    across = covariance[np.ix_(asked, known)]
+    explained = across @ np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True) @ across.T
+    left = np.diagonal(covariance[np.ix_(asked, asked)] - explained).clip(0.0)
+    freedom = fit.degrees_of_freedom
+    return {
+        names[k]: half_width(float(np.sqrt(variance)), freedom[names[k]])
+        for k, variance in zip(asked, left, strict=True)
+    }

@@ -1,0 +1,168 @@
+"""Hold what the robot's motion cannot tell of hand-eye and world transform, and name it.
+
+Where the robot turns about one axis only, camera and target can be moved along that axis together
+without a change in any picture. Priors on the robot's errors would still choose a place on this
+line, hundreds of metres away, because a long lever lets tiny rotations explain every error. The
+poses alone say which directions these are, so one parameter of each is held at the start: the fit
+does not move along it, and everything else is judged at that place.
+
+A parameter that is fixed or has a prior determines the directions that it is part of.
+"""
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..calibration import Calibration, host_mount_from_holder
+from ..dataset import Dataset, undetermined_twists
+from ..engine import Direction, Prior, describe_direction
+from ..geometry import host_adjoints, host_matrices
+from .joint_fit import JointFit
+
+DETERMINED_PART = 1e-6
+"""The part of a unit direction, above rounding, that a fixed parameter determines."""
+
+NEGLIGIBLE_PART = float(np.sin(np.deg2rad(10.0)))
+"""The part of a direction below which a parameter is not called undetermined, but judged where the
+direction is held: an axis within ten degrees of a coordinate's is called by its letter, too."""
+
+
+class UndeterminedMotion(NamedTuple):
+    """The directions of both transforms that neither motion nor knowledge determines.
+
+    Attributes:
+        names: of the twelve parameters of the two transforms.
+        directions: change of these parameters along each direction.
+        held: the parameters to hold at the start, one for each direction.
+    """
+
+    names: tuple[str, ...]
+    directions: Float[np.ndarray, "directions 12"]
+    held: tuple[str, ...]
+
+
+def undetermined_motion(
+    data: Dataset, start: Calibration, fixed: Collection[str], priors: Mapping[str, Prior] | None
+) -> UndeterminedMotion:
+    """Find the directions that the usable views, fixed parameters and priors leave open.
+
+    Args:
+        data: the views to fit.
+        start: the calibration at which directions are expressed.
+        fixed, priors: as for `fit_joint`.
+    """
+    names = tuple(
+        f"{name}.{part}.{axis}"
+        for name in start.transform_names
+        for part in ("translation", "rotation")
+        for axis in "xyz"
+    )
+    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    robot = robot[data.usable_views()]
+    nothing = UndeterminedMotion(names, np.zeros((0, 12)), ())
+    if len(robot) < 2 or not np.isfinite(robot).all():
+        return nothing
+    directions = _parameter_directions(undetermined_twists(robot), robot, start)
+    known = np.array([_is_selected(name, (*fixed, *(priors or ()))) for name in names])
+    # Combinations of the directions without any change of a known parameter.
+    if len(directions) and known.any():
+        combinations, part, _ = np.linalg.svd(directions[:, known])
+        part = np.append(part, np.zeros(len(directions) - len(part)))
+        directions = combinations.T[part <= DETERMINED_PART] @ directions
+    if not len(directions):
+        return nothing
+    # The pivots of the columns of the holder, or of the mount where the holder is known.
+    free = [k for k in (*range(6, 12), *range(6)) if not known[k]]
+    first = [k for k in free if k >= 6] if not known[6:].all() else free
+    held = _pivots(directions, first) or _pivots(directions, free)
+    return UndeterminedMotion(names, directions, tuple(names[k] for k in held))
+
+
+def _parameter_directions(
+    twists: Float[np.ndarray, "twists 6"],
+    robot: Float[np.ndarray, "views 4 4"],
+    start: Calibration,
+) -> Float[np.ndarray, "twists 12"]:
+    """Return the change of the twelve parameters along each twist of the holder, unit vectors.
+
+    Along a twist b the transforms are `camera_from_mount exp(a)` and `exp(b) holder_from_world`
+    with `a = -Ad(T_i) b`, which is the same for every view.
+    """
+    if not len(twists):
+        return np.zeros((0, 12))
+    rotation = host_matrices(start.camera_from_mount)[:3, :3]
+    place = host_matrices(start.holder_from_world)[:3, 3]
+    of_mount = -twists @ host_adjoints(robot).mean(axis=0).T
+    # A rotation's step multiplies it from the left, a translation's is added: see
+    # `engine/parameters.py`.
+    directions = np.concatenate(
+        [
+            of_mount[:, :3] @ rotation.T,
+            of_mount[:, 3:] @ rotation.T,
+            twists[:, :3] + np.cross(twists[:, 3:], place),
+            twists[:, 3:],
+        ],
+        axis=1,
+    )
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _pivots(directions: Float[np.ndarray, "directions 12"], columns: list[int]) -> list[int]:
+    """Return one of the columns for each direction, which together fix all; empty if none do."""
+    if len(columns) < len(directions):
+        return []
+    held, left = [], directions.copy()
+    for _ in directions:
+        lengths = np.linalg.norm(left[:, columns], axis=0)
+        if lengths.max() <= DETERMINED_PART:
+            return []
+        held.append(columns[int(np.argmax(lengths))])
+        # What the parameters held so far leave open of all others.
+        part = left[:, held[-1]] / np.linalg.norm(left[:, held[-1]])
+        left = left - np.outer(part, part @ left)
+    return held
+
+
+def _is_selected(name: str, paths: Collection[str]) -> bool:
+    """Return whether any path selects a parameter."""
+    return any(name == path or name.startswith(f"{path}.") for path in paths)
+
+
+def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
+    """Return the fit with the directions that were held named, and their parameters' std infinite.
+
+    Args:
+        fit: the fit in which `motion.held` was fixed.
+        motion: what its data left open.
+    """
+    if not motion.held:
+        return fit
+    named, std, freedom = [], dict(fit.std), dict(fit.degrees_of_freedom)
+    for direction, held in zip(_sparse(motion), motion.held, strict=True):
+        largest = np.abs(direction).max()
+        order = [int(k) for k in np.argsort(-np.abs(direction))]
+        parts = [k for k in order if abs(direction[k]) > NEGLIGIBLE_PART * largest]
+        components = tuple((motion.names[k], float(direction[k])) for k in parts)
+        for name, _ in components:
+            if name in std or name == held:
+                std[name] = freedom[name] = np.inf
+        text = describe_direction(components, fit.calibration)
+        named.append(Direction(0.0, components, text))
+    observability = fit.observability._replace(
+        parameter_count=fit.observability.parameter_count + len(named),
+        null_directions=(*named, *fit.observability.null_directions),
+        smallest_singular_value=0.0,
+    )
+    return dataclasses.replace(
+        fit, std=std, degrees_of_freedom=freedom, observability=observability
+    )
+
+
+def _sparse(motion: UndeterminedMotion) -> Float[np.ndarray, "directions 12"]:
+    """Return the directions combined such that each moves one of the held parameters only."""
+    held = [motion.names.index(name) for name in motion.held]
+    directions = np.linalg.solve(motion.directions[:, held], motion.directions)
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
