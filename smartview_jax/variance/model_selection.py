@@ -67,21 +67,23 @@ PIXEL_SIGMA_PRIOR_RATE = 0.7
 The two agree where the model is true; on real data sets they differ by up to a factor of ten.
 """
 
+TARGET_SCALE = "target_scale"
+"""The name of the target's scale, both as a parameter and as a group."""
+
 TARGET_SHAPE = "target_shape"
 """First part of the names of the parameters of the target's shape."""
 
 SHAPE_GROUPS = ("target_bow", "target_print")
 """Groups of the parameters of the target's shape: out of its plane, and within it."""
 
+TARGET_GROUPS = (*SHAPE_GROUPS, TARGET_SCALE)
+"""Groups of parameters of the target, which come after those of the robot's error."""
+
 MIN_WEAK_ROBOT_EXCESS = 2.0
 """Standard deviations of the good robot's prior above its median from which a robot may be weak."""
 
 MIN_MODEL_PROBABILITY = 0.01
 """Probability below which a model is left out of the average."""
-
-TARGET_SCALE = "target_scale"
-"""The name of the target's scale, both as a parameter and as a group."""
-
 
 WHITE_NOISE = "white"
 """The name of the model without a robot error field."""

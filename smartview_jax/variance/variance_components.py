@@ -38,7 +38,7 @@ from .model_comparison import (
     target_scale_evidence,
 )
 from .model_selection import (
-    SHAPE_GROUPS,
+    TARGET_GROUPS,
     TARGET_SCALE,
     Candidate,
     FittedCandidate,
@@ -149,6 +149,7 @@ def estimate_noise(
         )
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)
+    field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
     target_scale, scale_std = first.target_scale, None
     if scale_is_group:
         target_scale = target_scale_evidence(
@@ -174,7 +175,7 @@ def estimate_noise(
         if fitted_field is None
         else _mount_displacement(built, views.group_names, linearised, maximum.sigmas),
         average.converged,
-        tuple(map(float, correction.relative_std)),
+        tuple(map(float, correction.relative_std[: 3 + field_group_count])),
         (*built.shared_names, *views.shape_names),
         correction,
         between_models_covariance(
@@ -334,8 +335,7 @@ def _mount_displacement(
     if len(indices) != 6:
         return None
     # A field with standard deviations of `ROBOT_SIGMA_FLOOR` is held at zero.
-    of_target = (*SHAPE_GROUPS, TARGET_SCALE)
-    is_field = np.array([group not in of_target for group in groups])
+    is_field = np.array([group not in TARGET_GROUPS for group in groups])
     white_sigmas = sigmas._replace(field=np.where(is_field, ROBOT_SIGMA_FLOOR, sigmas.field))
     with_field, without_field = (
         posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)
