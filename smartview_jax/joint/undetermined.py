@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration, host_mount_from_holder
-from ..dataset import Dataset, undetermined_twists
+from ..dataset import Dataset, given_places, require_motion, undetermined_twists
 from ..engine import Direction, Prior, describe_direction
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
@@ -42,6 +42,18 @@ class UndeterminedMotion(NamedTuple):
     names: tuple[str, ...]
     directions: Float[np.ndarray, "directions 12"]
     held: tuple[str, ...]
+
+
+def require_moving_robot(
+    data: Dataset, start: Calibration, fixed: Collection[str], priors: Mapping[str, Prior] | None
+) -> None:
+    """Raise a ValueError if the usable views' poses cannot determine a calibration.
+
+    They are all equal, or never turn while neither place is fixed or has a prior.
+    """
+    place_is_given = given_places(start.transform_names, fixed, priors or {})
+    poses = host_matrices(data.base_from_tool)[data.usable_views()]
+    require_motion(poses, start.transform_names[0], place_is_given)
 
 
 def undetermined_motion(
