@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..cameras import Camera
-from ..dataset import Observations, undetermined_twists
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, undetermined_twists
 from ..geometry import (
     host_cross_matrices,
     host_exponentials,
@@ -32,6 +32,7 @@ from ..geometry import (
 )
 from .minimum_norm import minimum_norm_transforms
 from .planar_poses import MIN_DEPTH, Sight, mirrored_poses, refined_poses
+from .view_consistency import MAX_MISFIT_RATIO, MAX_REJECTED_FRACTION
 from .weng import unprojected
 from .weng_start import coplanar, extents
 
@@ -103,12 +104,15 @@ class PoseChoice(NamedTuple):
         explained: whether one pair of transforms predicts the points of the views to a small part
             of the target's own size: robot and camera then move alike, however uncertain the poses
             of single views are.
+        outlying: by view index, why its pose in the robot's file cannot be its own; empty where too
+            many views are off for that.
         warning: a sentence if another answer explains the pictures about as well, else empty.
     """
 
     camera_from_world: SE3
     exchanged: tuple[int, ...]
     explained: bool
+    outlying: dict[int, str]
     warning: str
 
 
@@ -171,6 +175,7 @@ def choose_poses(
         SE3(numbers),  # pyright: ignore[reportArgumentType]
         tuple(int(view) for view in exchanged),
         best.scale < EXPLAINED_SHARE * _angular_size(sight),
+        {int(views[k]): text for k, text in _outlying(best, robot, sight, alpha).items()},
         _rival_warning(found, alpha),
     )
 
@@ -478,6 +483,22 @@ def _is_same_answer(one: _Transforms, other: _Transforms) -> bool:
         _angles(first[None], second[None])[0] < SAME_ANSWER
         for first, second in ((one.camera, other.camera), (one.world, other.world))
     )
+
+
+def _outlying(best: _Transforms, robot: _Matrices, sight: Sight, alpha: float) -> dict[int, str]:
+    """Return the views whose points are not where the best transforms put them, and how far off."""
+    squares = np.minimum(_squares(best.camera[None], robot, best.world[None], sight)[0], MAX_SQUARE)
+    distance = np.sqrt(np.sum(squares, axis=1) / np.maximum(sight.seen.sum(axis=1), 1))
+    off = np.flatnonzero(distance > MAX_MISFIT_RATIO * best.scale)
+    if len(robot) < MINIMUM_RELIABLE_VIEWS or len(off) > MAX_REJECTED_FRACTION * len(robot):
+        return {}
+    return {
+        int(
+            k
+        ): f"its points lie {alpha * distance[k]:.0f} px from where the robot's pose puts them, "
+        f"{alpha * best.scale:.2g} px in the usual view: mispaired or moved?"
+        for k in off
+    }
 
 
 def _angular_size(sight: Sight) -> float:
