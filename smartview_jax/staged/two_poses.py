@@ -192,7 +192,7 @@ def _may_be_ambiguous(
     some = np.sort(np.random.default_rng(0).permutation(count)[:MAX_ASKED_POINTS])
     part = seen[:, some]
     if count > len(some) and (part.sum(axis=1) * 2 > len(some)).all():
-        # Fewer points leave less: the noise is that of their mean.
+        # Fewer points leave less, in proportion.
         sigma = sigma * float(np.sqrt(len(some) / count))
         points, seen = points[:, some], part
     return bool(_is_ambiguous(poses, points, seen, flat, sigma).any())
@@ -223,7 +223,7 @@ def _ranked(
     sigma: float,
     start: tuple[Float[np.ndarray, "4 4"] | None, Float[np.ndarray, "4 4"] | None],
 ) -> list[_Transforms]:
-    """Return different refined transforms, the best first, or those of the start first."""
+    """Return different refined transforms: the start's, if there is one, then the best first."""
     if len(undetermined_twists(robot)):
         cameras, worlds = _minimum_norm_guesses(candidates, robot)
     else:
@@ -263,8 +263,8 @@ def _minimum_norm_guesses(
 ) -> tuple[Float[np.ndarray, "many 4 4"], Float[np.ndarray, "many 4 4"]]:
     """Return transforms for a motion that leaves directions undetermined, which no triple tells.
 
-    They are those of the first poses, the second ones and of random choices, each repeated with the
-    poses that are nearer to what it predicts.
+    They come from the first poses, from the second ones and from random choices, each repeated with
+    the poses that are nearer to what it predicts.
     """
     count = len(robot)
     random = np.random.default_rng(0).integers(0, 2, (MAX_GUESSES, count))
@@ -354,7 +354,7 @@ def _pairs_of_start(
     candidates: Float[np.ndarray, "2 views 4 4"],
     robot: _Matrices,
 ) -> list[tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]]:
-    """Return pairs of transforms with those of the start, the other from each view and pose."""
+    """Return pairs of transforms: one as the start has it, the other from each view and pose."""
     camera, world = start
     if camera is not None and world is not None:
         return [(camera, world)]
