@@ -25,6 +25,9 @@ BENCHMARKS = {
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "few_views": "the default on few views beside the best of simple fits, simulated and real",
+    "weak_robots": "robots from exact to 20 mm of noise: the default against the best simple fit",
+    "target_shape": "bowed boards, a lens of higher order: mounts and intervals, beside OpenCV",
+    "target_size": "intervals where data hardly tell the size of the target: do they agree",
     "single_tags": "a single small tag, two poses in each view: right in how many sets?",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
@@ -65,7 +68,7 @@ def main() -> int:
         "--results",
         type=Path,
         metavar="FILE",
-        help="localization, mutations: earlier records, to go on from",
+        help="localization, mutations, weak_robots: earlier records, to go on from",
     )
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
@@ -92,6 +95,7 @@ def _holds(name: str, arguments: argparse.Namespace) -> bool:
         "startup": {"beside": arguments.beside},
         "localization": {"results": arguments.results},
         "mutations": {"results": arguments.results},
+        "weak_robots": {"results": arguments.results},
     }
     begun = time.perf_counter()
     module = importlib.import_module(f"benchmarks.{name}")

@@ -244,9 +244,12 @@ def calibrate(
     place_is_given = given_places(transform_names(data.mount), held, priors)
     views_to_use(data, camera, place_is_given)
     noise = joint_options.get("noise", "estimated")
+    field = joint_options.get("field", "auto")
     # XLA compiles the joint fit while the staged fit runs.
     with ThreadPoolExecutor(max_workers=1) as background:
-        precompilation = background.submit(precompile, data, lens, camera=camera, noise=noise)
+        precompilation = background.submit(
+            precompile, data, lens, camera=camera, noise=noise, field=field
+        )
         staged = fit_staged(
             data,
             lens,
@@ -301,7 +304,9 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     # What the first fit held is held again: its free parameters have names, the others have not.
     start, estimated = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
-    free = tuple(name for name in ("target_scale",) if name in estimated)
+    # A size that was not asked for is held as well: a fit that trusts the robot would bend it.
+    not_asked_for = () if fit.noise_estimate is None else fit.noise_estimate.free
+    free = tuple(name for name in estimated & {"target_scale"} if name not in not_asked_for)
     used = fit.joint.problem.observations.visible
     options: JointOptions = {"noise": "trusted", "fixed": fixed, "free": free}
     if fit.noise_estimate is not None:
@@ -333,7 +338,11 @@ def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
         )
     if joint.calibration.robot_error is not None:
         uncorrected_rms = rms(
-            chain_residuals(joint.calibration.uncorrected, joint.problem.observations)
+            # The points of the problem are those of the true shape already.
+            chain_residuals(
+                dataclasses.replace(joint.calibration.uncorrected, target_shape=None),
+                joint.problem.observations,
+            )
         )
         if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
             messages.append(

@@ -9,7 +9,8 @@ only the first is made anew, unless the text has changed, too. What is left to J
 - arguments that hold a class or a function of a user;
 - arrays on several devices, or on another device than the first CPU;
 - programs that call Python while they run;
-- JAX that was told to check, to promote types, or to compute otherwise than it does by itself.
+- JAX that was told to check, or to compute otherwise than it does by itself. How strictly it
+  promotes types and ranks is part of what a program is known by.
 
 The files are in the folder of JAX's cache and under the same settings (`compilation_cache`).
 Only what its owner wrote is in it: a program that is read is run, here as in JAX's own cache.
@@ -19,6 +20,7 @@ import functools
 import hashlib
 import threading
 import time
+import weakref
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -50,10 +52,14 @@ _PLAIN_SETTINGS = {
     "jax_debug_infs": False,
     "jax_default_device": None,
     "jax_default_matmul_precision": None,
-    "jax_numpy_rank_promotion": "allow",
-    "jax_numpy_dtype_promotion": "standard",
 }
 """Settings that a context of the user may change within a process, and what they must be."""
+
+_PROMOTION_SETTINGS = ("jax_numpy_rank_promotion", "jax_numpy_dtype_promotion")
+"""Settings, likewise of a context, that refuse a function while it is traced, or change its types.
+
+What was traced under one of them is kept for that one.
+"""
 
 
 class ArrayKind(NamedTuple):
@@ -94,6 +100,16 @@ class Program(NamedTuple):
         return self.structure.unflatten([next(found) if _is_kind(x) else x for x in self.leaves])
 
 
+_stores: "weakref.WeakSet[ProgramStore]" = weakref.WeakSet()
+"""All stores of this process."""
+
+
+def forget_programs() -> None:
+    """Let all programs in memory go; JAX holds none of them, and cannot."""
+    for store in list(_stores):
+        store._forget()
+
+
 class ProgramStore:
     """The programs of one function: those in memory, and through them those on disk."""
 
@@ -102,6 +118,7 @@ class ProgramStore:
         self._options = options
         self._programs: dict[Any, Program | None] = {}
         self._lock = threading.RLock()
+        _stores.add(self)
 
     def find(self, args: Any, kwargs: Any) -> tuple[Program | None, list[Any]]:
         """Return the program for arguments, read or compiled if need be, and their arrays.
@@ -113,21 +130,30 @@ class ProgramStore:
         leaves, structure = jax.tree.flatten((args, kwargs))
         kinds = [_kind_of(leaf) for leaf in leaves]
         arrays = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if _is_kind(kind)]
+        promotion = tuple(getattr(jax.config, name) for name in _PROMOTION_SETTINGS)
         # One equals True, and zero False, but they are not the same argument.
-        key = structure, tuple(kinds), tuple(map(type, kinds))
-        if key not in self._programs:
+        key = structure, tuple(kinds), tuple(map(type, kinds)), promotion
+        programs = self._programs
+        if key not in programs:
             # A program that two threads want at once is compiled once.
             with self._lock:
-                if key not in self._programs:
-                    self._programs[key] = self._new_program(structure.unflatten(kinds), arrays)
-        return self._programs[key], arrays
+                if key not in programs:
+                    arguments = structure.unflatten(kinds)
+                    programs[key] = self._new_program(arguments, arrays, promotion)
+        return programs[key], arrays
 
-    def _new_program(self, arguments: Any, arrays: list[Any]) -> Program | None:
+    def _forget(self) -> None:
+        """Let the programs in memory go; whoever is running one has it still."""
+        self._programs = {}
+
+    def _new_program(
+        self, arguments: Any, arrays: list[Any], promotion: tuple[Any, ...]
+    ) -> Program | None:
         """Return the program for arguments whose arrays are replaced by their kinds."""
         folder, name = _folder(), known_name(self._function)
         if folder is None or name is None or not _are_on_first_cpu(arguments):
             return None
-        description = pickled_if_known((name, self._options, arguments))
+        description = pickled_if_known((name, self._options, arguments, promotion))
         if description is None:
             return None
         decided_by = hashlib.sha256(compiler() + sources() + description).hexdigest()

@@ -37,6 +37,9 @@ threadpool_limits(limits=1, user_api="blas")
 
 check_public_signatures()
 
+# Only now: what is imported before is not checked.
+from smartview_jax.program_store import forget_programs  # noqa: E402
+
 # The strictest JAX: silent promotion of types or ranks is an error here.
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -101,6 +104,7 @@ def _programs_are_let_go():
     if _memory_map_count() > MAX_MEMORY_MAPS:
         jax.clear_caches()
         eqx.clear_caches()
+        forget_programs()
 
 
 def _memory_map_count():

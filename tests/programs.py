@@ -1,11 +1,13 @@
-"""Count the programs that XLA is given to compile."""
+"""Count the programs that XLA is given to compile, or that are read instead."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import jax
 
-COMPILED = "/jax/core/compile/backend_compile_duration"
+from smartview_jax.program_store import READ_EVENT
+
+NEW_PROGRAM = ("/jax/core/compile/backend_compile_duration", READ_EVENT)
 
 
 @contextmanager
@@ -14,7 +16,7 @@ def programs_added() -> Iterator[list[float]]:
     seconds: list[float] = []
 
     def note(event: str, duration: float, **_: str) -> None:
-        if event == COMPILED:
+        if event in NEW_PROGRAM:
             seconds.append(duration)
 
     jax.monitoring.register_event_duration_secs_listener(note)
@@ -22,11 +24,3 @@ def programs_added() -> Iterator[list[float]]:
         yield seconds
     finally:
         jax.monitoring.unregister_event_duration_listener(note)
-
-
-@contextmanager
-def programs_built() -> Iterator[list[float]]:
-    """As `programs_added`, but every program is built again within, and by later tests too."""
-    jax.clear_caches()
-    with programs_added() as seconds:
-        yield seconds

@@ -6,13 +6,24 @@ tests' time.
 """
 
 import ast
+import hashlib
+import marshal
+import os
 import sys
 from collections import defaultdict
+from collections.abc import Iterable
+from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder, SourceFileLoader
 from pathlib import Path
+from types import CodeType
 
 PACKAGE = Path(__file__).parent.parent / "smartview_jax"
+
+CHECKED = PACKAGE.parent / ".pytest_cache" / "checked_modules"
+"""The folder of compiled modules with their checks: to add them takes longer than to read them."""
+
+_OWN_SOURCE = Path(__file__).read_bytes()
 
 _IMPORTS = ast.parse("import beartype as _beartype\nimport jaxtyping as _jaxtyping").body
 _CHECK = ast.parse("_jaxtyping.jaxtyped(typechecker=_beartype.beartype)", mode="eval").body
@@ -57,7 +68,7 @@ def _is_public_method(part: ast.stmt) -> bool:
 
 
 class _Loader(SourceFileLoader):
-    """Compiles a module with its checks; nothing is kept, or others would import it checked."""
+    """Compiles a module with its checks, and keeps it where only the tests look for it."""
 
     def __init__(self, name: str, path: str, public: set[str]) -> None:
         super().__init__(name, path)
@@ -65,11 +76,32 @@ class _Loader(SourceFileLoader):
 
     def get_code(self, fullname: str):
         path = self.get_filename(fullname)
-        tree = _AddChecks(self._public).visit(ast.parse(self.get_data(path), path))
+        source = self.get_data(path)
+        decided_by = repr((path, source, sorted(self._public), _OWN_SOURCE, sys.version))
+        kept = CHECKED / f"{fullname}-{hashlib.sha256(decided_by.encode()).hexdigest()}"
+        with suppress(OSError, ValueError, EOFError, TypeError):
+            return marshal.loads(kept.read_bytes())
+        code = self._with_checks(source, path)
+        with suppress(OSError):
+            _replace(CHECKED.glob(f"{fullname}-*"), kept, marshal.dumps(code))
+        return code
+
+    def _with_checks(self, source: bytes, path: str) -> CodeType:
+        tree = _AddChecks(self._public).visit(ast.parse(source, path))
         # After the module's docstring, if it has one.
         has_docstring = ast.get_docstring(tree) is not None
         tree.body[has_docstring:has_docstring] = _IMPORTS
         return compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
+
+
+def _replace(old: Iterable[Path], file: Path, content: bytes) -> None:
+    """Write a file in the place of older ones; another worker reads all of it or nothing."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    for other in old:
+        other.unlink(missing_ok=True)
+    unfinished = file.with_name(f"{os.getpid()}-{file.name}")
+    unfinished.write_bytes(content)
+    unfinished.replace(file)
 
 
 class _Finder(MetaPathFinder):

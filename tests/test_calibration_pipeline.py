@@ -1,6 +1,10 @@
 """Staged, then joint: what either left out, and what is said before anything is compiled."""
 
+import dataclasses
+import sys
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +13,7 @@ from jaxlie import SE3
 
 from smartview_jax import calibrate, fit_joint
 from smartview_jax.calibration_pipeline import refit_uncorrected
+from smartview_jax.joint import precompile
 
 
 def test_calibrate_goes_all_the_way():
@@ -40,10 +45,27 @@ def test_what_either_fit_left_out_is_listed_once():
     # The chain that corrects nothing is not fitted to that view either.
     seen = data.visible & fit.staged.inliers & fit.joint.problem.observations.visible
     used = eqx.tree_at(lambda d: d.visible, data.mask_views([6]), seen)
-    without = fit_joint(used, fit.staged.calibration, noise="trusted").calibration
+    shape = fit.joint.calibration.target_shape
+    start = dataclasses.replace(fit.staged.calibration, target_shape=shape)
+    without = fit_joint(used, start, noise="trusted").calibration
     bare = refit_uncorrected(data, fit)
     gap = bare.camera_from_tool.inverse() @ without.camera_from_tool
     assert float(jnp.linalg.norm(gap.log())) < 1e-5
+
+
+@pytest.mark.parametrize("field", [None, "auto"])
+def test_what_is_rehearsed_is_the_fit_that_is_made(field, monkeypatch):
+    """Whatever its numbers: a program is compiled for the structure and the shapes."""
+    rehearsed, scene = [], scene_of(0)
+    monkeypatch.setattr(sys.modules[precompile.__module__], "solve", rehearsed.append)
+    precompile(scene.data, "weng", field=field)
+    fit = fit_joint(scene.data, scene.calibration, lens="weng", noise="estimated", field=field)
+    kinds = [
+        # How many parameters are free does not matter: the solver pads them.
+        (jax.tree.structure(p), jax.tree.map(np.shape, (p.observations, p.prepared_poses)))
+        for p in (*rehearsed, fit.problem)
+    ]
+    assert kinds[0] == kinds[1]
 
 
 def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):

@@ -201,10 +201,27 @@ def test_with_other_settings_jax_is_asked_itself(store):
         return 2.0 * x
 
     programs = store(doubled)
-    for setting in (jax.debug_nans(True), jax.disable_jit(), jax.numpy_rank_promotion("raise")):
+    for setting in (jax.debug_nans(True), jax.disable_jit()):
         with setting:
             assert programs.find((np.ones(2),), {})[0] is None
     assert programs.find((np.ones(2),), {})[0] is not None
+
+
+def test_a_program_is_of_the_strictness_that_it_was_traced_with(store):
+    """A rank that is promoted is refused, although a kept program promotes it."""
+
+    def added(x, y):
+        return x + y
+
+    arguments = np.ones((2, 2)), np.ones(2)
+    for programs in (store(added), store(added)):
+        program, arrays = programs.find(arguments, {})
+        np.testing.assert_array_equal(program(arrays), np.full((2, 2), 2.0))
+        with jax.numpy_rank_promotion("raise"), pytest.raises(ValueError, match="rank_promotion"):
+            programs.find(arguments, {})
+        with jax.numpy_rank_promotion("raise"):
+            program, arrays = programs.find((np.ones(2), np.ones(2)), {})
+        np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
 
 
 def test_a_program_that_calls_python_stays_in_its_process(store, tmp_path):

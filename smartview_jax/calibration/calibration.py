@@ -38,6 +38,7 @@ from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
 from .file_content import check_content, content_of, parts_of
 from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
+from .target_shape import TargetShape
 
 
 class Calibration(eqx.Module):
@@ -54,6 +55,8 @@ class Calibration(eqx.Module):
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         robot_error: model of the error of reported poses; None if they are taken as exact.
         region: region from which the target was seen in the fitted data; None if not fitted.
+        target_shape: how the target's points deviate from where they are stated; None if they do
+            not.
     """
 
     camera: Camera
@@ -63,6 +66,7 @@ class Calibration(eqx.Module):
     mount: str = eqx.field(static=True)
     robot_error: RobotError | None
     region: ViewedRegion | None
+    target_shape: TargetShape | None
 
     def __init__(
         self,
@@ -73,6 +77,7 @@ class Calibration(eqx.Module):
         target_scale: ScalarLike = 1.0,
         robot_error: RobotError | None = None,
         region: ViewedRegion | None = None,
+        target_shape: TargetShape | None = None,
     ):
         """Store the parts of the chain; arguments as in the class's attributes.
 
@@ -89,6 +94,7 @@ class Calibration(eqx.Module):
         self.mount = mount
         self.robot_error = robot_error
         self.region = region
+        self.target_shape = target_shape
 
     def __repr__(self) -> str:
         # A traced calibration, inside `jit`, has no figures to show.
@@ -138,6 +144,16 @@ class Calibration(eqx.Module):
             "eye_to_hand",
             target_scale,
         )
+
+    def true_points(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 3"]:
+        """Return where points of the target truly are in its frame: of its true shape and size.
+
+        Args:
+            points: points as stated, m.
+        """
+        if self.target_shape is not None:
+            points = self.target_shape.displaced(points)
+        return self.target_scale * points
 
     @property
     def camera_from_tool(self) -> SE3:
@@ -410,4 +426,4 @@ def _points_in_camera(
     # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The scale is that of the
     # target about its own origin, so it acts before any transform.
     camera_from_world = calibration.camera_from_world(reported, corrected=corrected)
-    return transform_points(camera_from_world, calibration.target_scale * points)
+    return transform_points(camera_from_world, calibration.true_points(points))

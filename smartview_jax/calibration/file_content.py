@@ -11,6 +11,7 @@ from ..cameras import AbstractLens, camera_from_dict, camera_to_dict
 from ..geometry import region_from_dict, region_to_dict, transform_from_dict, transform_to_dict
 from ..robot_errors import AbstractField, robot_error_from_dict, robot_error_to_dict
 from .mount import transform_names
+from .target_shape import shape_from_dict, shape_to_dict
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -46,6 +47,8 @@ def content_of(
     for name, transform in zip(calibration.transform_names, transforms, strict=True):
         content[name] = transform_to_dict(transform)
     content["target_scale"] = float(calibration.target_scale)
+    if calibration.target_shape is not None:
+        content["target_shape"] = shape_to_dict(calibration.target_shape)
     error = calibration.robot_error
     content["robot_error"] = None if error is None else robot_error_to_dict(error)
     if calibration.region is not None:
@@ -93,6 +96,7 @@ def parts_of(
         transform_from_dict(name, content[name]) for name in transform_names(content["mount"])
     )
     error, region = content.get("robot_error"), content.get("region")
+    shape = content.get("target_shape")
     return {
         "camera": camera_from_dict(content["camera"], lens),
         "camera_from_mount": camera_from_mount,
@@ -101,4 +105,5 @@ def parts_of(
         "target_scale": float(content["target_scale"]),
         "robot_error": None if error is None else robot_error_from_dict(error, field),
         "region": None if region is None else region_from_dict(region),
+        "target_shape": None if shape is None else shape_from_dict(shape),
     }

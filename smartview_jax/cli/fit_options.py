@@ -207,7 +207,9 @@ def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, Prior]":
     if not float(std) > 0.0:
         raise ValueError(f"--prior {path}: expected a positive SIGMA, found {std}")
     scale = factors[unit]
-    return path.strip(), Prior(scale * float(std), None if mean is None else scale * float(mean))
+    return path.strip(), Prior(
+        std=scale * float(std), mean=None if mean is None else scale * float(mean)
+    )
 
 
 def _refuse_contradictions(

@@ -18,7 +18,8 @@ def new(
         str, typer.Option(help="abb, fanuc, kawasaki, kuka, puma, ros, ur, or matrix.")
     ] = "matrix",
     target: Annotated[
-        str, typer.Option(help="chessboard, circle_grid, charuco or tag_grid.")
+        str,
+        typer.Option(help="chessboard, circle_grid, charuco, tag_grid, or Kalibr's aprilgrid."),
     ] = "charuco",
     eye_to_hand: Annotated[
         bool, typer.Option("--eye-to-hand", help="The camera stands, the target is on the tool.")
@@ -30,32 +31,29 @@ def new(
     What to do next is printed; `smartview check` then looks at what was filled in.
     """
     with errors_reported(debug):
-        from ..io import write_new_dataset
+        from ..io import found_pictures, write_new_dataset
 
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
-        size = _picture_size(folder)
-        path = write_new_dataset(folder, robot, target, mount, size or DEFAULT_SIZE)
+        found = found_pictures(folder)
+        size = found.image_size if found else DEFAULT_SIZE
+        suffix = found.suffix if found else ".png"
+        path = write_new_dataset(folder, robot, target, mount, size, suffix)
+        images = folder / "images"
+        if found:
+            count = found.picture_count
+            typer.echo(f"{images}: {count} pictures named *{suffix}, {size[0]} x {size[1]} px")
+            if found.others:
+                typer.echo(f"{images}: not among them: {', '.join(found.others[:5])}")
         typer.echo(f"{path}: now")
         steps = [
-            *([] if size else ["state the pictures' size in it"]),
+            *([] if found else ["state the pictures' size and suffix in it"]),
             "measure the target and state its size in it: an error of 1 % there is one of 1 % in "
             "every distance",
-            f"take 15 pictures or more into {folder / 'images'}, with the target filling half of "
-            "each, tilted by up to 40 degrees to all sides and turned about the optical axis",
+            f"take 15 pictures or more into {images}, with the target filling half of each, tilted "
+            "by up to 40 degrees to all sides and turned about the optical axis",
             f"write the robot's pose for each picture into {folder / 'poses.csv'}",
             f"smartview check {folder}",
             f"smartview calibrate {folder}",
         ]
         for number, step in enumerate(steps, start=1):
             typer.echo(f"  {number}. {step}")
-
-
-def _picture_size(folder: Path) -> tuple[int, int] | None:
-    """Return width and height of the first picture that is in the folder already, or None."""
-    pictures = sorted((folder / "images").glob("*.*")) if (folder / "images").is_dir() else []
-    if not pictures:
-        return None
-    from ..detection import read_picture
-
-    rows, columns = read_picture(pictures[0]).shape[:2]
-    return columns, rows

@@ -167,7 +167,9 @@ def _side(rough: "Calibration", below: bool | None) -> bool:
     """Return whether the first views look from where the world's z is positive."""
     if below is not None:
         return not below
-    up = float(rough.holder_from_world.rotation().as_matrix()[2, 2])
+    from ..geometry import host_matrices
+
+    up = float(host_matrices(rough.holder_from_world)[2, 2])
     # A target that lies in front of an arm is seen from above; one that hangs may face anywhere.
     if rough.mount != "eye_in_hand" or abs(up) < 0.5:
         raise ValueError(

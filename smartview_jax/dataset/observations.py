@@ -8,7 +8,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import AnyArray
-from ..calibration import Calibration
+from ..calibration import Calibration, TargetShape
 from ..cameras import Camera
 from ..compilation import compiled, is_traced
 from ..geometry import transformed_coordinates
@@ -37,6 +37,10 @@ class Observations(eqx.Module):
     def command(self) -> Command:
         """The commands reported by the robot, with joint readings if they are known."""
         return Command(self.base_from_tool, self.joints)
+
+    def of_shape(self, shape: TargetShape) -> "Observations":
+        """Return the observations of a target whose points are displaced from where stated."""
+        return eqx.tree_at(lambda o: o.points, self, shape.displaced(self.points))
 
     def padded(self) -> "Observations":
         """Return the observations of small data with views and points added that nobody saw.
@@ -94,6 +98,8 @@ def chain_residuals(
     predicted.
     """
     poses = calibration.camera_from_world_matrices(observations.command)
+    if calibration.target_shape is not None:
+        observations = observations.of_shape(calibration.target_shape)
     return view_residuals(calibration.camera, calibration.target_scale, poses, observations)
 
 

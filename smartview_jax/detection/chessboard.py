@@ -1,32 +1,174 @@
-"""Detect chessboard corners with OpenCV's sector-based detector."""
+"""Detect chessboard corners with OpenCV's sector-based detector, or else its classic one."""
+
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
 from ..targets import Chessboard, grid_symmetries
 from .detection import Detection, empty_detection, full_detection
+from .plausibility import DetectionLimits, checked_detection
+
+_SUBPIXEL_REACH = 0.25
+"""Half width of the window in which a corner is refined, in parts of the distance to the nearest.
+
+The window must not reach another corner, also where the board is seen from the side.
+"""
+
+_SUBPIXEL_WINDOWS = (2, 10)
+"""Smallest and largest half width of this window, px."""
+
+_SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+
+_SAMPLE_REACH = 0.35
+"""Distance from a corner at which the four squares around it are sampled, in parts of a square."""
+
+_LEAST_SADDLE = 0.75
+"""Saddle (see `_saddles`) above which a line of points is one of inner corners.
+
+It is 1 for inner corners, and 0.5 along the board's outline, where two of the four squares around a
+point are alike.
+"""
 
 
-def detect_chessboard(image: np.ndarray, target: Chessboard) -> Detection:
+def detect_chessboard(
+    image: np.ndarray, target: Chessboard, limits: DetectionLimits | None = None
+) -> Detection:
     """Detect the inner corners of a completely visible board, in the target's order.
+
+    The sector-based detector is accurate, but may be wrong by many pixels where the white margin is
+    narrow, and may find nothing where the classic one does. So each detection is tested, and the
+    classic detector is tried where the first one is not convincing.
 
     Args:
         image: grey, uint8.
         target: the board.
+        limits: of the test of the detected corners; by default `DetectionLimits()`.
     """
+    limits = limits or DetectionLimits()
+    size = (image.shape[1], image.shape[0])
+    failed, candidates = [], []
+    for found in _candidates(image, target):
+        tested = checked_detection(found, target.points, size, limits)
+        if tested.reason is None and (problem := _outline_problem(image, found.pixels, target)):
+            tested = empty_detection(len(target.points), problem)
+        if tested.reason is not None:
+            failed.append(tested)
+            continue
+        candidates.append(tested)
+        if tested.visible.all() and tested.noise <= limits.good_noise(_smallest_distance(found)):
+            break
+    if candidates:
+        return min(candidates, key=lambda found: (-np.count_nonzero(found.visible), found.noise))
+    return (
+        failed[0]
+        if failed
+        else empty_detection(
+            target.rows * target.columns,
+            f"no chessboard with {target.rows} x {target.columns} inner corners found",
+        )
+    )
+
+
+def _candidates(image: np.ndarray, target: Chessboard) -> Iterator[Detection]:
+    """Yield the detections of both detectors, each only when it is asked for."""
+    detectors: tuple[Callable[..., np.ndarray | None], ...] = (_sector_based, _classic)
+    for detector in detectors:
+        corners = detector(image, (target.columns, target.rows))
+        if corners is not None:
+            yield full_detection(_start_at_light_square(image, corners.reshape(-1, 2), target))
+
+
+def _sector_based(image: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
+    """Return the corners that OpenCV's sector-based detector finds."""
     # The detector's own sub-pixel corners are kept. A second refinement by `cornerSubPix` was tried
     # and shifts them by up to half a pixel; normalising the picture first shifts them by 0.1 to
     # 0.2 px.
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    size = (target.columns, target.rows)
-    ok, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
-    if not ok:
-        return empty_detection(
-            target.rows * target.columns,
-            f"no chessboard with {target.rows} x {target.columns} inner corners found",
+    found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+    return corners if found else None
+
+
+def _classic(image: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
+    """Return the corners that OpenCV's classic detector finds, refined to sub-pixels."""
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners = cv2.findChessboardCorners(image, size, flags=flags)
+    if not found:
+        return None
+    reach = int(_SUBPIXEL_REACH * _smallest_distance(full_detection(corners)))
+    reach = int(np.clip(reach, *_SUBPIXEL_WINDOWS))
+    return cv2.cornerSubPix(image, corners, (reach, reach), (-1, -1), _SUBPIXEL_CRITERIA)
+
+
+def _smallest_distance(found: Detection) -> float:
+    """Return the smallest distance between two detected corners, px."""
+    return float(KDTree(found.pixels).query(found.pixels, k=2)[0][:, 1].min())
+
+
+def _outline_problem(
+    image: np.ndarray, corners: Float[np.ndarray, "corners 2"], target: Chessboard
+) -> str | None:
+    """Return in words what is wrong with the number of rows and columns; None if nothing is.
+
+    A part of a larger board looks like a whole smaller one, and the outline of a board like one
+    more line of corners.
+    """
+    grid = corners.reshape(target.rows, target.columns, 2)
+    if min(grid.shape[:2]) < 3:
+        return None
+    # One more line of points on every side, extrapolated quadratically; the columns come last and
+    # so fill the corners.
+    outer = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    for turned in (outer, outer[::-1], outer.swapaxes(0, 1), outer.swapaxes(0, 1)[::-1]):
+        turned[0] = 3.0 * turned[1] - 3.0 * turned[2] + turned[3]
+    saddles = _saddles(image, outer)
+    # The sign tells whether the first square is dark.
+    saddles *= np.sign(np.nanmean(saddles[1:-1, 1:-1]))
+    stated = f"{target.rows} x {target.columns} inner corners"
+    for turned in (saddles, saddles[::-1], saddles.T, saddles.T[::-1]):
+        beyond, last = turned[0, 1:-1], turned[1, 1:-1]
+        if np.isfinite(last).any() and np.nanmean(last) < _LEAST_SADDLE:
+            return (
+                f"what was found are not {stated}, since its outermost points are others: are rows "
+                "and columns stated rightly?"
+            )
+        # A line that is mostly outside the picture says nothing.
+        if np.isfinite(beyond).mean() > 0.5 and np.nanmean(beyond) > _LEAST_SADDLE:
+            return f"the board goes on beyond {stated}: are rows and columns stated rightly?"
+    return None
+
+
+def _saddles(
+    image: np.ndarray, grid: Float[np.ndarray, "rows columns 2"]
+) -> Float[np.ndarray, "rows columns"]:
+    """Return how much the four squares around each point look like those around an inner corner.
+
+    It is 1 for such a corner, and 0 for a point within a square or on an edge between two; NaN
+    outside the picture. The sign alternates with the colours, so that it is equal for all inner
+    corners of a board.
+    """
+    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    samples = []
+    for i, j in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
+        x, y = np.moveaxis(grid + _SAMPLE_REACH * (i * across + j * down), -1, 0)
+        sample = cv2.remap(
+            image.astype(np.float32),
+            x.astype(np.float32),
+            y.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=float("nan"),
         )
-    return full_detection(_start_at_light_square(image, corners.reshape(-1, 2), target))
+        samples.append(sample)
+    # With the squares a, b on one diagonal and c, d on the other,
+    #     (a + b - c - d) / (2 (largest - smallest)),
+    # which light and shadow do not change; one grey value is the least difference that counts.
+    difference = np.max(samples, axis=0) - np.min(samples, axis=0) + 1.0
+    saddles = (samples[0] + samples[1] - samples[2] - samples[3]) / (2.0 * difference)
+    # Every second corner has the dark squares on the other diagonal.
+    return saddles * (-1.0) ** np.add.outer(np.arange(len(grid)), np.arange(len(grid[0])))
 
 
 def _start_at_light_square(

@@ -34,6 +34,9 @@ larger number indicates noise or texture.
 _MAX_DIAMETER_RATIO = 3.0
 """Largest expected ratio of circle diameters in one picture, due to perspective and a mark."""
 
+_MAX_RATIO_BEYOND = 1.6
+"""Largest ratio of a further circle's diameter to the grid's, due to perspective or a mark."""
+
 
 def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
     """Detect the circle centres of a grid, in the target's order.
@@ -60,6 +63,12 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
         centres = _find_grid(np.array([blob.pt for blob in blobs]), target)
         if centres is None:
             continue
+        if _goes_on(centres, blobs, target):
+            return empty_detection(
+                count,
+                f"the grid goes on beyond {target.rows} x {target.columns} circles: are rows and "
+                "columns stated rightly?",
+            )
         if target.origin_mark:
             centres = _start_at_origin_mark(centres, blobs, target)
         return full_detection(centres)
@@ -185,6 +194,37 @@ def _is_grid(centres: np.ndarray, target: CircleGrid) -> bool:
     return float(np.linalg.norm(centres - mapped, axis=1).max()) < 0.3 * float(
         np.median(neighbour_distances)
     )
+
+
+def _goes_on(centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid) -> bool:
+    """Return whether there are circles beyond the stated rows or columns, on any side.
+
+    A part of a larger grid looks like a whole smaller one.
+    """
+    grid = centres.reshape(target.rows, target.columns, 2)
+    positions = np.array([blob.pt for blob in blobs])
+    diameters = np.array([blob.size for blob in blobs])
+    used = np.linalg.norm(positions[:, None] - centres[None], axis=-1).argmin(axis=0)
+    usual_diameter = np.median(diameters[used])
+    free = np.ones(len(blobs), dtype=bool)
+    free[used] = False
+    similar = np.maximum(diameters, usual_diameter) < _MAX_RATIO_BEYOND * np.minimum(
+        diameters, usual_diameter
+    )
+    others = positions[free & similar]
+    if not len(others):
+        return False
+    for lines in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1]):
+        if len(lines) < 3:
+            continue
+        # With every second row shifted, the next row lies where the one before the last would.
+        step = 0.5 * (lines[2] - lines[0])
+        expected = lines[1] - 2.0 * step
+        reach = 0.5 * np.linalg.norm(step, axis=1)
+        nearest = np.linalg.norm(expected[:, None] - others[None], axis=-1).min(axis=1)
+        if np.mean(nearest < reach) > 0.5:
+            return True
+    return False
 
 
 def _start_at_origin_mark(

@@ -1,34 +1,53 @@
-"""Read pictures and detect the points of any target in them."""
+"""Detect the points of any target in a picture."""
 
+import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from ..targets import AbstractTarget, Charuco, Chessboard, CircleGrid, TagGrid
+from ..targets import (
+    AbstractTarget,
+    AprilGrid,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    StackedTarget,
+    TagGrid,
+)
 from .chessboard import detect_chessboard
 from .circles import detect_circles
 from .detection import Detection
 from .markers import detect_charuco, detect_tags
+from .plausibility import DetectionLimits, checked_detection
 
 _DETECTORS: tuple[tuple[type[AbstractTarget], Callable[..., Detection]], ...] = (
     (CircleGrid, detect_circles),
-    (Chessboard, detect_chessboard),
     (Charuco, detect_charuco),
     (TagGrid, detect_tags),
+    (AprilGrid, detect_tags),
 )
-"""Detector of each kind of target."""
+"""Detector of each kind of target, except the chessboard, which has two."""
+
+_TURNED_TAGS = (
+    "but every tag turned by half a turn would: Kalibr's boards are of kind aprilgrid, others are "
+    "tag_grid, with rows_from: bottom where the numbers begin there"
+)
+"""What to do where each tag is turned, as in the boards of Kalibr against others."""
 
 
-def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
-    """Detect a target's points in a picture.
+def detect(
+    image: np.ndarray, target: AbstractTarget, limits: DetectionLimits | None = None
+) -> Detection:
+    """Detect a target's points in a picture, and test them against each other.
 
-    If nothing is found, the result is an empty detection with a reason, not an error.
+    If nothing is found, or what is found does not lie as the target's points do, the result is an
+    empty detection with a reason, not an error. Single points that fail the test are not visible.
 
     Args:
         image: uint8, grey `(h, w)` or BGR `(h, w, 3)`.
         target: a flat target; for a `StackedTarget`, its board.
+        limits: of the test; by default `DetectionLimits()`.
 
     Raises:
         ValueError: an array that is not a picture, or a target without a detector.
@@ -38,41 +57,48 @@ def detect(image: np.ndarray, target: AbstractTarget) -> Detection:
             f"image: expected uint8 (h, w) or (h, w, 3), found {image.dtype} {image.shape}"
         )
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    if isinstance(target, Chessboard):
+        return detect_chessboard(grey, target, limits)
     for kind, detector in _DETECTORS:
         if isinstance(target, kind):
-            return detector(grey, target)
+            size = (grey.shape[1], grey.shape[0])
+            found = detector(grey, target)
+            checked = checked_detection(found, target.points, size, limits)
+            if checked.reason is not None and _has_turned_tags(found, target, size, limits):
+                return checked._replace(reason=f"{checked.reason}; {_TURNED_TAGS}")
+            return checked
     raise ValueError(f"there is no detector for a {type(target).__name__}; detect its board")
 
 
-def read_picture(path: Path, image_size: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a picture as grey uint8, in the orientation of the sensor.
+def _has_turned_tags(
+    found: Detection,
+    target: AbstractTarget,
+    size: tuple[int, int],
+    limits: DetectionLimits | None,
+) -> bool:
+    """Return whether tags lie as the target's do if each is turned by half a turn."""
+    if not isinstance(target, TagGrid | AprilGrid) or not found.visible.any():
+        return False
+    turned = found.pixels.reshape(-1, 4, 2)[:, [2, 3, 0, 1]].reshape(-1, 2)
+    visible = np.asarray(np.isfinite(turned).all(axis=1))
+    again = Detection(turned, visible, None)
+    return checked_detection(again, target.points, size, limits).reason is None
 
-    An orientation stored in the file (EXIF) is ignored: a camera's pixels are those of its sensor,
-    and if only some of the files store an orientation, only those would be rotated.
 
-    Args:
-        path: the file.
-        image_size: expected width and height, px; None accepts any size.
+def detection_identity(target: AbstractTarget) -> str:
+    """Return a text that is equal for targets whose detections are the same.
 
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: the file cannot be read as a picture, or the picture has another size.
+    Lengths count only in relation to each other: a square that was measured more accurately, or the
+    heights of a board, change no pixel.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such picture")
-    # `cv2.imread` is not used: it prints to stderr, and on some systems cannot open file names
-    # outside ASCII.
-    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        image = cv2.imdecode(data, flags) if data.size else None
-    except cv2.error as error:
-        raise ValueError(f"{path}: not a picture that can be read: {error}") from error
-    if image is None:
-        raise ValueError(f"{path}: not a picture that can be read")
-    size = (image.shape[1], image.shape[0])
-    if image_size is not None and size != tuple(image_size):
-        raise ValueError(
-            f"{path}: expected {image_size[0]} x {image_size[1]} px, found {size[0]} x {size[1]}"
-        )
-    return image
+    board = target.board if isinstance(target, StackedTarget) else target
+    fields = {
+        field.name: getattr(board, field.name)
+        for field in dataclasses.fields(board)
+        if field.name not in board.lengths
+    }
+    # Only the centres of circles are detected, whatever their radii.
+    lengths = board.lengths[:1] if isinstance(board, CircleGrid) else board.lengths
+    ratios = [round(getattr(board, name) / getattr(board, lengths[0]), 9) for name in lengths]
+    heights = len(target.heights) if isinstance(target, StackedTarget) else 1
+    return repr((type(board).__name__, fields, ratios, heights))

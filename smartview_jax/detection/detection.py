@@ -13,11 +13,15 @@ class Detection(NamedTuple):
         pixels: one row for each point of the target, px; NaN where the point was not detected.
         visible: whether each point was detected.
         reason: the reason why nothing was found; None if something was.
+        noise: standard deviation of the points as `plausibility` measures it, px; 0 if not tested.
+        left_out: number of points that were found and then failed that test.
     """
 
     pixels: Float[np.ndarray, "points 2"]
     visible: Bool[np.ndarray, "points"]
     reason: str | None
+    noise: float = 0.0
+    left_out: int = 0
 
 
 def full_detection(pixels: np.ndarray) -> Detection:

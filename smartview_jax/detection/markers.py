@@ -5,9 +5,29 @@ A view may show only a part of the board.
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
-from ..targets import Charuco, TagGrid
+from ..targets import AprilGrid, Charuco, TagGrid
 from .detection import Detection, empty_detection, partial_detection
+
+_BORDERS = (1, 2, 3)
+"""Widths of a tag's border that are in use, in cells; they are tried where nothing is found."""
+
+_TAG_WINDOW = 0.3
+"""Half width of the window in which a single tag's corner is refined, in cells: OpenCV's own."""
+
+_APRIL_GRID_WINDOW = 0.75
+"""The same for an AprilGrid, in parts of the narrowest of the four squares around a corner.
+
+These are the tag's border, the square beyond the corner, and the white gaps between them. OpenCV
+finds such corners less well, so that the window is as wide as they allow.
+"""
+
+_WINDOWS = (1, 5)
+"""Smallest and largest half width of this window, px."""
+
+_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
+"""When the refinement of a corner ends: as for OpenCV's own tags."""
 
 
 def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
@@ -51,30 +71,166 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
     return partial_detection(count, ids.ravel(), corners)
 
 
-def detect_tags(image: np.ndarray, target: TagGrid) -> Detection:
+def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
     """Detect the four corners of every visible tag of a grid, with sub-pixel refinement.
+
+    A corner whose refinement gives up is not visible. Tags with another border than the target
+    states are no detection, since their corners would be a cell of the code off.
 
     Args:
         image: grey, uint8.
         target: the grid.
     """
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
-    corners, ids, _ = detector.detectMarkers(image)
     count = 4 * len(target.ids)
-    detected_ids = [] if ids is None else [int(k) for k in ids.ravel()]
-    matching = [k for k, tag in enumerate(detected_ids) if tag in target.ids]
-    if not matching:
-        others = f"; tags {sorted(detected_ids)} seen" if detected_ids else ""
+    tags = _find_tags(image, target, target.border_bits)
+    if len(tags) < 0.5 * len(target.ids) and (other := _other_border(image, target, len(tags))):
         return empty_detection(
             count,
-            f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found{others}",
+            f"{len(tags)} tags have a border of {_cells_in_words(target.border_bits)}, more have "
+            f"one of {_cells_in_words(other)}: state border_bits: {other}",
         )
-    # Corner k of the tag with number n is point 4 (n - first_id) + k of the target.
-    index = np.concatenate(
-        [4 * (detected_ids[k] - target.first_id) + np.arange(4) for k in matching]
-    )
-    return partial_detection(
-        count, index, np.concatenate([corners[k].reshape(4, 2) for k in matching])
-    )
+    if not tags:
+        return empty_detection(count, _reason_for_no_tags(image, target))
+    refined = {tag: _refined_corners(image, corners, target) for tag, corners in tags.items()}
+    wider = [
+        _has_wider_border(image, np.where(np.isfinite(refined[tag]), refined[tag], corners), target)
+        for tag, corners in tags.items()
+    ]
+    if np.mean(wider) > 0.5:
+        return empty_detection(
+            count,
+            f"{len(tags)} tags found, but they are black beyond a border of "
+            f"{_cells_in_words(target.border_bits)}: state border_bits, 2 for a board of Kalibr's",
+        )
+    pixels = np.full((count, 2), np.nan)
+    for tag, corners in refined.items():
+        # Corner k of the tag with number n is point 4 (n - first_id) + corner_order[k].
+        pixels[4 * (tag - target.first_id) + np.array(target.corner_order)] = corners
+    if not np.isfinite(pixels).any():
+        return empty_detection(count, f"{len(tags)} tags found, but no corner could be refined")
+    return Detection(pixels, np.asarray(np.isfinite(pixels).all(axis=1)), None)
+
+
+def _find_tags(
+    image: np.ndarray, target: TagGrid | AprilGrid, border_bits: int
+) -> dict[int, Float[np.ndarray, "4 2"]]:
+    """Return the corners of the target's tags by number, not refined, px.
+
+    A tag that is found more than once is left out: one of them is not the target's.
+    """
+    detector = _tag_detector(target, border_bits)
+    pictures = [(image, 0)]
+    if isinstance(target, AprilGrid):
+        # The squares at the corners of a tag join it to its neighbours; where light grows by a
+        # pixel they part, and the tag's sides move inwards by as much.
+        pictures.append((cv2.dilate(image, np.ones((3, 3), np.uint8)), 1))
+    best: dict[int, np.ndarray] = {}
+    for picture, shift in pictures:
+        corners, ids, _ = detector.detectMarkers(picture)
+        numbers = [] if ids is None else [int(k) for k in ids.ravel()]
+        found = {
+            tag: _grown(quad.reshape(4, 2), shift)
+            for tag, quad in zip(numbers, corners, strict=True)
+            if tag in target.ids and numbers.count(tag) == 1
+        }
+        best = {**best, **found}
+    return best
+
+
+def _grown(corners: Float[np.ndarray, "4 2"], shift: int) -> Float[np.ndarray, "4 2"]:
+    """Return a square's corners after each side has moved outwards by a distance, px."""
+    side = np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+    middle = corners.mean(axis=0)
+    return middle + (corners - middle) * (1.0 + 2.0 * shift / side)
+
+
+def _other_border(image: np.ndarray, target: TagGrid | AprilGrid, count: int) -> int | None:
+    """Return the width of a border with which more tags are found than `count`, or None."""
+    counts = {
+        bits: len(_find_tags(image, target, bits))
+        for bits in _BORDERS
+        if bits != target.border_bits
+    }
+    best = max(counts, key=lambda bits: counts[bits])
+    return best if counts[best] > count else None
+
+
+def _reason_for_no_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> str:
+    """Return in words that no tag was found, and which others were."""
+    reason = f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found"
+    _, ids, _ = _tag_detector(target, target.border_bits).detectMarkers(image)
+    others = [] if ids is None else sorted(int(k) for k in ids.ravel())
+    return f"{reason}; tags {others} seen" if others else reason
+
+
+def _tag_detector(target: TagGrid | AprilGrid, border_bits: int) -> cv2.aruco.ArucoDetector:
+    """Return OpenCV's detector for tags with such a border."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.markerBorderBits = border_bits
+    return cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
+
+
+def _cells_in_words(border_bits: int) -> str:
+    """Return the width of a border in words."""
+    return f"{border_bits} cell{'s' if border_bits > 1 else ''}"
+
+
+def _has_wider_border(
+    image: np.ndarray, corners: Float[np.ndarray, "4 2"], target: TagGrid | AprilGrid
+) -> bool:
+    """Return whether a tag is black just outside its corners, as it is just inside.
+
+    A detector that expects a narrower border than the tag has finds the inner one.
+    """
+    cells = dictionary_by_name(target.dictionary).markerSize + 2 * target.border_bits
+    unit = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], dtype=np.float32)
+    H = cv2.getPerspectiveTransform(unit, corners.astype(np.float32))
+    # The middle half of each side: other things are at the corners.
+    along = np.linspace(0.25, 0.75, 16) * cells
+    step = 0.5 * min(1.0, _gap_in_cells(target, cells))
+
+    def sides(offset: float) -> np.ndarray:
+        """Return grey values along the four sides, that many cells outside them."""
+        low, high = np.full_like(along, -offset), np.full_like(along, cells + offset)
+        pairs = (along, low), (along, high), (low, along), (high, along)
+        places = np.concatenate([np.stack(pair, axis=1) for pair in pairs])
+        x, y = cv2.perspectiveTransform(places[None], H)[0].T.astype(np.float32)
+        return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    inside, outside = np.median(sides(-0.5)), np.median(sides(step))
+    light = np.percentile(image[_bounding_box(corners, image.shape)], 95)
+    return bool(outside < 0.5 * (inside + light))
+
+
+def _gap_in_cells(target: TagGrid | AprilGrid, cells: int) -> float:
+    """Return the white gap between two tags in cells of their codes; of a single tag, one."""
+    if len(target.ids) == 1:
+        return 1.0
+    gap = target.spacing if isinstance(target, AprilGrid) else target.gap / target.size
+    return gap * cells
+
+
+def _bounding_box(corners: Float[np.ndarray, "4 2"], shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the rows and columns of the picture that a tag covers."""
+    low = np.floor(corners.min(axis=0)).astype(int)
+    high = np.ceil(corners.max(axis=0)).astype(int) + 1
+    (left, top), (right, bottom) = np.maximum(low, 0), high
+    return slice(top, min(bottom, shape[0])), slice(left, min(right, shape[1]))
+
+
+def _refined_corners(
+    image: np.ndarray, corners: Float[np.ndarray, "4 2"], target: TagGrid | AprilGrid
+) -> Float[np.ndarray, "4 2"]:
+    """Return a tag's corners with sub-pixel accuracy; NaN where the refinement gave up."""
+    cells = dictionary_by_name(target.dictionary).markerSize + 2 * target.border_bits
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    window = _TAG_WINDOW
+    if isinstance(target, AprilGrid):
+        window = _APRIL_GRID_WINDOW * min(target.border_bits, target.spacing * cells)
+    reach = int(np.clip(round(window * sides.mean() / cells), *_WINDOWS))
+    start = corners.astype(np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(image, start.copy(), (reach, reach), (-1, -1), _CRITERIA)
+    moved = np.linalg.norm((refined - start).reshape(4, 2), axis=1)
+    # A corner that would leave its window is put back to where it was.
+    gave_up = (moved == 0.0) | (moved > reach)
+    return np.where(gave_up[:, None], np.nan, refined.reshape(4, 2))

@@ -34,6 +34,7 @@ from .pixel_sigma import squared_residuals as squared_residuals
 from .pixel_sigma import updated_sigma as updated_sigma
 from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
 from .pose_jacobians import linearise_poses as linearise_poses
+from .prepared_poses import PreparedPoses as PreparedPoses
 from .priors import Prior as Prior
 from .problem import FittedChain as FittedChain
 from .problem import JointProblem as JointProblem

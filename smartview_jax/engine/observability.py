@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..calibration import Calibration
+from ..geometry import host_matrices
 from .covariance import RANK_TOLERANCE, ScaledJacobian
 
 WEAK_SINGULAR_VALUE = 1e-3
@@ -105,7 +106,7 @@ def describe_direction(components: tuple[tuple[str, float], ...], calibration: C
             if name.startswith(camera_translation):
                 displacement["xyz".index(name[-1])] = value
         # t = translation of camera_from_mount is in camera axes; R^T t is in the axes of the mount.
-        rotation = np.asarray(calibration.camera_from_mount.rotation().as_matrix())
+        rotation = host_matrices(calibration.camera_from_mount)[:3, :3]
         axis = _describe_axis(rotation.T @ displacement)
         return f"camera offset along the {mount}'s {axis}: all rotations share that axis"
     listed = ", ".join(f"{name} ({value:+.2g})" for name, value in components)

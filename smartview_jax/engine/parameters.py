@@ -9,7 +9,8 @@ Every number has a name, which is a path:
 A path selects every name that it is a prefix of. A fit adds a step to the parameters, except for
 rotations: these are multiplied from the left by the exponential of a rotation vector, in the axes
 of the frame that the transform maps into (`R = exp(step) R_start`). Translations therefore do not
-depend on the rotation.
+depend on the rotation. The parameter of the target's scale is its logarithm, so that no step makes
+a target without size.
 """
 
 import difflib
@@ -151,7 +152,10 @@ class Parameters(eqx.Module):
         return ParameterLayout.of_sizes(camera_size, 0 if error is None else error.field.size)
 
     def values(self) -> Float[Array, "shared"]:
-        """Return the values of the start; rotations, which are steps from it, are zero."""
+        """Return the values of the start; rotations, which are steps from it, are zero.
+
+        The value of the target's scale is its logarithm.
+        """
         start = self.start
         error = start.robot_error
         return jnp.concatenate(
@@ -161,7 +165,7 @@ class Parameters(eqx.Module):
                 jnp.zeros(3),
                 start.holder_from_world.translation(),
                 jnp.zeros(3),
-                start.target_scale[None],
+                jnp.log(start.target_scale)[None],
                 jnp.zeros(0) if error is None else error.coefficients,
             ]
         )
@@ -178,7 +182,7 @@ class Parameters(eqx.Module):
             _retract_transform(start.camera_from_mount, shared[layout.mount]),
             _retract_transform(start.holder_from_world, shared[layout.holder]),
             start.mount,
-            start.target_scale + shared[layout.target_scale][0],
+            start.target_scale * jnp.exp(shared[layout.target_scale][0]),
             error,
         )
         return calibration, step.per_view
@@ -226,7 +230,7 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
         _host_retract_transform(start.camera_from_mount, shared[layout.mount]),
         _host_retract_transform(start.holder_from_world, shared[layout.holder]),
         start.mount,
-        np.asarray(start.target_scale) + shared[layout.target_scale][0],
+        np.asarray(start.target_scale) * np.exp(shared[layout.target_scale][0]),
         error,
     )
 

@@ -6,8 +6,6 @@ target's scale, the robot error field and the views' own corrections, once for a
 `view_normal_equations.py` computes the effect of a twist of a view on its pixels.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxlie import SE3
@@ -16,6 +14,7 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 from ..geometry import se3_left_jacobian
 from .parameters import Parameters, Step
+from .prepared_poses import PreparedPoses
 
 
 class PoseJacobians(eqx.Module):
@@ -25,7 +24,7 @@ class PoseJacobians(eqx.Module):
         calibration: the calibration after the step.
         camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
         shared_jacobian: derivatives by the translation and rotation step of both transforms, by the
-            target's scale, and by the coefficients of the robot error field.
+            logarithm of the target's scale, and by the coefficients of the robot error field.
         per_view_jacobian: derivatives by each view's own correction; no views where there are no
             corrections.
     """
@@ -37,7 +36,7 @@ class PoseJacobians(eqx.Module):
 
 
 def linearise_poses(
-    parameters: Parameters, step: Step, reported: SE3, prepared_poses: Any
+    parameters: Parameters, step: Step, reported: SE3, prepared_poses: PreparedPoses | None
 ) -> PoseJacobians:
     """Compute all camera poses and their derivatives at a step from the start.
 
@@ -45,7 +44,7 @@ def linearise_poses(
         parameters: the start and the layout of its parameters.
         step: step from the start.
         reported: poses that the robot reported, batch shape `(views)`.
-        prepared_poses: what the robot error field needs of them; see `AbstractField.prepare`.
+        prepared_poses: what the robot error field needs of them; None without a field.
     """
     calibration, corrections = parameters.retract(step)
     layout = parameters.layout
@@ -56,12 +55,14 @@ def linearise_poses(
     eye_in_hand = calibration.mount == "eye_in_hand"
 
     error = calibration.robot_error
-    pose = reported
-    if error is not None:
-        pose = error.field.prepared_pose(prepared_poses, error.coefficients)
+    tool_error = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, reported.wxyz_xyz.shape))
+    if error is not None and prepared_poses is not None:
+        tool_error = prepared_poses.error(error.field, error.coefficients)
+    # actual pose = reported @ exp(-correction) @ tool_error
     # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world
-    identity = SE3(jnp.broadcast_to(SE3.identity().wxyz_xyz, pose.wxyz_xyz.shape))
-    before, after = (identity, pose.inverse()) if eye_in_hand else (pose, identity)
+    before, after = (
+        (tool_error.inverse(), reported.inverse()) if eye_in_hand else (reported, tool_error)
+    )
     signed_corrections = corrections if eye_in_hand else -corrections
     camera_from_mount = SE3(calibration.camera_from_mount.wxyz_xyz[None])
     holder_from_world = SE3(calibration.holder_from_world.wxyz_xyz[None])
@@ -72,10 +73,10 @@ def linearise_poses(
     camera_from_holder = camera_from_after @ after
     camera_from_world = camera_from_holder @ holder_from_world
 
-    views = len(pose.wxyz_xyz)
-    # p = scale R X + t, so dp/dscale = R X = (p - t) / scale. The part p / scale lies along the ray
-    # and does not change the pixel; what remains is the translation -t / scale.
-    translation_by_scale = -camera_from_world.translation() / calibration.target_scale
+    views = len(reported.wxyz_xyz)
+    # p = scale R X + t, so dp/dlog(scale) = scale R X = p - t. The part p lies along the ray and
+    # does not change the pixel; what remains is the translation -t.
+    translation_by_scale = -camera_from_world.translation()
     scale_twist = jnp.concatenate([translation_by_scale, jnp.zeros((views, 3))], axis=1)
     scale_jacobian = scale_twist[..., None]
     columns = [
@@ -83,13 +84,12 @@ def linearise_poses(
         camera_from_holder.adjoint() @ holder_jacobian[None],
         scale_jacobian,
     ]
-    if error is not None:
+    if error is not None and prepared_poses is not None:
         # actual_pose(coefficients + d) = actual_pose(coefficients) @ exp(F d), F = field_jacobian.
-        # With the camera on the hand the chain has the inverse, exp(-F d) @ pose^-1, with the
-        # correction to its left; with the camera beside the arm it has pose @ exp(F d), with the
-        # correction to its right.
-        camera_from_tool = camera_from_after if eye_in_hand else camera_from_before
-        field_jacobian = error.field.prepared_jacobian(prepared_poses, error.coefficients)
+        # With the camera on the hand the chain has the inverse, exp(-F d) @ actual_pose^-1; with
+        # the camera outside the arm it has actual_pose @ exp(F d).
+        camera_from_tool = camera_from_mount if eye_in_hand else camera_from_holder
+        field_jacobian = prepared_poses.jacobian(error.field, error.coefficients)
         columns.append(
             camera_from_tool.adjoint() @ (-field_jacobian if eye_in_hand else field_jacobian)
         )

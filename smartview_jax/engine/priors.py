@@ -3,9 +3,9 @@
 import dataclasses
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Prior:
-    """A Gaussian prior on all parameters that a path selects.
+    """A Gaussian prior on all parameters that a path selects; both numbers are given by name.
 
     Attributes:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).

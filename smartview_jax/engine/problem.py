@@ -5,7 +5,6 @@ Both are pure functions. Any optimistix least-squares solver can minimise `resid
 """
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,11 +16,12 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..array_namespace import to_device
-from ..calibration import Calibration
+from ..calibration import Calibration, TargetShape
 from ..dataset import Observations
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
 from .pose_jacobians import PoseJacobians, linearise_poses
+from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
 from .view_normal_equations import INVALID_PROJECTION_RESIDUAL, ViewNormalEquations, linearise_views
 
@@ -78,8 +78,8 @@ class JointProblem(eqx.Module):
         scale: length of one unit of step, for the free shared parameters and for each view's own;
             for solvers that treat all parameters alike.
         loss: robust loss; None is least squares.
-        prepared_poses: what the robot error field needs of the reported poses, as its `prepare`
-            returns it; None without a field.
+        prepared_poses: what the robot error field needs of the reported poses, and where it is
+            evaluated; None without a field.
         mesh: devices over which the views are distributed; None is one device.
     """
 
@@ -92,14 +92,19 @@ class JointProblem(eqx.Module):
     prior_weight: Step
     scale: Step
     loss: AbstractLoss | None
-    prepared_poses: Any = None
+    prepared_poses: PreparedPoses | None = None
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     def with_observations(self, observations: Observations) -> "JointProblem":
         """Return the problem with other observations, of the same robot."""
         error = self.parameters.start.robot_error
-        prepared = None if error is None else error.field.prepare(observations.command)
+        prepared = None if error is None else PreparedPoses.at(error.field, observations.command)
         return dataclasses.replace(self, observations=observations, prepared_poses=prepared)
+
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "JointProblem":
+        """Return the problem with the robot error field evaluated at poses less their noise."""
+        error, command = self.parameters.start.robot_error, self.observations.command
+        return dataclasses.replace(self, prepared_poses=prepare_poses(error, command, corrections))
 
     def zero_step(self) -> Step:
         """Return the zero step."""
@@ -121,11 +126,10 @@ class JointProblem(eqx.Module):
         """Return the chain of every view at a scaled step."""
         calibration, pose_corrections = self.calibration(z)
         _, poses = self._corrected_poses(z)
-        reported, error = self.observations.base_from_tool, calibration.robot_error
-        field_corrections = jnp.zeros((len(reported.wxyz_xyz), 6))
-        if error is not None:
-            actual = error.field.prepared_pose(self.prepared_poses, error.coefficients)
-            field_corrections = (reported.inverse() @ actual).log()
+        error = calibration.robot_error
+        field_corrections = jnp.zeros((len(self.observations.visible), 6))
+        if error is not None and self.prepared_poses is not None:
+            field_corrections = self.prepared_poses.error(error.field, error.coefficients).log()
         camera_from_world = calibration.camera_from_world(poses, corrected=False).as_matrix()
         return FittedChain(calibration, pose_corrections, field_corrections, camera_from_world)
 
@@ -142,9 +146,11 @@ class JointProblem(eqx.Module):
         """Return the calibration and the corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
         poses, error = self.observations.base_from_tool, calibration.robot_error
-        if error is not None:
-            poses = error.field.prepared_pose(self.prepared_poses, error.coefficients)
-        return calibration, poses @ SE3.exp(-corrections) if len(corrections) else poses
+        if len(corrections):
+            poses = poses @ SE3.exp(-corrections)
+        if error is not None and self.prepared_poses is not None:
+            poses = poses @ self.prepared_poses.error(error.field, error.coefficients)
+        return calibration, poses
 
     def _whitened_residuals_at(
         self, calibration: Calibration, poses: SE3, observations: Observations
@@ -194,6 +200,51 @@ class JointProblem(eqx.Module):
         pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
+
+    def normal_equations_with_shape(self, z: Step, shape: TargetShape) -> NormalEquations:
+        """Return the normal equations of the observations, with the target's shape as parameters.
+
+        The coefficients of the shape come after the free shared parameters.
+
+        Args:
+            z: step from the start.
+            shape: shape of the target; the observations' points are displaced by it already.
+        """
+        pose_jacobians = self._linearise_poses(z)
+        calibration = pose_jacobians.calibration
+        views = linearise_views(
+            calibration.camera,
+            pose_jacobians.camera_from_world,
+            self.observations,
+            calibration.target_scale,
+            self.pixel_sigma,
+            self.loss,
+            shape,
+        )
+        # S_v and O_v as in `_apply_chain_rule`, with an identity for the shape between the
+        # camera's rows and the twist's, and a column for each coefficient at the end.
+        n, size = self.parameters.layout.camera.stop, len(shape.coefficients)
+        without_shape = self._shared_jacobian(pose_jacobians)
+        count, _, free = without_shape.shape
+        rows = jnp.broadcast_to(jnp.eye(size, free + size, free)[None], (count, size, free + size))
+        columns = jnp.pad(without_shape, ((0, 0), (0, 0), (0, size)))
+        shared = jnp.concatenate([columns[:, :n], rows, columns[:, n:]], axis=1)
+        per_view = self._per_view_jacobian(pose_jacobians)
+        corrected, twist = slice(len(per_view)), slice(n + size, None)
+        matrix_shared = views.matrix @ shared
+        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
+        return NormalEquations(
+            jnp.sum(views.cost),
+            Step(
+                jnp.einsum("vki,vk->i", shared, views.gradient),
+                jnp.einsum("vki,vk->vi", per_view, views.gradient[corrected, twist]),
+            ),
+            BlockArrow(
+                jnp.einsum("vki,vkj->ij", shared, matrix_shared),
+                per_view_transposed @ matrix_shared[corrected, twist],
+                per_view_transposed @ views.matrix[corrected, twist, twist] @ per_view,
+            ),
+        )
 
     def _linearise_poses(self, z: Step) -> PoseJacobians:
         """Return the pose of the camera in every view at a scaled step, with its derivatives."""

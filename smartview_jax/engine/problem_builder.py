@@ -5,7 +5,6 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,12 +19,11 @@ from ..cameras import AbstractLens, Camera, initial_lens
 from ..compilation import compiled, refuse_traced
 from ..dataset import Dataset, chain_residuals
 from ..geometry import host_transforms
-from ..padding import over_padded_views
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
-from ..robots import Command
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, Parameters, Step, parameter_mask, parameter_names
+from .prepared_poses import prepare_poses
 from .priors import Prior
 from .problem import JointProblem
 
@@ -59,6 +57,10 @@ class BuiltProblem(eqx.Module):
             shared_names=tuple(self.shared_names[k] for k in kept),
         )
 
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "BuiltProblem":
+        """Return the problem with the robot error field evaluated at poses less their noise."""
+        return dataclasses.replace(self, problem=self.problem.with_noise_corrections(corrections))
+
     @property
     def sigma_known(self) -> bool:
         """Whether the pixel sigma is taken as given; if not, it is estimated from the residuals."""
@@ -85,12 +87,14 @@ def build_problem(
     priors: Mapping[str, Prior] | None = None,
     field: FieldChoice = "auto",
     prior_centre: Calibration | None = None,
+    noise_corrections: Float[np.ndarray, "views 6"] | None = None,
 ) -> BuiltProblem:
     """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.
 
     Priors without a mean are centred at `prior_centre`, which is the start where none is given.
     The coefficients of a robot error field begin at their values in the start if the start has the
     same field, otherwise at zero. With `field="auto"` the robot error of the start is kept fixed.
+    The field is evaluated at reported poses less `noise_corrections`, where these are given.
     """
     refuse_traced("build_problem", data, start)
     if not (noise == "trusted" or isinstance(noise, Noise)):
@@ -124,7 +128,9 @@ def build_problem(
     is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, free)
     is_free &= ~parameter_mask(names, fixed)
     fitted_field = None if field == "auto" else field
-    mean, weight = _prior_means_and_weights(names, shared_size, priors, noise_model, fitted_field)
+    mean, weight = _prior_means_and_weights(
+        names, shared_size, priors, noise_model, fitted_field, float(np.asarray(start.target_scale))
+    )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
     if prior_centre is not None and about_start.any():
         centre = np.asarray(_values_at(parameters, prior_centre))
@@ -146,7 +152,7 @@ def build_problem(
         _step_from_vector(weight, shared_size),
         Step(*map(to_device, units)),
         loss_by_name(loss),
-        prepared_poses(start.robot_error, data.observations.command),
+        prepare_poses(start.robot_error, data.observations.command, noise_corrections),
     )
     # Residuals are infinite where a point that was seen cannot be projected.
     residuals = np.asarray(chain_residuals(start, data.observations))
@@ -162,19 +168,6 @@ def build_problem(
         noise_model,
         unprojectable,
     )
-
-
-def prepared_poses(error: RobotError | None, reported: Command) -> Any:
-    """Return what a robot error field needs of reported poses; None without a field."""
-    if error is None:
-        return None
-    return over_padded_views(lambda padded: _prepare(error.field, padded), reported)
-
-
-@compiled
-def _prepare(field: AbstractField, reported: Command) -> Any:
-    """Return what a field needs of reported poses, compiled."""
-    return field.prepare(reported)
 
 
 def with_free_camera_poses(
@@ -234,13 +227,15 @@ def _prior_means_and_weights(
     priors: Mapping[str, Prior],
     noise: Noise | None,
     field: AbstractField | None,
+    target_scale: float,
 ) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
-    """Return the prior mean and weight of every parameter.
+    """Return the prior mean and weight of every parameter; `target_scale` is the start's.
 
     A mean of NaN is the value of the start. The weight is one over the standard deviation; zero is
     no prior.
     """
     mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
+    scale_index = names.index("target_scale")
     groups = () if field is None else field.groups
     if noise is not None:
         if len(noise.field) != len(groups):
@@ -262,6 +257,13 @@ def _prior_means_and_weights(
         weight[selected] = 1.0 / prior.std
         if prior.mean is not None:
             mean[selected] = prior.mean
+        if selected[scale_index]:
+            # The parameter is the logarithm, whose standard deviation is the relative one.
+            size = target_scale if prior.mean is None else prior.mean
+            if not size > 0.0:
+                raise ValueError(f"prior on {path!r}: a size is positive; found a mean of {size}")
+            weight[scale_index] = size / prior.std
+            mean[scale_index] = np.nan if prior.mean is None else np.log(size)
     return mean, weight
 
 

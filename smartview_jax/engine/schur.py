@@ -29,7 +29,7 @@ import lineax as lx
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
-from ..compilation import is_traced
+from ..compilation import is_traced, one_program
 from .parameters import Step
 
 
@@ -55,16 +55,15 @@ class BlockArrow(lx.AbstractLinearOperator):
             + jnp.einsum("vkl,vl->vk", self.per_view, per_view),
         )
 
+    @one_program
     def as_matrix(self) -> Float[Array, "all all"]:
         """Return the dense matrix, the shared parameters first."""
         n, views = len(self.shared), len(self.per_view)
-        dense = jnp.zeros((n + 6 * views, n + 6 * views)).at[:n, :n].set(self.shared)
         border = self.border.reshape(6 * views, n)
-        dense = dense.at[n:, :n].set(border).at[:n, n:].set(border.T)
-        for k in range(views):
-            i = n + 6 * k
-            dense = dense.at[i : i + 6, i : i + 6].set(self.per_view[k])
-        return dense
+        # Block k of the diagonal is that of view k: zero where row and column are of two views.
+        same_view = jnp.eye(views)[:, None, :, None]
+        per_view = (same_view * self.per_view[:, :, None, :]).reshape(6 * views, 6 * views)
+        return jnp.block([[self.shared, border.T], [border, per_view]])
 
     def transpose(self) -> "BlockArrow":
         """Return the operator itself, which is symmetric."""

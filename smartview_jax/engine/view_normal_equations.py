@@ -21,6 +21,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..calibration import TargetShape
 from ..cameras import AbstractLens, AbstractPerspectiveLens, Camera
 from ..dataset import Observations
 from ..geometry import transformed_coordinates
@@ -45,7 +46,8 @@ Chunks with few points are grouped, because every iteration of a compiled loop c
 class ViewNormalEquations(eqx.Module):
     """The normal equations of every view in the camera's parameters and a twist of its pose.
 
-    The columns are the camera's parameters in the order of its leaves, then the twist `(v, w)` of
+    The columns are the camera's parameters in the order of its leaves, those of the target's shape
+    where it is in question, and the twist `(v, w)` of
     `camera_from_world -> exp((v, w)) @ camera_from_world`.
 
     Attributes:
@@ -66,6 +68,7 @@ def linearise_views(
     target_scale: Float[Array, ""],
     pixel_sigma: Float[Array, ""],
     loss: AbstractLoss | None,
+    shape: TargetShape | None = None,
 ) -> ViewNormalEquations:
     """Compute the normal equations of every view from all its observations.
 
@@ -78,6 +81,7 @@ def linearise_views(
         pixel_sigma: standard deviation of u and of v, px.
         loss: robust loss, whose weights give the normal equations of iteratively reweighted least
             squares; None is least squares.
+        shape: shape of the target by whose coefficients the pixels are differentiated, too.
     """
     views = len(observations.visible)
     # A chunk is a piece of one view; a group is several chunks, linearised in one iteration of the
@@ -92,8 +96,21 @@ def linearise_views(
         rotation, translation, points, pixels, visible = group_arrays
         # p = scale R X + t, with X the point on the target and p the point in the camera frame.
         in_camera = transformed_coordinates(target_scale * rotation, translation, points)
+        displacements = ()
+        if shape is not None:
+            directions = jnp.moveaxis(shape.directions(points), -2, 0)
+            displacements = tuple(
+                transformed_coordinates(target_scale * rotation, jnp.zeros_like(translation), one)
+                for one in directions
+            )
         columns_u, columns_v, cost = _jacobian_columns(
-            camera, in_camera, jnp.moveaxis(pixels, -1, 0), visible, pixel_sigma, loss
+            camera,
+            in_camera,
+            jnp.moveaxis(pixels, -1, 0),
+            visible,
+            pixel_sigma,
+            loss,
+            displacements,
         )
         return _gram_matrices(columns_u), _gram_matrices(columns_v), cost.sum(axis=1)
 
@@ -147,6 +164,7 @@ def _jacobian_columns(
     visible: Bool[Array, "group points"],
     pixel_sigma: Float[Array, ""],
     loss: AbstractLoss | None,
+    displacements: tuple[tuple[Array, Array, Array], ...],
 ) -> tuple[
     Float[Array, "group rows points"],
     Float[Array, "group rows points"],
@@ -154,7 +172,8 @@ def _jacobian_columns(
 ]:
     """Compute the Jacobian columns of u and of v, and the cost of each point.
 
-    The rows of both results are: alpha, centre, lens parameters, twist, residual.
+    The rows of both results are: alpha, centre, lens parameters, displacements of the points in the
+    camera frame, twist, residual.
 
     A visible point that cannot be projected has zero columns and the cost of
     `INVALID_PROJECTION_RESIDUAL`.
@@ -199,6 +218,10 @@ def _jacobian_columns(
                     whitening * normalised,
                     whitening,
                     *(alpha * whitening * d[k] for d in projected.by_lens),
+                    *(
+                        projected.inverse_depth * (hx * dx + hy * dy + hz * dz)
+                        for dx, dy, dz in displacements
+                    ),
                     projected.inverse_depth * hx,
                     projected.inverse_depth * hy,
                     projected.inverse_depth * hz,
@@ -320,8 +343,8 @@ def _assemble(
 ) -> ViewNormalEquations:
     """Add the products of u and of v in one order of columns.
 
-    The order is alpha_u, alpha_v, u0, v0, lens, twist. The last row and column of each product
-    belong to the residual: `J^T r` and `r^T r`.
+    The order is alpha_u, alpha_v, u0, v0, lens, displacements, twist. The last row and column of
+    each product belong to the residual: `J^T r` and `r^T r`.
     """
     views, rows = gram_u.shape[:2]
     size = rows + 2

@@ -41,7 +41,7 @@ def free_pose_predictions(
 ]:
     """Return pixels, their validity and depths (m) of all points under the fitted free poses."""
     initial_poses = calibration.camera_from_world(data.command)
-    points = calibration.target_scale * data.points
+    points = calibration.true_points(data.points)
     # Four points determine a pose; with fewer, the start stays because all residuals are zero.
     determined = data.visible.sum(axis=1, keepdims=True) >= 4
     # NaN of unseen pixels would propagate through the derivatives of the masked residuals.

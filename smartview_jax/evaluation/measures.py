@@ -9,7 +9,7 @@ from ..array_namespace import AnyArray
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
-from ..dataset import Dataset, view_residuals
+from ..dataset import Dataset, chain_residuals
 from ..robots import CommandLike
 
 
@@ -95,12 +95,10 @@ def reprojection_errors(predictor: Predictor, data: Dataset) -> ReprojectionErro
 def _chain_reprojection_errors(calibration: Calibration, data: Dataset) -> ReprojectionErrors:
     """Return the reprojection errors of a calibration, by the programs that every fit uses."""
     poses = np.asarray(calibration.camera_from_world_matrices(data.command))
-    residuals = view_residuals(
-        calibration.camera, calibration.target_scale, poses, data.observations
-    )
+    residuals = chain_residuals(calibration, data.observations)
     # Residuals are infinite where a point that was seen cannot be predicted.
     px = np.where(np.asarray(data.visible), np.linalg.norm(residuals, axis=-1), np.nan)
-    points = float(calibration.target_scale) * np.asarray(data.points)
+    points = np.asarray(calibration.true_points(data.points))
     depth = np.einsum("vi,vni->vn", poses[:, 2, :3], points) + poses[:, 2, 3, None]
     return errors_at_target(calibration.camera, px, depth)
 

@@ -26,6 +26,7 @@ from .rigid_transforms import PoseLike, as_se3
 _M0 = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
 
 
+@one_program
 def rotation_from_oat(oat: Float[Array, "*batch 3"]) -> SO3:
     """Return the rotation of the angles O, A, T in rad (Eq. 18)."""
     # R = Rz(O) M0 Ry(A) Rz(T)
@@ -91,6 +92,7 @@ def xyzoat(
     return jnp.concatenate([pose.translation(), angles], axis=-1)
 
 
+@one_program
 def se3_from_xyzoat(numbers: Float[Array, "*batch 6"]) -> SE3:
     """Return the pose with the given x, y, z (m) and O, A, T (rad)."""
     rotation = rotation_from_oat(numbers[..., 3:])

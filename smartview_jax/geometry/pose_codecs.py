@@ -25,13 +25,13 @@ Reference: the vendors' pose formats as collected in the manual of Basler's rc_v
 import dataclasses
 from collections.abc import Callable, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from ..array_namespace import to_device
+from ..compilation import one_program
 from .euler import ypr_from_rotation, zyz_from_rotation
 from .host import host_matrices, host_transforms
 from .oat import oat_from_rotation
@@ -258,12 +258,19 @@ def _position_rotation_codec(
             # SciPy's quaternions have the real part last, jaxlie's first.
             [to_rotation(rows[:, 3:]).as_quat()[:, [3, 0, 1, 2]], rows[:, :3]]
         ),
-        from_se3=lambda poses: jnp.concatenate(
-            [poses.translation(), from_rotation(poses.rotation())], axis=-1
-        ),
+        from_se3=lambda poses: _position_and_rotation(poses, from_rotation),
         check=check,
         units=units,
     )
+
+
+def _position_and_rotation(
+    poses: SE3, from_rotation: Callable[[SO3], np.ndarray | Array]
+) -> Float[np.ndarray, "*batch columns"]:
+    """Return rows of x, y, z and the numbers of the rotation."""
+    numbers = np.asarray(poses.wxyz_xyz)
+    rotations = from_rotation(SO3(to_device(numbers[..., :4])))
+    return np.concatenate([numbers[..., 4:], np.asarray(rotations)], axis=-1)
 
 
 def _from_euler(axes: str) -> Callable[[np.ndarray], Rotation]:
@@ -278,6 +285,8 @@ def _from_oat(oat: np.ndarray) -> Rotation:
     return Rotation.from_euler("ZX", oat[:, :2]) * M0 * Rotation.from_euler("Z", oat[:, 2:])
 
 
+_rotation_vector = one_program(SO3.log)
+
 _RXYZ, _OAT = ("rx", "ry", "rz"), ("O", "A", "T")
 
 POSE_CODECS: dict[str, PoseCodec] = {
@@ -286,14 +295,14 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _matrix_codec(),
         _quaternion_codec("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
         _quaternion_codec("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
-        _angle_codec("rotation_vector", _RXYZ, Rotation.from_rotvec, SO3.log),
+        _angle_codec("rotation_vector", _RXYZ, Rotation.from_rotvec, _rotation_vector),
         _angle_codec(
             "yaw_pitch_roll", ("yaw", "pitch", "roll"), _from_euler("ZYX"), ypr_from_rotation
         ),
         _angle_codec("val_oat", _OAT, _from_oat, oat_from_rotation, _MM_DEG),
         _angle_codec("kawasaki_oat", _OAT, _from_euler("ZYZ"), zyz_from_rotation, _MM_DEG),
         _angle_codec("kuka_abc", ("A", "B", "C"), _from_euler("ZYX"), ypr_from_rotation, _MM_DEG),
-        _angle_codec("ur", _RXYZ, Rotation.from_rotvec, SO3.log),
+        _angle_codec("ur", _RXYZ, Rotation.from_rotvec, _rotation_vector),
         _angle_codec(
             "fanuc_wpr",
             ("W", "P", "R"),

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..array_namespace import as_float_array
+from ..compilation import one_program
 
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 """Value of `ViewedRegion.side` for each name that a file may contain."""
@@ -89,6 +90,7 @@ class ViewedRegion(eqx.Module):
         """Whether the cameras were on the +z side of the target; None if on both sides."""
         return None if float(self.side) == 0.0 else float(self.side) > 0.0
 
+    @one_program
     def height(self, positions: Float[Array, "*views 3"] | np.ndarray) -> Float[Array, "*views"]:
         """Return the height of positions over the target's plane, m, positive on the viewed side.
 
@@ -99,6 +101,7 @@ class ViewedRegion(eqx.Module):
         """
         return self.side * (positions[..., 2] - self.plane_z)
 
+    @one_program
     def normalised_distance(
         self, cameras: Float[Array, "*views 3"] | np.ndarray
     ) -> Float[Array, "*views"]:

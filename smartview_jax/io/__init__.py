@@ -27,6 +27,8 @@ from .meshes import read_mesh as read_mesh
 from .meshes import to_trimesh as to_trimesh
 from .meshes import write_mesh as write_mesh
 from .misses import read_misses as read_misses
+from .new_dataset import FoundPictures as FoundPictures
+from .new_dataset import found_pictures as found_pictures
 from .new_dataset import write_new_dataset as write_new_dataset
 from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
@@ -45,6 +47,7 @@ from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import object_sample_folder as object_sample_folder
 from .sample import sample_folder as sample_folder
+from .target_file import read_april_grid as read_april_grid
 from .urdf import load_urdf as load_urdf
 from .view_pictures import ViewPictures as ViewPictures
 from .view_pictures import load_view_pictures as load_view_pictures

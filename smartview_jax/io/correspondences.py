@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ..dataset import Dataset
+from ..detection import DetectionLimits, checked_pixels
 from ..geometry import pose_codec
 from .csv_tables import duplicates, parse_numbers, read_table, refuse_out_of_range
 
@@ -15,8 +16,12 @@ def import_correspondences(
     image_size: tuple[int, int],
     mount: str = "eye_in_hand",
     bad_views: str = "raise",
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Import a data set whose target points were detected by another program.
+
+    The points of each view are tested against each other: what cannot be a picture of them is left
+    out, with the reason.
 
     Args:
         poses_csv: table with the columns `view, m00 .. m33`: base_from_tool, row-major, m.
@@ -25,6 +30,8 @@ def import_correspondences(
         image_size: width and height, px.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         bad_views: `"raise"` or `"mask"`, as in `Dataset.from_arrays`.
+        detection_limits: how far points may lie from where the others put them; by default
+            `DetectionLimits()`.
 
     Raises:
         FileNotFoundError: a table is missing.
@@ -69,6 +76,10 @@ def import_correspondences(
         points.reshape(-1, 3),
         [view for view in view_ids for _ in range(max_point_count)],
     )
+    pixels, failed, notes = checked_pixels(points, pixels, view_ids, image_size, detection_limits)
+    if len(failed) == len(view_ids):
+        view, reason = next(iter(failed.items()))
+        raise ValueError(f"{corners_csv}: view {view}: {reason}; so are all {len(failed)} views")
     try:
         return Dataset.from_arrays(
             points,
@@ -79,8 +90,10 @@ def import_correspondences(
             mount=mount,
             bad_views=bad_views,
             masked_views=[
-                (view, "no detections") for view, rows in observations.items() if not rows
+                *((view, "no detections") for view, rows in observations.items() if not rows),
+                *failed.items(),
             ],
+            notes=notes,
         )
     except ValueError as error:
         raise ValueError(f"{poses_csv} and {corners_csv.name}: {error}") from error

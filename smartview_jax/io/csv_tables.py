@@ -119,13 +119,26 @@ def refuse_out_of_range(path: str | Path, positions: np.ndarray, labels: Sequenc
                 )
 
 
-def write_table(path: Path, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Write a CSV file, complete or not at all; floats keep every digit."""
+def write_table(
+    path: Path,
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    comments: Sequence[str] = (),
+) -> None:
+    """Write a CSV file, complete or not at all; floats keep every digit.
+
+    Args:
+        path: of the file.
+        header: names of the columns.
+        rows: the fields of each row.
+        comments: lines to write at the end, which readers ignore.
+    """
     # `repr` gives the shortest text from which Python reads the same float again.
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows([repr(float(x)) if isinstance(x, float) else x for x in row] for row in rows)
+    text.writelines(f"# {comment}\n" for comment in comments)
     write_atomically(path, text.getvalue())
 
 

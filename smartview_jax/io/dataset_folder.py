@@ -16,7 +16,8 @@ Instead of poses, or in addition to them, the folder may have joint readings (se
 Pictures, poses and joint readings are matched by the view's name, never by their order. Where the
 target's pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that
 stands beside the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the
-file is in `schemas.dataset`; an unknown key is an error.
+file is in `schemas.dataset`; an unknown key is an error. A board that Kalibr printed is named by
+Kalibr's own file: `target: {kind: aprilgrid, file: target.yaml}`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -32,9 +33,10 @@ import numpy as np
 from jaxlie import SE3
 
 from ..dataset import Dataset
+from ..detection import DetectionLimits, checked_pixels
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike
-from ..targets import AbstractTarget, StackedTarget, target_from_dict, target_to_dict
+from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
@@ -42,6 +44,7 @@ from .pictures import dataset_from_pictures, refuse_unmatched_pictures
 from .poses import write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
+from .target_file import read_target
 
 FORMAT_VERSION = 1
 """Version of the format of `dataset.yaml`."""
@@ -56,6 +59,7 @@ def load_dataset_folder(
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
     holder_from_world: PoseLike | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
     # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
@@ -71,7 +75,7 @@ def load_dataset_folder(
     width, height = description.camera.image_size
     image_size = (width, height)
     try:
-        target = target_from_dict(content["target"])
+        target = read_target(folder, content["target"])
         rough_holder_from_world = rough_pose(description)
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error
@@ -100,6 +104,7 @@ def load_dataset_folder(
             folder / DETECTIONS_FILE if keep_detections else None,
             rough_holder_from_world if holder_from_world is None else holder_from_world,
             board_heights,
+            detection_limits,
         )
         return _with_joints(readings, data, description_path)
     if not (folder / DETECTIONS_FILE).is_file():
@@ -107,21 +112,29 @@ def load_dataset_folder(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
         )
     try:
+        detected = read_detections(
+            folder / DETECTIONS_FILE,
+            readings.view_ids,
+            len(target.points),
+            None if description.detections is None else description.detections.rows,
+        )
+        pixels, failed, notes = checked_pixels(
+            target.points, detected, readings.view_ids, image_size, detection_limits
+        )
+        if len(failed) == len(readings.view_ids):
+            view, reason = next(iter(failed.items()))
+            raise ValueError(f"view {view}: {reason}; so are all {len(failed)} views")
         data = Dataset.from_arrays(
             target.points,
-            read_detections(
-                folder / DETECTIONS_FILE,
-                readings.view_ids,
-                len(target.points),
-                None if description.detections is None else description.detections.rows,
-            ),
+            pixels,
             readings.poses,
             image_size,
             view_ids=readings.view_ids,
             mount=mount,
             bad_views=bad_views,
-            masked_views=list(readings.masked_views.items()),
+            masked_views=list({**failed, **readings.masked_views}.items()),
             target=target,
+            notes=notes,
         )
     except ValueError as error:
         # Messages of `read_detections` name the file already; those of `Dataset` do not.

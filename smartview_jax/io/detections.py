@@ -1,11 +1,20 @@
-"""Read and write `detections.csv`: detected target points in pixels (view, point, u_px, v_px)."""
+"""Read and write `detections.csv`: detected target points in pixels (view, point, u_px, v_px).
 
-from collections.abc import Sequence
+Where the points were detected in pictures, the last column has a key of everything that a view's
+detection depends on, so that it is repeated only where something has changed. Why nothing was found
+in a view is kept in a comment at the end of the file.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from ..detection import Detection
+from ..files import read_text
 from ..schemas.messages import shortened_repr
 from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
 
@@ -13,15 +22,26 @@ DETECTIONS_FILE = "detections.csv"
 """The name of the file of detections in a data-set folder."""
 
 _COLUMNS = ("view", "point", "u_px", "v_px")
-_FINGERPRINT_COLUMN = "pictures"
-"""The name of the column with the fingerprint of the pictures and the target."""
+_KEY_COLUMN = "pictures"
+"""The name of the column with the key of the view's pictures."""
+
+
+class KeptDetection(NamedTuple):
+    """A view's detection as it was kept in the file.
+
+    Attributes:
+        key: what the detection was made from.
+        detection: with the reason where nothing was found.
+    """
+
+    key: str
+    detection: Detection
 
 
 def write_detections(
     path: Path,
     view_ids: Sequence[str],
     pixels: Float[np.ndarray, "views points 2"],
-    fingerprint: str = "",
 ) -> int:
     """Write one row for each detected point, and return the number of rows.
 
@@ -29,18 +49,46 @@ def write_detections(
         path: of the file.
         view_ids: view ids.
         pixels: detected points, px; NaN where a point was not detected.
-        fingerprint: fingerprint of the pictures and target; empty for a file that is no cache.
     """
-    visible = np.asarray(np.isfinite(pixels).all(axis=2))
-    # The key stands in every row; `read_cached_detections` requires that all of them match.
-    cache_key = _cache_key(fingerprint, int(np.count_nonzero(visible)))
     rows = [
-        (view, int(point), float(view_pixels[point, 0]), float(view_pixels[point, 1]), cache_key)
-        for view, view_pixels, view_visible in zip(view_ids, pixels, visible, strict=True)
-        for point in np.flatnonzero(view_visible)
+        row
+        for view, view_pixels in zip(view_ids, pixels, strict=True)
+        for row in _rows(view, view_pixels, "")
     ]
-    write_table(path, (*_COLUMNS, _FINGERPRINT_COLUMN), rows)
+    write_table(path, (*_COLUMNS, _KEY_COLUMN), rows)
     return len(rows)
+
+
+def write_kept_detections(path: Path, kept: Mapping[str, KeptDetection]) -> None:
+    """Write detections so that they can be taken from the file as long as their keys are the same.
+
+    Args:
+        path: of the file.
+        kept: detections by view id.
+    """
+    rows, comments = [], []
+    for view, (key, detection) in kept.items():
+        # The number of rows reveals a file that was cut.
+        marked = f"{key}-{np.count_nonzero(detection.visible)}"
+        rows += _rows(view, detection.pixels, marked)
+        if detection.reason is not None or detection.left_out:
+            note = {
+                "view": view,
+                "pictures": marked,
+                "reason": detection.reason,
+                "left_out": detection.left_out,
+            }
+            comments.append(json.dumps(note))
+    write_table(path, (*_COLUMNS, _KEY_COLUMN), rows, comments)
+
+
+def _rows(view: str, pixels: Float[np.ndarray, "points 2"], key: str) -> list[tuple[object, ...]]:
+    """Return a row for each detected point of a view."""
+    visible = np.asarray(np.isfinite(pixels).all(axis=1))
+    return [
+        (view, int(point), float(pixels[point, 0]), float(pixels[point, 1]), key)
+        for point in np.flatnonzero(visible)
+    ]
 
 
 def read_detections(
@@ -65,23 +113,67 @@ def read_detections(
     return _pixels_from_table(path, table, view_ids, point_count)
 
 
-def read_cached_detections(
-    path: Path, fingerprint: str, view_ids: Sequence[str], point_count: int
-) -> Float[np.ndarray, "views points 2"] | None:
-    """Read cached detections; None if the file is missing, truncated or has another cache key."""
+def read_kept_detections(
+    path: Path, view_ids: Sequence[str], point_count: int
+) -> dict[str, KeptDetection]:
+    """Read the detections that `write_kept_detections` wrote, of the views that are complete.
+
+    Args:
+        path: of the file, which may be missing.
+        view_ids: ids of the views that are wanted; rows of others are ignored.
+        point_count: number of points of the target.
+
+    Raises:
+        ValueError: the file is not a table of detections, or has a wrong value.
+    """
     if not path.is_file():
-        return None
-    table = read_table(path, (*_COLUMNS, _FINGERPRINT_COLUMN))
-    # A truncated file has fewer rows than its key states, and so another key.
-    cache_key = _cache_key(fingerprint, len(table))
-    if not table or any(row[_FINGERPRINT_COLUMN] != cache_key for row in table):
-        return None
-    return _pixels_from_table(path, table, view_ids, point_count)
+        return {}
+    wanted = set(view_ids)
+    rows: dict[str, list[dict[str, str]]] = {}
+    for row in read_table(path, _COLUMNS):
+        if row["view"] in wanted and row.get(_KEY_COLUMN):
+            rows.setdefault(row["view"], []).append(row)
+    notes = _read_notes(path)
+    kept = {}
+    for view in view_ids:
+        view_rows, note = rows.get(view, []), notes.get(view, {})
+        marked = view_rows[0][_KEY_COLUMN] if view_rows else str(note.get("pictures", ""))
+        key, _, count = marked.rpartition("-")
+        if (
+            not key
+            or count != str(len(view_rows))
+            or any(row[_KEY_COLUMN] != marked for row in view_rows)
+        ):
+            continue
+        # A target that has other points than the file is another one, and so has another key.
+        if any(row["point"].isdecimal() and int(row["point"]) >= point_count for row in view_rows):
+            continue
+        pixels = _pixels_from_table(path, view_rows, [view], point_count)[0]
+        visible = np.asarray(np.isfinite(pixels).all(axis=1))
+        reason, left_out = note.get("reason"), note.get("left_out")
+        # A note of other pictures, or one that somebody has changed, says nothing.
+        known = note.get("pictures") == marked
+        detection = Detection(
+            pixels,
+            visible,
+            reason if known and isinstance(reason, str) else None,
+            left_out=left_out if known and type(left_out) is int else 0,
+        )
+        kept[view] = KeptDetection(key, detection)
+    return kept
 
 
-def _cache_key(fingerprint: str, row_count: int) -> str:
-    """Return the fingerprint with the number of rows appended, which reveals a truncated file."""
-    return f"{fingerprint}-{row_count}" if fingerprint else ""
+def _read_notes(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the notes in the file's comments by view id; what is no such note is ignored."""
+    notes = {}
+    for line in read_text(path).splitlines():
+        if line.startswith("# {"):
+            try:
+                note = json.loads(line[2:])
+                notes[str(note["view"])] = note
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+    return notes
 
 
 def _pixels_from_table(

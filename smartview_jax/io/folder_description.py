@@ -6,9 +6,10 @@ from typing import NamedTuple
 from jaxlie import SE3
 
 from ..files import read_yaml
-from ..targets import AbstractTarget, target_from_dict
+from ..targets import AbstractTarget
 from .dataset_folder import DESCRIPTION_FILE
 from .rough_pose import rough_pose
+from .target_file import read_target
 
 
 class FolderDescription(NamedTuple):
@@ -42,7 +43,8 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
     description = validate_content(content, DATASET_SCHEMA, path)
     width, height = description.camera.image_size
     try:
-        target, pose = target_from_dict(content["target"]), rough_pose(description)
+        target = read_target(Path(folder), content["target"])
+        pose = rough_pose(description)
     except ValueError as error:
         # These two read parts of the file and do not know its name.
         raise ValueError(f"{path}: {error}") from error

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..dataset import Dataset
+from ..detection import DetectionLimits
 from ..files import read_yaml
 from ..geometry import PoseLike
 from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
@@ -21,6 +22,7 @@ def load_dataset(
     progress: Callable[[str], None] | None = None,
     keep_detections: bool = True,
     holder_from_world: PoseLike | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Load pictures (or detections), robot poses and target of a data-set folder.
 
@@ -38,6 +40,8 @@ def load_dataset(
         holder_from_world: approximate pose of the target (`base_from_world`, or `tool_from_world`
             for a camera that stands beside the arm), for patterns that look the same when rotated;
             by default the folder's own, or else the orientation with the smallest rotation.
+        detection_limits: how far a view's points may lie from where the others put them, be they
+            detected here or read from a file; by default `DetectionLimits()`.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -47,9 +51,13 @@ def load_dataset(
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if (folder / DESCRIPTION_FILE).is_file():
-        data = load_dataset_folder(folder, bad_views, progress, keep_detections, holder_from_world)
+        data = load_dataset_folder(
+            folder, bad_views, progress, keep_detections, holder_from_world, detection_limits
+        )
     elif (folder / DATA_FILE).is_file():
-        data = import_robot_cal_tools(folder, bad_views=bad_views, progress=progress)
+        data = import_robot_cal_tools(
+            folder, bad_views=bad_views, progress=progress, detection_limits=detection_limits
+        )
     else:
         raise FileNotFoundError(
             f"{folder}: neither {DESCRIPTION_FILE} nor {DATA_FILE} here: "

@@ -8,6 +8,7 @@ import numpy as np
 from jaxlie import SE3
 
 from ..dataset import Dataset
+from ..detection import DetectionLimits
 from ..files import read_text, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
@@ -65,6 +66,7 @@ def import_matrix_rows(
     first: int = 0,
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Import a data set from a file of pose matrices and pictures numbered by its lines.
 
@@ -79,6 +81,7 @@ def import_matrix_rows(
         first: number of the first line's picture.
         bad_views: as in `load_dataset`.
         progress: called with a line of text for each step of the work.
+        detection_limits: as in `load_dataset`.
 
     Raises:
         FileNotFoundError: the file or a picture is missing.
@@ -89,5 +92,11 @@ def import_matrix_rows(
     numbers = range(first, first + len(poses.wxyz_xyz))
     files = numbered_pictures(path.parent, pictures, numbers, path)
     return dataset_from_pictures(
-        files, poses, target, mount, bad_views=bad_views, progress=progress
+        files,
+        poses,
+        target,
+        mount,
+        bad_views=bad_views,
+        progress=progress,
+        detection_limits=detection_limits,
     )

@@ -1,11 +1,14 @@
 """Begin a data-set folder: a commented description and an empty table, for a person to fill in."""
 
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
+from ..detection import read_picture
 from ..files import write_atomically
 from ..geometry import pose_codec
 from .dataset_folder import DESCRIPTION_FILE
+from .picture_detections import is_picture_name
 from .poses import POSES_FILE
 
 
@@ -55,14 +58,39 @@ TARGETS = {
   legacy: false      # true for boards made before OpenCV 4.6 with an even number of rows""",
     "tag_grid": """target:
   kind: tag_grid
-  rows: 6
-  columns: 6
-  size: 0.088        # MEASURE the black square's side, m
-  gap: 0.0264        # between two tags, m
+  rows: 4
+  columns: 5
+  size: 0.04         # MEASURE the black square's side, m
+  gap: 0.01          # MEASURE the white between two black squares, m
   dictionary: DICT_APRILTAG_36h11
-  first_id: 0""",
+  first_id: 0
+  border_bits: 1     # width of the black border in cells of the code
+  rows_from: top     # or bottom: the row in which the numbers begin""",
+    "aprilgrid": """target:
+  kind: aprilgrid    # as Kalibr prints it; or, instead of the numbers:  file: target.yaml
+  rows: 6            # tagRows
+  columns: 6         # tagCols
+  size: 0.088        # tagSize; MEASURE the black square's side, m
+  spacing: 0.3       # tagSpacing: the gap in parts of that side""",
 }
 """The entry `target` of every kind of target, with what a person has to measure."""
+
+
+class FoundPictures(NamedTuple):
+    """The pictures that a folder has already.
+
+    Attributes:
+        image_size: width and height of the first, px.
+        suffix: of most of them, with its dot.
+        picture_count: number of pictures with that suffix.
+        others: names of pictures with other suffixes.
+    """
+
+    image_size: tuple[int, int]
+    suffix: str
+    picture_count: int
+    others: tuple[str, ...]
+
 
 _DESCRIPTION = """# A data set for smartview: pictures of a target, and the robot's pose for each.
 smartview_dataset: 1
@@ -79,12 +107,34 @@ poses:
   angle_unit: {angle_unit}
   direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse
 # {{view}} stands for the name in the first column of {poses_file}.
-pictures: {{pattern: "images/{{view}}.png"}}
+pictures: {{pattern: "images/{{view}}{suffix}"}}
 """
 
 
+def found_pictures(folder: Path) -> FoundPictures | None:
+    """Return what pictures the folder `images` of a data set has already; None if there are none.
+
+    Raises:
+        ValueError: the first picture cannot be read.
+    """
+    pictures = folder / "images"
+    files = sorted(filter(is_picture_name, pictures.iterdir())) if pictures.is_dir() else []
+    if not files:
+        return None
+    suffix, count = Counter(file.suffix for file in files).most_common(1)[0]
+    first = next(file for file in files if file.suffix == suffix)
+    rows, columns = read_picture(first).shape
+    others = tuple(file.name for file in files if file.suffix != suffix)
+    return FoundPictures((columns, rows), suffix, count, others)
+
+
 def write_new_dataset(
-    folder: Path, robot: str, target: str, mount: str, image_size: tuple[int, int]
+    folder: Path,
+    robot: str,
+    target: str,
+    mount: str,
+    image_size: tuple[int, int],
+    suffix: str = ".png",
 ) -> Path:
     """Write a commented `dataset.yaml`, the heading of `poses.csv` and the folder `images`.
 
@@ -94,6 +144,7 @@ def write_new_dataset(
         target: one of `TARGETS`.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height, px.
+        suffix: of the pictures' names, with its dot.
 
     Returns:
         The path of the description.
@@ -125,6 +176,7 @@ def write_new_dataset(
         codec=codec,
         length_unit=length_unit,
         angle_unit=angle_unit,
+        suffix=suffix,
     )
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_atomically(table, ",".join(("view", *codec.columns)) + "\n")

@@ -1,6 +1,5 @@
 """Make a data set from picture files and robot poses; every importer of pictures uses this."""
 
-import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,10 +10,10 @@ from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..dataset import Dataset
-from ..detection import Detection, consistent_ordering, detect, empty_detection, read_picture
+from ..detection import DetectionLimits, consistent_ordering, left_out_note
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
-from .detections import read_cached_detections, write_detections
+from .picture_detections import detect_views
 
 
 def dataset_from_pictures(
@@ -29,6 +28,7 @@ def dataset_from_pictures(
     cache: Path | None = None,
     holder_from_world: PoseLike | None = None,
     board_heights: Mapping[str, int] | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Make a data set from pictures by detecting the target in each of them.
 
@@ -47,6 +47,7 @@ def dataset_from_pictures(
             looks the same when rotated; by default the orientation with the smallest rotation.
         board_heights: index of the height of a `StackedTarget` in the only picture of a view, by
             view id; by default every view has a picture for each height.
+        detection_limits: as in `load_dataset`.
 
     Raises:
         FileNotFoundError: a picture is missing.
@@ -55,10 +56,8 @@ def dataset_from_pictures(
     """
     views, poses = list(pictures), as_se3(base_from_tool)
     mount_frames(mount)
-    if image_size is None:
-        image_size = _first_picture_size(pictures)
-    detections = _detect_views(
-        pictures, target, image_size, bad_views, progress, cache, board_heights
+    detections, image_size = detect_views(
+        pictures, target, image_size, bad_views, progress, cache, board_heights, detection_limits
     )
     undetected = {
         view: detection.reason or "no point of the target was seen"
@@ -75,8 +74,11 @@ def dataset_from_pictures(
     consistent_pixels, note = _consistent_numbering(
         pixels, target, poses, mount, image_size, holder_from_world
     )
-    if note and progress is not None:
-        progress(note)
+    left_out = {view: found.left_out for view, found in detections.items() if found.left_out}
+    notes = (*((note,) if note else ()), *left_out_note(left_out))
+    if progress is not None:
+        for text in notes:
+            progress(text)
     return Dataset.from_arrays(
         target.points,
         consistent_pixels,
@@ -88,7 +90,7 @@ def dataset_from_pictures(
         masked_views=list({**undetected, **(masked_views or {})}.items()),
         pictures=[_shown_picture(pictures[view], detections[view].visible) for view in views],
         target=target,
-        notes=(note,) if note else (),
+        notes=notes,
     )
 
 
@@ -125,85 +127,6 @@ def refuse_unmatched_pictures(
             f"{poses_path}: no pose for the picture {', '.join(unmatched[:5])} of {parent}: "
             f"a row is missing, or a picture too many"
         )
-
-
-def _first_picture_size(pictures: Mapping[str, Sequence[Path]]) -> tuple[int, int]:
-    """Return width and height, px, of the first readable picture; raise an error if none is."""
-    first_error: Exception | None = None
-    for path in (path for paths in pictures.values() for path in paths):
-        try:
-            rows, columns = read_picture(path).shape
-            return columns, rows
-        except (FileNotFoundError, ValueError) as error:
-            first_error = first_error or error
-    raise first_error or ValueError("pictures: expected at least one view")
-
-
-def _detect_views(
-    pictures: Mapping[str, Sequence[Path]],
-    target: AbstractTarget,
-    image_size: tuple[int, int],
-    bad_views: str,
-    progress: Callable[[str], None] | None,
-    cache: Path | None,
-    board_heights: Mapping[str, int] | None,
-) -> dict[str, Detection]:
-    """Detect the target in every view, or read the detections from the cache if it is valid."""
-    report_progress = progress or (lambda _: None)
-    fingerprint = "" if cache is None else _fingerprint(pictures, target, board_heights)
-    if cache is not None:
-        cached = read_cached_detections(cache, fingerprint, list(pictures), len(target.points))
-        if cached is not None:
-            report_progress(f"detections of {len(pictures)} views from {cache.name}")
-            return {
-                view: Detection(view_pixels, np.asarray(np.isfinite(view_pixels).all(axis=1)), None)
-                for view, view_pixels in zip(pictures, cached, strict=True)
-            }
-    detections = {}
-    for number, (view, paths) in enumerate(pictures.items(), start=1):
-        report_progress(f"looking for the target: view {view} ({number} of {len(pictures)})")
-        try:
-            height = None if board_heights is None else board_heights[view]
-            detections[view] = _detect_view(paths, target, image_size, height)
-        except (FileNotFoundError, ValueError) as error:
-            if bad_views != "mask":
-                raise
-            detections[view] = empty_detection(len(target.points), str(error))
-    if cache is not None:
-        try:
-            pixels = np.stack([detection.pixels for detection in detections.values()])
-            write_detections(cache, list(detections), pixels, fingerprint)
-        # The cache only saves time: a folder that cannot be written to is no reason to fail.
-        except OSError as error:
-            report_progress(f"detections are not kept: {error}")
-    return detections
-
-
-def _detect_view(
-    paths: Sequence[Path],
-    target: AbstractTarget,
-    image_size: tuple[int, int],
-    height: int | None,
-) -> Detection:
-    """Detect the target in a view's pictures; the heights of a stacked target are concatenated.
-
-    Args:
-        paths: a picture for each height, or the only one.
-        target: the target.
-        image_size: width and height that every picture must have, px.
-        height: index of the height in the only picture; the points of the others are not visible.
-    """
-    board = target.board if isinstance(target, StackedTarget) else target
-    parts = [detect(read_picture(path, image_size), board) for path in paths]
-    reasons = [part.reason for part in parts if part.reason]
-    if height is not None and isinstance(target, StackedTarget):
-        (found,), absent = parts, empty_detection(len(board.points), "")
-        parts = [found if k == height else absent for k in range(len(target.heights))]
-    return Detection(
-        np.concatenate([part.pixels for part in parts]),
-        np.concatenate([part.visible for part in parts]),
-        "; ".join(reasons) or None,
-    )
 
 
 def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:
@@ -282,20 +205,3 @@ def _consistent_numbering(
         for row_pixels, k in zip(board_pixels, ordering.symmetry, strict=True)
     ]
     return np.stack(renumbered).reshape(pixels.shape), ordering.message
-
-
-def _fingerprint(
-    pictures: Mapping[str, Sequence[Path]],
-    target: AbstractTarget,
-    board_heights: Mapping[str, int] | None,
-) -> str:
-    """Return a hash of the target's description and of all pictures, which identifies a cache."""
-    digest = hashlib.sha256(repr(target).encode())
-    if board_heights is not None:
-        digest.update(repr(sorted(board_heights.items())).encode())
-    for view, paths in pictures.items():
-        digest.update(view.encode())
-        # The content is hashed, not the modification time, which copying a folder changes.
-        for path in paths:
-            digest.update(path.read_bytes() if path.is_file() else b"missing")
-    return digest.hexdigest()[:16]

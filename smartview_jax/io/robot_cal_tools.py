@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..dataset import Dataset
+from ..detection import DetectionLimits
 from ..files import parse_yaml, read_text, read_yaml
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
@@ -23,6 +24,7 @@ def import_robot_cal_tools(
     mount: str = "eye_in_hand",
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Import a data set with pictures of a modified circle grid.
 
@@ -34,6 +36,7 @@ def import_robot_cal_tools(
         mount: `"eye_in_hand"` or `"eye_to_hand"`; the folder does not contain it.
         bad_views: as in `load_dataset`.
         progress: called with a line of text for each step of the work.
+        detection_limits: as in `load_dataset`.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -54,6 +57,7 @@ def import_robot_cal_tools(
         mount,
         bad_views=bad_views,
         progress=progress,
+        detection_limits=detection_limits,
     )
 
 

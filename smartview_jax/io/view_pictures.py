@@ -13,6 +13,7 @@ from ..robots import Command
 from .board_heights import read_board_heights
 from .dataset_folder import DESCRIPTION_FILE, picture_files
 from .robot_readings import read_robot_readings, table_of_views
+from .target_file import read_target
 
 
 class ViewPictures(NamedTuple):
@@ -46,7 +47,6 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     """
     from ..schemas.dataset import DATASET_SCHEMA
     from ..schemas.validation import validate_content
-    from ..targets import target_from_dict
 
     folder = Path(folder)
     path = folder / DESCRIPTION_FILE
@@ -57,7 +57,7 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
         raise ValueError(f"{path}: entry 'pictures' is missing: an object is modelled in pictures")
     readings = read_robot_readings(folder, content, path, "raise")
     table = table_of_views(folder, content)
-    target = target_from_dict(content["target"])
+    target = read_target(folder, content["target"])
     # A board at several heights has several pictures of a view; an object has one.
     heights = read_board_heights(table, target, readings.view_ids)
     files = picture_files(

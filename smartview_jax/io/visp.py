@@ -11,6 +11,7 @@ from jaxlie import SE3
 
 from ..cameras import Camera, Pinhole
 from ..dataset import Dataset
+from ..detection import DetectionLimits
 from ..files import parse_yaml, read_text, read_yaml, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
@@ -25,6 +26,7 @@ def import_visp(
     pictures: str = "image-{view}.png",
     bad_views: str = "raise",
     progress: Callable[[str], None] | None = None,
+    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Import a data set from a folder of ViSP's hand-eye calibration.
 
@@ -35,6 +37,7 @@ def import_visp(
         poses, pictures: patterns of the file names; `{view}` is the number that pairs them.
         bad_views: as in `load_dataset`.
         progress: called with a line of text for each step of the work.
+        detection_limits: as in `load_dataset`.
 
     Raises:
         FileNotFoundError: there are no pose files, or a picture is missing.
@@ -54,7 +57,13 @@ def import_visp(
     files = numbered_pictures(folder, pictures, numbers, folder / poses)
     rows = np.stack([read_visp_pose(pose_paths[number]).wxyz_xyz for number in numbers])
     return dataset_from_pictures(
-        files, SE3(jax.device_put(rows)), target, mount, bad_views=bad_views, progress=progress
+        files,
+        SE3(jax.device_put(rows)),
+        target,
+        mount,
+        bad_views=bad_views,
+        progress=progress,
+        detection_limits=detection_limits,
     )
 
 

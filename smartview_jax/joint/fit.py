@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool
 
 from ..argument_checks import require_instance, require_names
 from ..array_namespace import to_device
-from ..calibration import Calibration
+from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..compilation import refuse_traced
 from ..dataset import Dataset, chain_residuals, repeated_views
@@ -52,6 +52,7 @@ from ..robot_errors import (
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views
+from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
 from .undetermined import require_moving_robot, undetermined_motion, with_undetermined
@@ -145,12 +146,15 @@ def fit_joint(
     require_moving_robot(data, start, fixed, priors)
     data = without_views(data, repeated_views(data))
     say, start = progress or (lambda _: None), with_lens(start, lens)
+    # The engine is given the points where they truly are; the shape is estimated with the noise.
+    stated_shape = None if noise == "estimated" else start.target_shape
+    start = dataclasses.replace(start, target_shape=None)
 
     def fit_once(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
-        initial, noise_model, error_field = start, noise, field
-        noise_estimate, free_paths, held_paths = None, tuple(free), ()
+        initial, noise_model, error_field, shape = start, noise, field, stated_shape
+        noise_estimate, free_paths, held_paths, all_priors = None, tuple(free), (), priors
         open_motion = undetermined_motion(data, start, fixed, priors)
         fixed_paths = (*fixed, *open_motion.held)
         if noise == "estimated":
@@ -165,8 +169,13 @@ def fit_joint(
                 robot_prior=robot_prior,
             )
             initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
-            # The target's size is free if the views favour another one than stated.
+            if noise_estimate.target_shape is not None:
+                shape = noise_estimate.target_shape.shape
+            # The target's size is averaged if the views may favour another one than stated.
             free_paths += noise_estimate.free
+            all_priors = {**(priors or {}), **noise_estimate.priors(start)}
+        if shape is not None:
+            data = dataclasses.replace(data, points=shape.displaced(data.points))
         built = build_problem(
             data,
             initial,
@@ -174,10 +183,11 @@ def fit_joint(
             loss=loss,
             fixed=(*fixed_paths, *held_paths),
             free=free_paths,
-            priors=priors,
+            priors=all_priors,
             field=error_field,
             # What is estimated moves the start, but not what was known before any picture.
             prior_centre=start,
+            noise_corrections=None if noise_estimate is None else noise_estimate.noise_corrections,
         )
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         say(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
@@ -199,7 +209,9 @@ def fit_joint(
             )
             built = dataclasses.replace(built, problem=problem)
         _log.info("%d steps to a cost of %.6g", solution.steps, solution.costs[-1])
-        joint_fit = _assemble_fit(data, built, solution, equations, noise_estimate, rejected_points)
+        joint_fit = _assemble_fit(
+            data, built, solution, equations, noise_estimate, rejected_points, shape
+        )
         return with_undetermined(joint_fit, open_motion), equations.matrix
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
@@ -264,7 +276,8 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
     fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
-    return dataclasses.replace(fit, warnings=plausibility_warnings(fit))
+    warnings = (*plausibility_warnings(fit), *held_value_warnings(fit))
+    return dataclasses.replace(fit, warnings=warnings)
 
 
 def _assemble_fit(
@@ -274,6 +287,7 @@ def _assemble_fit(
     equations: NormalEquations,
     noise_estimate: NoiseEstimate | None,
     rejected_points: tuple[Rejection, ...],
+    shape: TargetShape | None,
 ) -> JointFit:
     """Build the result: covariances, degrees of freedom, inliers and rejections at the solution."""
     problem, chain = built.problem, solution.chain
@@ -289,12 +303,13 @@ def _assemble_fit(
     degrees_of_freedom = np.full(len(std), np.inf)
     if noise_estimate is not None:
         # Estimated variance components add the Kenward-Roger term and finite degrees of freedom.
+        # So do models between which the data do not decide.
         small_sample = noise_estimate.correction_of(built.shared_names)
-        common_covariance, degrees_of_freedom = (
-            common_covariance + small_sample.added_covariance,
-            small_sample.degrees_of_freedom,
-        )
-        std = np.sqrt(std**2 + np.diagonal(small_sample.added_covariance))
+        added = small_sample.added_covariance
+        added = added + noise_estimate.covariance_of_choices(built.shared_names)
+        common_covariance = common_covariance + added
+        degrees_of_freedom = small_sample.degrees_of_freedom
+        std = np.sqrt(std**2 + np.diagonal(added))
     # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
     correction_std = per_view_std(reduced, common_covariance, factor)
     correction_std = correction_std[np.asarray(problem.per_view_free)]
@@ -305,12 +320,14 @@ def _assemble_fit(
         max(1.0, residual_variance) if built.sigma_known else residual_variance
     )
     names = (*built.shared_names, *built.per_view_names)
+    shape_std, shape_freedom = _shape_uncertainty(noise_estimate)
     # The robot error of the result has the groups that were fitted, and no others.
     calibration, error = chain.calibration, chain.calibration.robot_error
     if noise_estimate is not None and error is not None:
         field = noise_estimate.field
         error = None if field is None else error.converted_to(field)
         calibration = dataclasses.replace(calibration, robot_error=error)
+    calibration = dataclasses.replace(calibration, target_shape=shape)
     return JointFit(
         calibration=calibration,
         covariance=common_covariance,
@@ -324,10 +341,11 @@ def _assemble_fit(
         start=problem.parameters.start if noise_estimate is None else noise_estimate.calibration,
         problem=problem,
         solution=solution,
-        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)),
-        degrees_of_freedom=dict(
-            zip(built.shared_names, map(float, degrees_of_freedom), strict=True)
-        ),
+        std=dict(zip(names, map(float, (*std, *correction_std)), strict=True)) | shape_std,
+        degrees_of_freedom={
+            **dict(zip(built.shared_names, map(float, degrees_of_freedom), strict=True)),
+            **shape_freedom,
+        },
         noise=built.noise if noise_estimate is None else noise_estimate.noise,
         noise_estimate=noise_estimate,
         rejected=_all_rejections(data, rejected_points, built.unprojectable),
@@ -335,6 +353,21 @@ def _assemble_fit(
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=_solver_result(solution),
+    )
+
+
+def _shape_uncertainty(
+    noise_estimate: NoiseEstimate | None,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return standard deviations and degrees of freedom of the target's shape, by name."""
+    if noise_estimate is None or noise_estimate.target_shape is None:
+        return {}, {}
+    names = noise_estimate.parameter_names[-len(SHAPE_NAMES) :]
+    small_sample = noise_estimate.correction_of(names)
+    covariance = noise_estimate.covariance_of_choices(names) + small_sample.added_covariance
+    return (
+        dict(zip(names, map(float, np.sqrt(np.diagonal(covariance))), strict=True)),
+        dict(zip(names, map(float, small_sample.degrees_of_freedom), strict=True)),
     )
 
 

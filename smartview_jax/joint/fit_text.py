@@ -70,7 +70,15 @@ def estimate_groups(fit: "JointFit") -> list[tuple[str, list[tuple[str, str]]]]:
     ]
     arm = [one for one in estimates if one.name.startswith("robot_error.")]
     scale = [one for one in estimates if one.name == "target_scale" and one.std is not None]
-    groups += [("arm (+- 95 %)", arm), ("target (+- 95 %)", scale)]
+    # Most targets are flat to what the views can tell: only what is not is worth a line.
+    shape = [
+        one
+        for one in estimates
+        if one.name.startswith("target_shape.")
+        and one.half_width is not None
+        and abs(one.value) > one.half_width
+    ]
+    groups += [("arm (+- 95 %)", arm), ("target (+- 95 %)", scale + shape)]
     return [(heading, list(map(_label_and_text, group))) for heading, group in groups if group]
 
 

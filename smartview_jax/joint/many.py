@@ -95,7 +95,7 @@ class ManyFits(eqx.Module):
         """Return one fit's calibration; raise an `IndexError` out of range."""
         # JAX arrays clamp an index out of range instead of raising; `range` raises.
         checked_index = range(len(self))[index]
-        return jax.tree.map(lambda x: x[checked_index], self.calibrations)
+        return jax.tree.map(lambda x: to_device(np.asarray(x)[checked_index]), self.calibrations)
 
 
 def fit_many(

@@ -1,10 +1,11 @@
 """List the parameters of a joint fit with their uncertainty, in the units that people use."""
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..calibration import SHAPE_NAMES, Calibration
 from ..engine import ROBOT_ERROR
 from ..geometry import host_logarithms, host_matrices
 from ..robot_errors import nominal_arm
@@ -43,7 +44,9 @@ def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
         # Pose corrections are in `std` too, but only common parameters have an interval.
         std = half_width = None
         if name in fit.std:
-            std, half_width = factor * fit.std[name], factor * fit.confidence_half_width(name)
+            # The parameter of the target's scale is its logarithm.
+            unit_size = value if name == "target_scale" else factor
+            std, half_width = unit_size * fit.std[name], unit_size * fit.confidence_half_width(name)
         estimates.append(ParameterEstimate(name, factor * value, unit, std, half_width))
     return tuple(estimates)
 
@@ -60,9 +63,7 @@ def _values_with_units(calibration: Calibration) -> dict[str, tuple[float, float
     """Return the value in SI units, the factor to the unit that is shown, and this unit."""
     prismatic_offsets = _prismatic_offset_names(calibration)
     values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
-    return {
-        name: (value, *_display_unit(name, prismatic_offsets)) for name, value in values.items()
-    }
+    return {name: (value, *display_unit(name, prismatic_offsets)) for name, value in values.items()}
 
 
 def _parameter_values(calibration: Calibration) -> dict[str, float]:
@@ -87,6 +88,11 @@ def _parameter_values(calibration: Calibration) -> dict[str, float]:
                 f"{name}.{part}.{axis}": float(x) for axis, x in zip("xyz", numbers, strict=True)
             }
     values["target_scale"] = float(calibration.target_scale)
+    if calibration.target_shape is not None:
+        values |= {
+            f"target_shape.{name}": float(x)
+            for name, x in zip(SHAPE_NAMES, calibration.target_shape.coefficients, strict=True)
+        }
     return values
 
 
@@ -114,8 +120,15 @@ def _prismatic_offset_names(calibration: Calibration) -> set[str]:
     }
 
 
-def _display_unit(name: str, prismatic_offsets: set[str]) -> tuple[float, str]:
-    """Return the factor from SI units, and the unit to print, of a parameter by its name."""
+def display_unit(name: str, prismatic_offsets: Collection[str] = frozenset()) -> tuple[float, str]:
+    """Return the factor from SI units, and the unit to print, of a parameter by its name.
+
+    Args:
+        name: name of the parameter.
+        prismatic_offsets: names of joint offsets that are lengths.
+    """
+    if name.startswith("target_shape."):
+        return 1e3, "mm"
     if ".translation." in name or ".link_length." in name or name in prismatic_offsets:
         return 1e3, "mm"
     if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:

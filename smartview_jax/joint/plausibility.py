@@ -12,7 +12,7 @@ from ..calibration import Calibration
 from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
 from ..engine import Direction
 from ..geometry import host_matrices
-from ..variance import FREE_SCALE_PROBABILITY, TARGET_SCALE
+from ..variance import TARGET_SCALE, TargetScaleEvidence
 from .joint_fit import JointFit, half_width
 from .last_joint import half_widths_with_last_joint_held
 
@@ -34,11 +34,15 @@ MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, that no lens and no arm explains."""
 
+MIN_BOW_SIGMAS = 3.0
+"""The bow of the target that a warning mentions, in its standard deviations."""
+
+MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
+"""The probability of another target size from which a warning mentions it, and from which only it
+is an answer."""
+
 OWN_VARIANCE_SHARE = 0.5
 """The share of a mount's variance below which most of it is the last joint's."""
-
-MIN_SCALE_PROBABILITY = 0.05
-"""The probability of another target size from which a warning mentions it."""
 
 
 def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
@@ -114,15 +118,63 @@ def _residual_warnings(fit: JointFit) -> list[str]:
 
 
 def _target_warnings(fit: JointFit) -> list[str]:
+    """Return warnings about the stated size of the target, and about its shape."""
+    return _scale_warnings(fit) + _shape_warnings(fit)
+
+
+def _shape_warnings(fit: JointFit) -> list[str]:
+    """Return a sentence on the bow of the target, where it matters for the mount."""
+    noise_estimate = fit.noise_estimate
+    if noise_estimate is None or noise_estimate.target_shape is None:
+        return []
+    estimate = noise_estimate.target_shape
+    observations = fit.problem.observations
+    bow, std = estimate.bow(np.asarray(observations.points)[np.asarray(observations.visible)])
+    mount = f"{fit.calibration.transform_names[0]}."
+    names = [name for name in fit.parameter_names if name.startswith(mount)]
+    rows = [noise_estimate.parameter_names.index(name) for name in names]
+    shift = estimate.by_shape[rows] @ np.asarray(estimate.shape.coefficients)
+    stds = np.array([fit.std[name] for name in names])
+    if not bow > MIN_BOW_SIGMAS * std or not (np.abs(shift) > stds).any():
+        return []
+    return [
+        f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected: taken for "
+        f"flat it would move {mount[:-1]} by {1e3 * np.linalg.norm(shift[:3]):.2f} mm"
+    ]
+
+
+def _scale_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the stated size of the target."""
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
         return []
-    scale_text = f"of its stated size (probability {scale.probability:.2f})"
-    if scale.probability > FREE_SCALE_PROBABILITY:
-        size, std = float(fit.calibration.target_scale), fit.std[TARGET_SCALE]
-        return [f"the target is {size:.4f} +- {std:.4f} {scale_text}, and taken so: measure it"]
-    return [f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {scale_text}: measure it"]
+    size = f"of its stated size (probability {scale.probability:.2f})"
+    if scale.probability > MAX_SCALE_PROBABILITY:
+        # The parameter is the logarithm: its standard deviation is relative.
+        value = float(fit.calibration.target_scale)
+        std = value * fit.std[TARGET_SCALE]
+        return [f"the target is {value:.4f} +- {std:.4f} {size}, and taken so: measure it"]
+    text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: measure it"
+    return [text + _mount_by_size(fit, scale)]
+
+
+def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
+    """Return where the mount is for both sizes of the target; empty where it is held."""
+    mount = fit.calibration.transform_names[0]
+    names = [f"{mount}.translation.{axis}" for axis in "xyz"]
+    if not {TARGET_SCALE, *names} <= set(fit.parameter_names):
+        return ""
+    rows = [fit.parameter_names.index(name) for name in names]
+    size = fit.parameter_names.index(TARGET_SCALE)
+    # Given the size, all other parameters follow by regression.
+    by_log_size = fit.covariance[rows, size] / fit.covariance[size, size]
+    answer = host_matrices(fit.calibration.camera_from_mount)[:3, 3]
+    of_answer = np.log(float(fit.calibration.target_scale))
+    stated, other = (
+        ", ".join(f"{1e3 * x:.2f}" for x in answer + by_log_size * (of_log_size - of_answer))
+        for of_log_size in (0.0, np.log(scale.scale))
+    )
+    return f"; {mount} is ({stated}) mm for the stated size, ({other}) mm for this one"
 
 
 def _robot_warnings(fit: JointFit) -> list[str]:

@@ -11,6 +11,7 @@ from ..cameras import AbstractLens, Camera, Pinhole, initial_lens
 from ..dataset import Dataset
 from ..engine import Noise, Prior, build_problem, solve
 from ..geometry import host_transforms
+from ..robot_errors import FieldChoice
 from ..variance import encompassing_field
 
 
@@ -20,6 +21,7 @@ def precompile(
     *,
     camera: Camera | None = None,
     noise: str | Noise = "estimated",
+    field: FieldChoice = "auto",
 ) -> None:
     """Compile what `fit_joint` runs on data of this shape; a second call takes milliseconds.
 
@@ -28,16 +30,18 @@ def precompile(
             one to be fitted; it need not be the same.
         lens: lens model of the fit.
         camera: a known camera, with its own lens.
-        noise: as for `fit_joint`.
+        noise, field: as for `fit_joint`.
     """
     if camera is None:
         width, height = data.image_size
         lens_model = initial_lens(lens, Pinhole())
         camera = Camera(width, width, width / 2.0, height / 2.0, lens_model, data.image_size)
-    field, noise_model = None, noise
+    noise_model = noise
     if noise == "estimated":
-        field = encompassing_field(data, len(data.usable_views()))
-        noise_model = Noise(1.0, 1.0, 1.0, field=(1.0,) * len(field.groups))
+        if field == "auto":
+            field = encompassing_field(data, len(data.usable_views()))
+        group_count = 0 if field is None else len(field.groups)
+        noise_model = Noise(1.0, 1.0, 1.0, field=(1.0,) * group_count)
     identity = host_transforms(np.eye(4))
     # The fit of data in which nothing is visible ends at once, at the start that its priors ask
     # for; only the shapes of the arrays matter.
@@ -45,7 +49,7 @@ def precompile(
         data.with_visible(np.zeros(data.visible.shape, dtype=bool)),
         Calibration(camera, identity, identity, data.mount),
         noise=noise_model,
-        field="auto" if field is None else field,
-        priors={"camera": Prior(1.0)},
+        field=field,
+        priors={"camera": Prior(std=1.0)},
     ).problem
     solve(problem)

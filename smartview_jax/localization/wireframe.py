@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..array_namespace import to_device
+from ..compilation import one_program
 from ..modeling import Face, ObjectModel
 
 EDGE_SAMPLES = 128
@@ -115,6 +116,7 @@ class Wireframe(eqx.Module):
         return cls(*map(to_device, arrays))
 
     @property
+    @one_program
     def triangles(self) -> Float[Array, "T 3 3"]:
         """The corners of the faces' triangles, m; those that were added have no area."""
         return self.vertices[self.triangle_vertices]

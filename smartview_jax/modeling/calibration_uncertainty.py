@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..compilation import compiled
-from ..engine import Noise, Parameters, Step, linearise_poses, parameter_names
+from ..engine import Noise, Parameters, PreparedPoses, Step, linearise_poses, parameter_names
 from ..evaluation import CalibrationEstimate, covariance_root
 from ..joint import JointFit, SavedEstimate
 from ..robots import Command
@@ -128,7 +128,7 @@ def _view_jacobians(
     The twist is that of `camera_from_world`, in the camera frame.
     """
     error = calibration.robot_error
-    prepared = None if error is None else error.field.prepare(command)
+    prepared = None if error is None else PreparedPoses.at(error.field, command)
     parameters = Parameters(calibration)
     layout, count = parameters.layout, len(command.base_from_tool.wxyz_xyz)
     step = Step(jnp.zeros(layout.size), jnp.zeros((count, 6)))

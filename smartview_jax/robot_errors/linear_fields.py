@@ -120,6 +120,7 @@ def centre_and_reach(base_from_tool: SE3) -> tuple[Float[Array, "3"], Float[Arra
     return jax.device_put((np.mean(positions, axis=0), UNIFORM_HALF_WIDTH * std))
 
 
+@one_program
 def max_normalised_offset(
     centre: Float[Array, "3"], reach: Float[Array, ""], reported: Command
 ) -> Float[Array, "*views"]:

@@ -6,6 +6,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..array_namespace import to_device
+from ..compilation import compiled, compiled_optimised
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .field import AbstractField
 
@@ -37,14 +38,14 @@ class RobotError(eqx.Module):
 
     def actual_pose(self, reported: CommandLike) -> SE3:
         """Return the actual `base_from_tool` for what the robot reports, `(*views)`."""
-        return self.field.actual_pose(as_command(reported), self.coefficients)
+        return _actual_pose(self, as_command(reported))
 
     def jacobian(self, reported: CommandLike) -> Float[Array, "views 6 coefficients"]:
         """Return the twist of the actual pose at the tool per unit of each coefficient.
 
         The translation (m) comes first.
         """
-        return self.field.jacobian(as_command(reported), self.coefficients)
+        return _jacobian(self, as_command(reported))
 
     def command(self, actual: SE3, near: JointsLike | None = None) -> Command:
         """Return the command that brings the tool to an actual pose; it inverts `actual_pose`.
@@ -53,4 +54,23 @@ class RobotError(eqx.Module):
             actual: wanted poses, `(*views)`.
             near: joint readings near which to solve; used by fields of arm errors only.
         """
-        return self.field.command(actual, self.coefficients, near)
+        return _command(self, actual, near)
+
+
+# Operation by operation there would be dozens of programs for each number of views.
+@compiled
+def _actual_pose(error: RobotError, reported: Command) -> SE3:
+    """Compute `RobotError.actual_pose` as one program."""
+    return error.field.actual_pose(reported, error.coefficients)
+
+
+@compiled
+def _jacobian(error: RobotError, reported: Command) -> Float[Array, "views 6 coefficients"]:
+    """Compute `RobotError.jacobian` as one program."""
+    return error.field.jacobian(reported, error.coefficients)
+
+
+@compiled_optimised
+def _command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
+    """Compute `RobotError.command` as one program."""
+    return error.field.command(actual, error.coefficients, near)

@@ -11,6 +11,15 @@ mm. Absolute accuracy before kinematic calibration is 0.3 to several mm. Its lar
 zeros wrong by 0.01 to 1 degree; link lengths and twists contribute some tenths of a mm and of a
 milliradian (Mooring, Roth and Driels, Fundamentals of Manipulator Calibration, 1991; Nubiola and
 Bonev, Absolute calibration of an ABB IRB 1600 robot using a laser tracker, 2013).
+
+Some robots are far weaker: light arms, arms that still move when the picture is taken, poses of
+another instant. They are a hypothesis of their own with its own medians, not the far end of good
+arms' errors: there, every halving of the noise would seem many times as plausible.
+
+Targets are a part of the robot's world. Printed sheets on boards bow by 0.1 to 0.3 mm over 0.2 to
+0.4 m, glass and milled plates by a hundredth of it; printers stretch one axis by some 0.1 % more
+than the other (Strobl and Hirzinger, More accurate pinhole camera calibration with imperfect planar
+target, 2011; Kogan, mrcal: deformation of the board, 2021).
 """
 
 import dataclasses
@@ -66,9 +75,17 @@ class RobotPrior:
         geometric_std: exp of the standard deviation of the logarithm, for repeatability.
         group_geometric_std: the same for groups of a field.
         other_group_geometric_std: the same for groups that `group_medians` does not name.
+        weak_robot_probability: probability of a robot whose reported poses scatter by millimetres.
+        weak_translation_median: median repeatability of such a robot's position, per axis, m.
+        weak_rotation_median: median repeatability of its orientation, per axis, rad.
         wrong_target_probability: probability that the target is not of its stated size.
-        wrong_target_scale_std: standard deviation of the ratio of true to stated size of such a
-            target.
+        wrong_target_scale_std: standard deviation of the logarithm of the ratio of true to stated
+            size of such a target.
+        target_bow_median: median displacement of a flat target's edge out of its plane, in parts
+            of half its longer side; zero, as for the next, for a target that is exactly flat.
+        target_print_median: median displacement of its edge within its plane, by a different
+            stretch of both axes and by shear, likewise.
+        target_geometric_std: exp of the standard deviation of the logarithms of both.
     """
 
     translation_median: float = 5e-5
@@ -78,14 +95,22 @@ class RobotPrior:
     geometric_std: float = float(np.e)
     group_geometric_std: float = float(np.exp(0.9))
     other_group_geometric_std: float = float(np.exp(3.0))
+    weak_robot_probability: float = 0.01
+    weak_translation_median: float = 5e-3
+    weak_rotation_median: float = 1.7e-2
     wrong_target_probability: float = 0.01
     wrong_target_scale_std: float = 0.5
+    target_bow_median: float = 5e-4
+    target_print_median: float = 2e-4
+    target_geometric_std: float = float(np.exp(1.2))
 
     def __post_init__(self) -> None:
         positive = (
             "translation_median",
             "rotation_median",
             "other_group_median",
+            "weak_translation_median",
+            "weak_rotation_median",
             "wrong_target_scale_std",
         )
         named = {name: getattr(self, name) for name in positive}
@@ -93,15 +118,33 @@ class RobotPrior:
         for name, value in named.items():
             if not 0.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a positive number, found {value}")
-        for name in ("geometric_std", "group_geometric_std", "other_group_geometric_std"):
+        for name in (
+            "geometric_std",
+            "group_geometric_std",
+            "other_group_geometric_std",
+            "target_geometric_std",
+        ):
             value = getattr(self, name)
             if not 1.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a factor above 1, found {value}")
-        if not 0.0 <= self.wrong_target_probability < 1.0:
+        for name in ("weak_robot_probability", "wrong_target_probability"):
+            value = getattr(self, name)
+            if not 0.0 <= value < 1.0:
+                raise ValueError(
+                    f"RobotPrior.{name}: expected a probability below 1, found {value}"
+                )
+
+        shape = self.target_bow_median, self.target_print_median
+        if not (min(shape) > 0.0 or shape == (0.0, 0.0)) or not np.isfinite(shape).all():
             raise ValueError(
-                f"RobotPrior.wrong_target_probability: expected a probability below 1, found "
-                f"{self.wrong_target_probability}"
+                f"RobotPrior.target_bow_median, target_print_median: expected two positive "
+                f"numbers, or zero twice, found {shape[0]} and {shape[1]}"
             )
+
+    @property
+    def target_is_flat(self) -> bool:
+        """Whether flat targets are exactly flat, and printed without any distortion."""
+        return self.target_bow_median == 0.0
 
     def medians(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
         """Return the median standard deviations of translation, rotation and each field group."""

@@ -13,6 +13,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..compilation import one_program
 from ..robots import Command
 from .field import AbstractField, AbstractLinearField
 from .linear_fields import LinearInPose, centre_and_reach
@@ -115,6 +116,13 @@ class LinearInPoseWithScales(AbstractLinearField):
         return self.linear_in_pose.normalised_distance(reported)
 
     def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 56"]:
+        return self._with_scales(self.linear_in_pose.basis(base_from_tool), base_from_tool)
+
+    @one_program
+    def _with_scales(
+        self, linear_basis: Float[Array, "*views 6 54"], base_from_tool: SE3
+    ) -> Float[Array, "*views 6 56"]:
+        """Return the active columns of the linear field and of the scale errors."""
         # Both scale errors are translations proportional to a position relative to the centre: that
         # of the tool, and that of the camera, which is offset from it by `scaled_point`.
         tool = _displacement(base_from_tool, self.linear_in_pose.centre) / self.linear_in_pose.reach
@@ -122,7 +130,7 @@ class LinearInPoseWithScales(AbstractLinearField):
         scale_columns = jnp.stack([_translation_twist(tool), _translation_twist(camera)], axis=-1)
         group_sizes = np.array([size for _, size in self.groups])
         active_columns = jnp.repeat(self.active_groups, group_sizes, total_repeat_length=self.size)
-        basis = jnp.concatenate([self.linear_in_pose.basis(base_from_tool), scale_columns], axis=-1)
+        basis = jnp.concatenate([linear_basis, scale_columns], axis=-1)
         # A zero column removes a group without changing the shape of the problem.
         return basis * _broadcast_like(active_columns, basis)
 

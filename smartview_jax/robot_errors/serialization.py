@@ -4,9 +4,9 @@ import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from ..array_namespace import as_float_array
 from ..robots import SerialArm, arm_from_dict, arm_to_dict
 from ..schemas.messages import shortened_repr, spelling_suggestion
 from .field import AbstractField
@@ -57,7 +57,7 @@ def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) 
     if set(coefficients) != set(restored.names):
         raise ValueError(f"robot_error.coefficients: {_differences(coefficients, restored.names)}")
     values = [float(coefficients[name]) for name in restored.names]
-    return RobotError(restored, jnp.asarray(values, dtype=float))
+    return RobotError(restored, as_float_array(values))
 
 
 def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> AbstractField:
@@ -75,7 +75,7 @@ def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> Ab
         # A nested field is recognised by its model; any other mapping is an arm.
         if isinstance(value, dict) and "model" in value:
             return _field_from_dict(value, getattr(field, name, None))
-        return arm_from_dict(value) if isinstance(value, dict) else jnp.asarray(value, dtype=float)
+        return arm_from_dict(value) if isinstance(value, dict) else as_float_array(value)
 
     converted = {name: attribute_from_plain(name, value) for name, value in attributes.items()}
     for name, value in converted.items():

@@ -10,7 +10,7 @@ from ..geometry import PoseLike, as_se3
 from .command import JointsLike
 from .iterative_inverse_kinematics import solve_joints_iteratively
 from .joint_solution import JointSolution, SolutionStatus
-from .puma_inverse_kinematics import is_puma_like, nearest_puma_joints
+from .puma_inverse_kinematics import is_puma_like, nearest_solution
 from .serial_arm import SerialArm
 
 AT_LIMIT_FRACTION = 1e-3
@@ -39,7 +39,7 @@ def joints_for_pose(arm: SerialArm, base_from_tool: PoseLike, near: JointsLike) 
     return (_closed_form_solution if is_puma_like(arm) else _iterative_solution)(arm, poses, near)
 
 
-_closed_form_solution = compiled_optimised(nearest_puma_joints)
+_closed_form_solution = compiled_optimised(nearest_solution)
 
 
 @compiled_optimised

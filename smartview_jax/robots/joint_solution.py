@@ -66,10 +66,10 @@ class JointSolution(eqx.Module):
 
     def status_text(self, view: int | tuple[int, ...] = ()) -> str:
         """Return the status of one view in words; "ok" where no flag is set."""
-        status = SolutionStatus(int(self.status[view]))
+        status = SolutionStatus(int(np.asarray(self.status)[view]))
         texts = [text for flag, text in _STATUS_TEXTS.items() if status & flag]
         if status & SolutionStatus.OUT_OF_LIMITS:
-            joints = 1 + np.flatnonzero(np.asarray(self.violated_limits[view]))
+            joints = 1 + np.flatnonzero(np.asarray(self.violated_limits)[view])
             texts.append(f"out of limits: joint {', '.join(map(str, joints))}")
         return "; ".join(texts) or "ok"
 

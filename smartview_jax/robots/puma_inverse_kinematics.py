@@ -77,18 +77,17 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
     Raises:
         ValueError: the arm is not Puma-like; inside jit an error at run time.
     """
-    if not _is_standard_six_revolute(arm):
-        raise ValueError(_STRUCTURE_MESSAGE)
-    deviation = _structure_deviation(arm)
-    if not isinstance(deviation, Tracer) and not deviation <= SINGULARITY_TOLERANCE:
-        raise ValueError(f"{_STRUCTURE_MESSAGE}; found alpha {arm.alpha}, a {arm.a}, d {arm.d}")
-    poses = as_se3(base_from_tool).wxyz_xyz
-    poses = eqx.error_if(poses, deviation > SINGULARITY_TOLERANCE, _STRUCTURE_MESSAGE)
+    return _all_solutions(arm, _checked_poses(arm, base_from_tool))
+
+
+@one_program
+def _all_solutions(arm: SerialArm, base_from_tool: SE3) -> JointSolution:
+    """Return all eight solutions; that the arm is Puma-like is not checked."""
     signs = jnp.array(BRANCHES, dtype=float)
     solve = jax.vmap(lambda pose, sign: _solve_branch(arm, SE3(pose), sign), in_axes=(None, 0))
-    for _ in poses.shape[:-1]:
+    for _ in base_from_tool.get_batch_axes():
         solve = jax.vmap(solve, in_axes=(0, None))
-    angles, reached, singular = solve(poses, signs)
+    angles, reached, singular = solve(base_from_tool.wxyz_xyz, signs)
     joints = wrap_to_limits(arm, angles - jnp.broadcast_to(arm.theta, angles.shape))
     violated_limits = arm.violated_limits(joints, LIMIT_TOLERANCE) & reached[..., None]
     return JointSolution(
@@ -96,6 +95,20 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
         _status_flags(reached, singular, violated_limits),
         violated_limits,
     )
+
+
+def _checked_poses(arm: SerialArm, base_from_tool: PoseLike) -> SE3:
+    """Return the poses if the arm is Puma-like; otherwise raise, inside jit at run time."""
+    if not _is_standard_six_revolute(arm):
+        raise ValueError(_STRUCTURE_MESSAGE)
+    deviation, poses = _structure_deviation(arm), as_se3(base_from_tool)
+    # A program that may raise calls Python, and so cannot be kept for later processes.
+    if isinstance(deviation, Tracer):
+        refused = deviation > SINGULARITY_TOLERANCE
+        return SE3(eqx.error_if(poses.wxyz_xyz, refused, _STRUCTURE_MESSAGE))
+    if not deviation <= SINGULARITY_TOLERANCE:
+        raise ValueError(f"{_STRUCTURE_MESSAGE}; found alpha {arm.alpha}, a {arm.a}, d {arm.d}")
+    return poses
 
 
 def branch_joints(
@@ -129,7 +142,13 @@ def nearest_puma_joints(
     Solutions within the joint limits are preferred. Closeness is the sum of squared joint
     differences. A joint whose range exceeds one revolution uses the revolution that is closest.
     """
-    solutions = puma_joints(arm, base_from_tool)
+    return nearest_solution(arm, _checked_poses(arm, base_from_tool), near)
+
+
+@one_program
+def nearest_solution(arm: SerialArm, base_from_tool: SE3, near: JointsLike) -> JointSolution:
+    """Return what `nearest_puma_joints` does; that the arm is Puma-like is not checked."""
+    solutions = _all_solutions(arm, base_from_tool)
     shape = solutions.joints.shape
     near = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*shape[:-2], 6))[..., None, :]
     near = jnp.broadcast_to(near, shape)

@@ -17,7 +17,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..array_namespace import to_device
-from ..compilation import compiled
+from ..compilation import compiled, one_program
 from ..geometry import PoseLike, as_se3
 from .command import Command, JointsLike
 
@@ -121,6 +121,7 @@ class SerialArm(eqx.Module):
         """Return joint readings with the tool pose that the controller computes from them."""
         return Command(self.base_from_tool(joints), _as_jax_array(joints))
 
+    @one_program
     def violated_limits(
         self, joints: JointsLike, tolerance: float = 0.0
     ) -> Bool[Array, "*views joints"]:
@@ -188,6 +189,7 @@ def dh_jacobian(
     return jnp.swapaxes(jnp.stack([theta, d, a, alpha], axis=-2), -3, -1)
 
 
+@one_program
 def pose_and_jacobian(
     arm: SerialArm, joints: Float[Array, "joints"]
 ) -> tuple[SE3, Float[Array, "6 joints"]]:

@@ -38,6 +38,33 @@ ImageSize = Annotated[
 ]
 
 
+_HalfSize = Annotated[
+    float, Field(gt=0.0, le=1e3), Expected("half of a target's longer side in m, up to 1000")
+]
+_Displacement = Annotated[
+    float, Field(ge=-1.0, le=1.0), Expected("a displacement of the target's edge in m, up to 1")
+]
+
+
+class ShapeCoefficientsEntry(Entry):
+    """The displacements of a target's edge, m."""
+
+    bow_x: _Displacement
+    bow_xy: _Displacement
+    bow_y: _Displacement
+    aspect: _Displacement
+    shear: _Displacement
+
+
+class TargetShapeEntry(Entry):
+    """The true shape of a flat target."""
+
+    centre: Annotated[list[FiniteNumber], Field(min_length=2, max_length=2)]
+    half_size: _HalfSize
+    mean_products: Annotated[list[FiniteNumber], Field(min_length=3, max_length=3)]
+    coefficients: ShapeCoefficientsEntry
+
+
 class UnitsEntry(Entry):
     """The units of a calibration; there are no others, so that no file is read in a wrong one."""
 
@@ -190,6 +217,7 @@ class _CalibrationFile(Entry):
     units: UnitsEntry
     camera: CameraEntry
     target_scale: _TargetScale
+    target_shape: TargetShapeEntry | None = None
     robot_error: RobotErrorEntry | None = None
     region: RegionEntry | None = None
     uncertainty: UncertaintyEntry | None = None

@@ -157,7 +157,10 @@ class DatasetFile(Entry):
             raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
         # A grid states rows x columns, a ChArUco board squares_x x squares_y; others count as 1.
         target = self.target
-        sides = [getattr(target, name, 1) for name in ("rows", "columns", "squares_x", "squares_y")]
+        sides = [
+            getattr(target, name, None) or 1
+            for name in ("rows", "columns", "squares_x", "squares_y")
+        ]
         points = math.prod(sides) * len(target.heights or [0])
         if points > MAX_POINTS:
             raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")

@@ -11,6 +11,7 @@ QuaternionComponent = Annotated[
     float, Field(ge=-1.01, le=1.01), Expected("a number of a unit quaternion")
 ]
 _GridCount = Annotated[int, Field(ge=2, le=1000), Expected("a whole number from 2 to 1000")]
+_TagCount = Annotated[int, Field(ge=1, le=1000), Expected("a whole number from 1 to 1000")]
 _Spacing = Annotated[float, Field(gt=0.0, le=100.0), Expected("a length in m, above 0 up to 100")]
 
 
@@ -18,6 +19,17 @@ class ForeignEntry(Entry):
     """A mapping written by another program, whose unknown entries are ignored."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "ignore"}
+
+
+class KalibrTargetFile(ForeignEntry):
+    """Kalibr's `target.yaml` for an AprilGrid."""
+
+    tagCols: _TagCount
+    tagRows: _TagCount
+    tagSize: _Spacing
+    tagSpacing: Annotated[
+        float, Field(gt=0.0, lt=1.0), Expected("the gap in parts of a tag's side, 0 to 1")
+    ]
 
 
 class QuaternionPoseEntry(ForeignEntry):
@@ -191,6 +203,7 @@ class ViewpointsFile(Entry):
 
 CAL_DATA_SCHEMA = TypeAdapter(Annotated[list[CalDataEntry], Field(min_length=1)])
 TARGET_SCHEMA = TypeAdapter(TargetFile)
+KALIBR_TARGET_SCHEMA = TypeAdapter(KalibrTargetFile)
 POSE_SCHEMA = TypeAdapter(QuaternionPoseEntry)
 KINEMATIC_MEASUREMENTS_SCHEMA = TypeAdapter(dict[Name | int, KinematicMeasurementEntry])
 SAMPLES_SCHEMA = TypeAdapter(SamplesFile)

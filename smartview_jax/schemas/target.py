@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .entry import Coordinate, Entry, Expected, Flag, Length, Name
 
@@ -11,6 +11,11 @@ _Heights = Annotated[
     list[Coordinate],
     Field(min_length=1, max_length=1000),
     Expected("heights of the board under one viewpoint, m: a list of 1 to 1000 numbers"),
+]
+
+_TagNumber = Annotated[int, Field(ge=0, le=10_000), Expected("a tag's number, 0 to 10000")]
+_BorderBits = Annotated[
+    int, Field(ge=1, le=5), Expected("the width of a tag's border in cells, 1 to 5")
 ]
 
 
@@ -61,10 +66,44 @@ class TagGridEntry(Entry):
     size: Length
     gap: Annotated[float, Field(ge=0.0, le=100.0), Expected("a gap in m, from 0 to 100")] = 0.0
     dictionary: Name = "DICT_APRILTAG_36h11"
-    first_id: Annotated[int, Field(ge=0, le=10_000), Expected("a tag's number, 0 to 10000")] = 0
+    first_id: _TagNumber = 0
+    border_bits: _BorderBits = 1
+    rows_from: Literal["top", "bottom"] = "top"
     heights: _Heights | None = None
 
 
+class AprilGridEntry(Entry):
+    """An AprilGrid of Kalibr; see `targets.AprilGrid`.
+
+    Its numbers stand here, or in Kalibr's own file: `{kind: aprilgrid, file: target.yaml}`.
+    """
+
+    kind: Literal["aprilgrid"]
+    file: Name | None = None
+    rows: _Count | None = None
+    columns: _Count | None = None
+    size: Length | None = None
+    spacing: (
+        Annotated[float, Field(gt=0.0, lt=1.0), Expected("a part of a tag's side, 0 to 1")] | None
+    ) = None
+    dictionary: Name = "DICT_APRILTAG_36h11"
+    first_id: _TagNumber = 0
+    border_bits: _BorderBits = 2
+    heights: _Heights | None = None
+
+    @model_validator(mode="after")
+    def _check_source(self) -> "AprilGridEntry":
+        numbers = ("rows", "columns", "size", "spacing")
+        given = [name for name in numbers if getattr(self, name) is not None]
+        if self.file is not None and given:
+            raise ValueError(f"{', '.join(given)}: the file {self.file} states the same already")
+        if self.file is None and len(given) < len(numbers):
+            missing = [name for name in numbers if name not in given]
+            raise ValueError(f"an aprilgrid needs {', '.join(missing)}, or Kalibr's file")
+        return self
+
+
 TargetEntry = Annotated[
-    CircleGridEntry | ChessboardEntry | CharucoEntry | TagGridEntry, Field(discriminator="kind")
+    CircleGridEntry | ChessboardEntry | CharucoEntry | TagGridEntry | AprilGridEntry,
+    Field(discriminator="kind"),
 ]

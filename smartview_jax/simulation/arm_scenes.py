@@ -8,14 +8,17 @@ describe, and the board is not flat. As in real set-ups, no estimator models all
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
+from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera, OpenCV5
 from ..dataset import Dataset
+from ..geometry import as_se3, host_exponentials, host_matrices
 from ..robot_errors import DHErrors, RobotError
 from ..robots import SerialArm, six_axes, solve_joints_iteratively
 from .scenes import random_viewpoints, simulate
@@ -109,28 +112,29 @@ def six_axis_scene(
     joints, reached = solve_joints_iteratively(
         arm, truth.command_for(wanted, corrected=False), initial_joints
     )
-    if not bool(reached.all()):
-        raise RuntimeError(f"the arm reaches {int(reached.sum())} of {len(reached)} views")
+    if not np.all(reached):
+        raise RuntimeError(f"the arm reaches {np.sum(reached)} of {len(reached)} views")
 
     # Random noise applies to the views of the data only: held-out views test the repeatable part.
     #     actual_poses = error.actual_pose(command) exp(noise)^-1
     noise_sigma = np.repeat([translation_noise, rotation_noise], 3)
     noise_by_view = np.where(np.arange(views + held_out_views)[:, None] < views, noise_sigma, 0.0)
-    noise_transforms = SE3.exp(
-        jnp.asarray(noise_by_view * rng.standard_normal(noise_by_view.shape))
-    )
-    actual_poses = error.actual_pose(arm.command(joints)) @ noise_transforms.inverse()
-    reported = arm.base_from_tool(joints)
+    noise = host_exponentials(-noise_by_view * rng.standard_normal(noise_by_view.shape))
+    command = arm.command(joints)
+    actual_poses = as_se3(host_matrices(error.actual_pose(command)) @ noise)
     datasets: list[Dataset] = []
+    joints_by_part: list[Float[Array, "_ joints"]] = []
     for view_slice, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
-        actual_part = SE3(actual_poses.wxyz_xyz[view_slice])
-        reported_part = SE3(reported.wxyz_xyz[view_slice])
+        part = jax.tree.map(lambda x, chosen=view_slice: to_device(np.asarray(x)[chosen]), command)
+        actual_part = SE3(to_device(np.asarray(actual_poses.wxyz_xyz)[view_slice]))
         simulated = simulate(truth.uncorrected, actual_part, warped_board, seed, sigma).data
         # The pixels show the warped board, but the data set states the flat one.
-        flat = jnp.broadcast_to(jnp.asarray(board)[None], simulated.points.shape)
-        datasets.append(dataclasses.replace(simulated, points=flat, base_from_tool=reported_part))
-    data, held_out = datasets
-    return ArmScene(data, held_out, truth, joints[:views], joints[views:])
+        flat = to_device(np.broadcast_to(board, simulated.points.shape))
+        datasets.append(
+            dataclasses.replace(simulated, points=flat, base_from_tool=part.base_from_tool)
+        )
+        joints_by_part.append(part.joints)
+    return ArmScene(datasets[0], datasets[1], truth, joints_by_part[0], joints_by_part[1])
 
 
 def _board_points() -> Float[np.ndarray, "points 3"]:
@@ -169,7 +173,7 @@ def random_kinematic_errors(arm: SerialArm, rng: np.random.Generator, scale: flo
     # All random numbers are drawn and then masked, so that a seed gives the same errors for any
     # choice of links.
     coefficients[:, PERTURBED_LINKS] = scale * samples[:, PERTURBED_LINKS]
-    return RobotError(field, jnp.asarray(coefficients.ravel()))
+    return RobotError(field, to_device(coefficients.ravel()))
 
 
 def _random_warp(

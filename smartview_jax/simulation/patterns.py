@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..detection import dictionary_by_name
-from ..targets import AbstractTarget, Charuco, Chessboard, CircleGrid, TagGrid
+from ..targets import AbstractTarget, AprilGrid, Charuco, Chessboard, CircleGrid, TagGrid
 
 Pattern = Callable[
     [Float[np.ndarray, "samples"], Float[np.ndarray, "samples"]], Bool[np.ndarray, "samples"]
@@ -33,7 +33,7 @@ def printed_pattern(target: AbstractTarget) -> Pattern:
         return _chessboard_pattern(target)
     if isinstance(target, Charuco):
         return _charuco_pattern(target)
-    if isinstance(target, TagGrid):
+    if isinstance(target, TagGrid | AprilGrid):
         return _tag_pattern(target)
     raise ValueError(f"there is no drawing of a {type(target).__name__}; draw its board")
 
@@ -92,20 +92,34 @@ def _charuco_pattern(target: Charuco) -> Pattern:
     return is_dark
 
 
-def _tag_pattern(target: TagGrid) -> Pattern:
-    """Return the pattern of a grid of tags."""
-    bits = _marker_cells(target.dictionary, target.ids[-1] + 1)
-    pitch = target.size + target.gap
-    left, top = target.points[0, :2]
+def _tag_pattern(target: TagGrid | AprilGrid) -> Pattern:
+    """Return the pattern of a grid of tags, with an AprilGrid's squares at the tags' corners."""
+    bits = _marker_cells(target.dictionary, target.ids[-1] + 1, target.border_bits)
+    is_april = isinstance(target, AprilGrid)
+    if is_april:
+        # Kalibr prints tags turned by half a turn against OpenCV's drawings.
+        bits = bits[:, ::-1, ::-1]
+    gap = target.spacing * target.size if isinstance(target, AprilGrid) else target.gap
+    from_bottom = isinstance(target, AprilGrid) or target.rows_from == "bottom"
+    pitch = target.size + gap
+    left, top = target.points[:, 0].min(), target.points[:, 1].max()
+    bottom, right = target.points[:, 1].min(), target.points[:, 0].max()
 
     def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        # The board's y axis points up, whereas rows are counted downwards.
+        # The board's y axis points up; rows are counted downwards here.
         i = np.clip(_cell_index(top - y, pitch), 0, target.rows - 1)
         j = np.clip(_cell_index(x - left, pitch), 0, target.columns - 1)
-        marker_ids = target.first_id + i * target.columns + j
-        return _is_marker_dark(
+        row = target.rows - 1 - i if from_bottom else i
+        marker_ids = target.first_id + row * target.columns + j
+        dark = _is_marker_dark(
             bits, marker_ids, x - left - j * pitch, top - y - i * pitch, target.size
         )
+        if not is_april:
+            return dark
+        # Squares fill the crossings of the gaps, and go as far around the board.
+        within = (x >= left - gap) & (x < right + gap) & (y > bottom - gap) & (y <= top + gap)
+        crossing = ((x - left) % pitch >= target.size) & ((top - y) % pitch >= target.size)
+        return dark | (within & crossing)
 
     return is_dark
 
@@ -117,13 +131,18 @@ def _cell_index(
     return np.floor(coordinates / size).astype(int)
 
 
-def _marker_cells(dictionary: str, count: int) -> Bool[np.ndarray, "markers cells cells"]:
+def _marker_cells(
+    dictionary: str, count: int, border_bits: int = 1
+) -> Bool[np.ndarray, "markers cells cells"]:
     """Return the dark cells of the first markers of a dictionary, including the border."""
     marker_dictionary = dictionary_by_name(dictionary)
-    # A border of one dark cell surrounds the marker's own cells.
-    cells = marker_dictionary.markerSize + 2
+    # A border of dark cells surrounds the marker's own cells.
+    cells = marker_dictionary.markerSize + 2 * border_bits
     return np.stack(
-        [cv2.aruco.generateImageMarker(marker_dictionary, k, cells) == 0 for k in range(count)]
+        [
+            cv2.aruco.generateImageMarker(marker_dictionary, k, cells, borderBits=border_bits) == 0
+            for k in range(count)
+        ]
     )
 
 

@@ -17,7 +17,7 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled_optimised
 from ..files import write_atomically
-from ..geometry import PoseLike, as_se3
+from ..geometry import PoseLike, as_se3, host_matrices
 from ..io import write_dataset_folder
 from ..targets import AbstractTarget, StackedTarget
 from .patterns import printed_pattern
@@ -95,7 +95,7 @@ def _sample_plane(
     plane_points = np.concatenate([np.asarray(part[0]) for part in parts])
     in_front = np.concatenate([np.asarray(part[1]) for part in parts])
     # The board shows its front only to a camera on the front's side of the plane.
-    camera_height = float(camera_from_world.inverse().translation()[2])
+    camera_height = float(np.linalg.inv(host_matrices(camera_from_world))[2, 3])
     return plane_points, in_front & ((camera_height > z) == front_is_up)
 
 

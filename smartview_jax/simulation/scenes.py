@@ -8,6 +8,7 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool
 
+from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
@@ -83,7 +84,7 @@ def simulate(
         image_size=calibration.camera.image_size,
         mount=calibration.mount,
     )
-    return Scene(data, calibration, actual_poses, jnp.asarray(outliers & visible))
+    return Scene(data, calibration, actual_poses, to_device(outliers & visible))
 
 
 def reported_poses(

@@ -25,6 +25,9 @@ MAX_VIEWS = 40
 MAX_SCALE_RELATIVE_STD = 0.1
 """Largest relative standard deviation at which a length scale counts as determined."""
 
+MIN_RELATIVE_RESIDUAL = 1e-3
+"""Smallest residual of a length scale's equations that is believed, over the target's distance."""
+
 TRIMMING_ITERATIONS = 2
 """Number of times a fit is repeated without outlying pairs."""
 
@@ -35,7 +38,9 @@ class ClosureError(NamedTuple):
     Attributes:
         rotation: median over the pairs of views, rad.
         translation: median over the pairs, in the camera's unit of length, m.
-        score: rotation plus translation divided by the distance to the target.
+        score: rotation plus translation divided by the distance to the target; the translation is
+            in the robot's unit of length where that is the larger one, so that a hypothesis which
+            shrinks the robot's motion does not shrink what it leaves.
     """
 
     rotation: float
@@ -133,7 +138,7 @@ def closure_errors(
         residual = _translation_residual(matrix, right_hand_side, _inlier_pairs(residual))
     translation = np.median(residual, axis=-1)
     rotation = np.broadcast_to(np.median(motions.rotation_error, axis=-1), translation.shape)
-    score = rotation + translation / motions.target_distance
+    score = rotation + translation / np.minimum(scales, 1.0) / motions.target_distance
     return np.stack([rotation, translation, score], axis=-1)
 
 
@@ -158,9 +163,12 @@ def length_ratio(motions: RelativeMotions) -> float:
     unit_variance = np.linalg.inv((rows / column_norms).T @ (rows / column_norms))[3, 3]
     # n (n - 1) / 2 pairs of n views are not independent; count n of them as independent.
     view_count = 0.5 * (1.0 + np.sqrt(1.0 + 8.0 * len(motions.camera_translation)))
-    std = np.sqrt(
-        unit_variance * np.mean(residuals**2) * len(motions.camera_translation) / view_count
+    # Three or four views can close better than any robot by chance.
+    variance = max(
+        float(np.mean(residuals**2)),
+        (MIN_RELATIVE_RESIDUAL * float(motions.target_distance)) ** 2,
     )
+    std = np.sqrt(unit_variance * variance * len(motions.camera_translation) / view_count)
     return (
         float(solution[3] / column_norms[3])
         if std < MAX_SCALE_RELATIVE_STD * abs(solution[3])

@@ -72,6 +72,13 @@ class ConventionReport(NamedTuple):
 ANGLE_TOLERANCE = np.deg2rad(4.0)
 """Largest acceptable median rotation error, rad."""
 
+WEAK_ROBOT_ANGLE_RATIO, MAX_WEAK_ROBOT_ANGLE = 0.1, np.deg2rad(8.0)
+"""Rotation error that a weak robot may have where no mistake explains it: ratio to the median
+rotation between two views, and its largest value, rad.
+
+Pictures that are paired with wrong poses leave about as much as the views are turned.
+"""
+
 MAX_CLOSURE_SCORE = 0.03
 """Closure score below which data are accepted: about 10 mm and a degree at half a metre."""
 
@@ -127,6 +134,8 @@ def check_conventions(
     problems, hypotheses = (), ()
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave
     # it small; the ratio of the motions shows it.
+    if not _is_better_scale(motions, given_error, ratio):
+        ratio = 1.0
     if comparable and (given_error.score > MAX_CLOSURE_SCORE or not 0.2 < ratio < 5.0):
         hypotheses = _ranked_hypotheses(robot, camera, used, in_hand, motions)
         problems = _convention_problems(
@@ -142,6 +151,19 @@ def check_conventions(
         ratio,
         (given_error.rotation, given_error.translation),
         hypotheses,
+    )
+
+
+def _is_better_scale(motions: RelativeMotions, given_error: ClosureError, ratio: float) -> bool:
+    """Return whether robot and camera move alike in other units far better than as given."""
+    # Three views about the target close with almost any scale, some by chance.
+    return (
+        0.2 < ratio < 5.0
+        or given_error.score > MAX_CLOSURE_SCORE
+        or (
+            ratio > 0.0
+            and closure_error(motions, ratio).score < MAX_CORRECTED_SCORE_RATIO * given_error.score
+        )
     )
 
 
@@ -218,7 +240,9 @@ def _convention_problems(
     )
     as_given = f"robot and camera do not move alike as given ({_closure_error_text(given_error)})"
     if not explained:
-        implausible = max(mismatch, given_error.rotation) > ANGLE_TOLERANCE
+        weak_robot_angle = min(WEAK_ROBOT_ANGLE_RATIO * min(rotation_angles), MAX_WEAK_ROBOT_ANGLE)
+        limit = max(ANGLE_TOLERANCE, weak_robot_angle)
+        implausible = max(mismatch, given_error.rotation) > limit
         return (
             (f"{as_given}: {_unexplained_text(best, mismatch, rotation_angles)}",)
             if implausible

@@ -19,8 +19,10 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import nnls
 
+from ..array_namespace import to_device
 from ..cameras import Camera
-from ..geometry import transform_points
+from ..compilation import one_program
+from ..geometry import transform_points, ypr_from_rotation
 from ..robots import CommandLike, as_command
 
 MIN_SPREAD_RATIO = 0.1
@@ -59,15 +61,16 @@ class Interpolation(eqx.Module):
 
     def __init__(self, camera: Camera, base_from_tool: SE3, camera_from_world: SE3):
         """Compute the coefficients of the weights from robot and camera poses of the viewpoints."""
-        angles = jnp.stack(camera_from_world.rotation().as_rpy_radians()[::-1], axis=-1)
+        numbers = np.asarray(camera_from_world.wxyz_xyz)
+        angles = np.asarray(ypr_from_rotation(SO3(to_device(numbers[:, :4]))))
         # Unwrap the angles: 179 and -179 degrees must not average to 0.
-        revolutions = jnp.round((angles - angles[:1]) / (2.0 * jnp.pi))
+        revolutions = np.round((angles - angles[:1]) / (2.0 * np.pi))
         self.camera = camera
-        self.positions = base_from_tool.translation()
-        self.extrinsics = jnp.concatenate(
-            [angles - 2.0 * jnp.pi * revolutions, camera_from_world.translation()], axis=1
+        self.extrinsics = to_device(
+            np.concatenate([angles - 2.0 * np.pi * revolutions, numbers[:, 4:]], axis=1)
         )
-        positions = np.asarray(self.positions)
+        positions = np.asarray(base_from_tool.wxyz_xyz)[:, 4:]
+        self.positions = to_device(positions)
         centroid = positions.mean(axis=0)
         U, singular_values, Vt = np.linalg.svd(positions - centroid, full_matrices=False)
         # Minimum-norm weights: w = 1/n + gradient (position - centroid), where the gradient is the
@@ -75,11 +78,12 @@ class Interpolation(eqx.Module):
         # viewpoints span.
         spanned = singular_values > MIN_SPREAD_RATIO * max(singular_values[0], np.finfo(float).tiny)
         gradient = (U[:, spanned] / singular_values[spanned]) @ Vt[spanned]
-        self.spanned_axes = jnp.asarray(Vt[spanned])
-        self.weight_coefficients = jnp.asarray(
+        self.spanned_axes = to_device(Vt[spanned])
+        self.weight_coefficients = to_device(
             np.column_stack([1.0 / len(positions) - gradient @ centroid, gradient])
         )
 
+    @one_program
     def weights(self, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch views"]:
         """Return minimum-norm weights of sum 1 that reproduce the given positions.
 

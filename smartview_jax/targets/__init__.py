@@ -1,5 +1,6 @@
 """Describe calibration targets by their points in metres, without using OpenCV."""
 
+from .april_grid import AprilGrid as AprilGrid
 from .charuco import Charuco as Charuco
 from .chessboard import Chessboard as Chessboard
 from .circle_grid import CircleGrid as CircleGrid

@@ -1,6 +1,7 @@
 """Define ChArUco boards, chessboards whose white squares carry markers."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +31,8 @@ class Charuco(AbstractTarget):
     marker: float
     dictionary: str = "DICT_4X4_250"
     legacy: bool = False
+
+    lengths: ClassVar[tuple[str, ...]] = ("square", "marker")
 
     def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""

@@ -1,6 +1,7 @@
 """Define chessboard targets."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +24,8 @@ class Chessboard(AbstractTarget):
     rows: int
     columns: int
     square: float
+
+    lengths: ClassVar[tuple[str, ...]] = ("square",)
 
     def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""

@@ -1,6 +1,7 @@
 """Define targets that are grids of circles."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -39,6 +40,8 @@ class CircleGrid(AbstractTarget):
     origin_mark: bool = False
     radius: float | None = None
     mark_radius: float | None = None
+
+    lengths: ClassVar[tuple[str, ...]] = ("spacing", "radius", "mark_radius")
 
     def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+from .april_grid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import CircleGrid
@@ -15,6 +16,7 @@ TARGET_CLASSES: dict[str, type[AbstractTarget]] = {
     "chessboard": Chessboard,
     "charuco": Charuco,
     "tag_grid": TagGrid,
+    "aprilgrid": AprilGrid,
 }
 """Class of every flat target, by the name that files use."""
 

@@ -23,7 +23,9 @@ class TagGrid(AbstractTarget):
         size: side of a tag's black square, m.
         gap: distance between the black squares of neighbouring tags, m.
         dictionary: name of an OpenCV dictionary, such as `"DICT_APRILTAG_36h11"`.
-        first_id: number of the top left tag; the others follow row by row.
+        first_id: number of the first tag; the others follow row by row from the left.
+        border_bits: width of a tag's black border in cells of its code.
+        rows_from: `"top"` or `"bottom"`, the row in which the numbers begin.
     """
 
     rows: int
@@ -32,16 +34,23 @@ class TagGrid(AbstractTarget):
     gap: float = 0.0
     dictionary: str = "DICT_APRILTAG_36h11"
     first_id: int = 0
+    border_bits: int = 1
+    rows_from: str = "top"
 
     y_up: ClassVar[bool] = True
+    lengths: ClassVar[tuple[str, ...]] = ("size", "gap")
+    corner_order: ClassVar[tuple[int, int, int, int]] = (0, 1, 2, 3)
+    """Index in this class of the corners of a tag in OpenCV's order."""
 
     def __post_init__(self) -> None:
         """Raise a ValueError that names the first attribute that is wrong."""
-        require_count(1, rows=self.rows, columns=self.columns)
+        require_count(1, rows=self.rows, columns=self.columns, border_bits=self.border_bits)
         require_count(0, first_id=self.first_id)
         require_positive(size=self.size)
         if self.rows * self.columns > 1:
             require_positive(gap=self.gap)
+        if self.rows_from not in ("top", "bottom"):
+            raise ValueError(f"rows_from: expected top or bottom, found {self.rows_from!r}")
         require_markers(self.dictionary, self.ids[-1])
 
     @property
@@ -53,11 +62,11 @@ class TagGrid(AbstractTarget):
     def points(self) -> Float[np.ndarray, "points 3"]:
         """The four corners of every tag, tags row by row, m."""
         # Tag j of row i has its centre at x = (j - (columns - 1) / 2) pitch and
-        # y = ((rows - 1) / 2 - i) pitch: rows are counted downwards, and y points up.
+        # y = ((rows - 1) / 2 - i) pitch, with rows counted downwards, or the negative: y points up.
         pitch = self.size + self.gap
         i, j = np.mgrid[0 : self.rows, 0 : self.columns]
         x = (j - 0.5 * (self.columns - 1)).ravel() * pitch
-        y = (0.5 * (self.rows - 1) - i).ravel() * pitch
+        y = (0.5 * (self.rows - 1) - i).ravel() * (pitch if self.rows_from == "top" else -pitch)
         centres = np.stack([x, y, np.zeros_like(x)], axis=-1)
         half = 0.5 * self.size
         corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])

@@ -21,6 +21,8 @@ class AbstractTarget(abc.ABC):
     """
 
     y_up: ClassVar[bool] = False
+    lengths: ClassVar[tuple[str, ...]] = ()
+    """Names of the attributes that are lengths on the board, the one that scales it first."""
 
     @property
     @abc.abstractmethod

@@ -5,7 +5,8 @@ from .model_selection import TARGET_SCALE as TARGET_SCALE
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName
 from .model_selection import encompassing_field as encompassing_field
-from .noise_estimate import FREE_SCALE_PROBABILITY as FREE_SCALE_PROBABILITY
 from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
+from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
+from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
 from .variance_components import estimate_noise as estimate_noise

@@ -58,11 +58,20 @@ class StandardDeviationPrior(NamedTuple):
             group of the field.
         log_std: standard deviations of their logarithms.
         pixel_rate: rate of the exponential prior of log(effective pixel sigma / white pixel sigma).
+        weak_probability: probability of a weak robot.
+        weak_median: medians of translation and rotation of a weak robot.
     """
 
     median: Float[np.ndarray, "robot"]
     log_std: Float[np.ndarray, "robot"]
     pixel_rate: float
+    weak_probability: float = 0.0
+    weak_median: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def of_weak_robot(self) -> "StandardDeviationPrior":
+        """The prior of a robot that is known to be weak."""
+        return self._replace(median=np.concatenate([self.weak_median, self.median[2:]]))
 
 
 class LikelihoodMaximum(NamedTuple):

@@ -7,11 +7,13 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..blas_threads import on_one_blas_thread
-from ..calibration import Calibration
+from ..calibration import Calibration, flat_shape
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
-from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .fisher_scoring import StandardDeviationPrior
+from .free_poses import fit_free_poses
+from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
     TARGET_SCALE,
     WHITE_NOISE,
@@ -26,7 +28,14 @@ from .model_selection import (
     standard_deviation_prior,
 )
 from .noise_estimate import CandidateResult, TargetScaleEvidence
-from .view_statistics import ViewStatistics, with_free_poses
+from .possible_models import TARGET_SCALE_LIMITS
+from .view_statistics import ViewStatistics, with_prior_sigmas
+
+MAX_FREE_FITS = 3
+"""Largest number of fits with free poses, each from the poses that robot and pictures agree on."""
+
+FREE_FIT_TOLERANCE = 1e-3
+"""Relative decrease of the sum of squares below which a fit with free poses is as good as any."""
 
 
 class ModelComparison(NamedTuple):
@@ -37,7 +46,7 @@ class ModelComparison(NamedTuple):
         models: the models, by the name of their field.
         built: problem with the basis that contains all models.
         views: statistics of the views.
-        z: step at which the views are linearised, the fit with free poses.
+        z: step at which the views are linearised, the fit with white noise of the poses alone.
         linearised: the views linearised there.
         fitted: the models, each with the standard deviations that maximise its posterior.
         probabilities: posterior probabilities of the models.
@@ -68,7 +77,7 @@ def compare_models(
     priors: Mapping[str, Prior] | None,
     prior: RobotPrior,
 ) -> ModelComparison:
-    """Compare the models of the robot error at the fit with free poses.
+    """Compare the models of the robot error at the fit with white noise of the poses alone.
 
     Args:
         data: data set.
@@ -100,16 +109,33 @@ def compare_models(
         free=(*free, *((TARGET_SCALE,) if test_scale else ())),
         priors=priors,
     )
-    problem = with_free_poses(built.problem)
-    solution, equations = solve(problem)
-    views = ViewStatistics(built, data.usable_views(), 2.0 * float(equations.cost), test_scale)
-    sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
-    linearised = views.linearised_at_fit(problem, solution.z, equations)
+    shape = None
+    if not prior.target_is_flat:
+        shape = flat_shape(np.asarray(data.points), np.asarray(data.visible))
+    start_of_free, fits = None, 0
+    while True:
+        free_fit = fit_free_poses(built, data.usable_views(), shape, start_of_free)
+        within_sum_of_squares, fits = free_fit.sum_of_squares, fits + 1
+        shape = free_fit.shape
+        views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale, shape)
+        sigma_prior = standard_deviation_prior(prior, basis, views.group_names, shape)
+        initial = initial_standard_deviations(sigma_prior, views.white_sigma)
+        free_poses = views.linearised_at_fit(free_fit.problem, free_fit.z, free_fit.equations)
+        white = _likeliest_white_noise(free_poses, views.group_names, initial, sigma_prior, prior)
+        views, z, linearised = _linearised_at_mode(
+            views, built.shared_names, free_fit.z, free_poses, white
+        )
+        # No fit explains the pixels better than free poses do, unless a pose that the robot
+        # reported far from the true one went astray: that fit is made again from this one.
+        excess = float(linearised.residual_sum_of_squares)
+        if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares or fits == MAX_FREE_FITS:
+            break
+        start_of_free, shape = z, views.shape
     fitted = fit_candidates(
         linearised,
         models,
         views.group_names,
-        initial_standard_deviations(sigma_prior, views.white_sigma),
+        initial,
         sigma_prior,
         prior.wrong_target_probability,
     )
@@ -128,15 +154,70 @@ def compare_models(
         models,
         built,
         views,
-        solution.z,
+        z,
         linearised,
         fitted,
         probabilities,
         _candidate_results(fitted, probabilities, views.white_sigma),
-        _target_scale_evidence(built, linearised, solution.z, fitted, probabilities)
-        if test_scale
-        else None,
+        target_scale_evidence(built, linearised, z, fitted, probabilities) if test_scale else None,
     )
+
+
+def _likeliest_white_noise(
+    views: LinearisedViews,
+    groups: tuple[str, ...],
+    initial: StandardDeviations,
+    sigma_prior: StandardDeviationPrior,
+    prior: RobotPrior,
+) -> StandardDeviations:
+    """Return the likelier standard deviations of white noise: target as stated, or of any size."""
+    white = {WHITE_NOISE: Candidate(frozenset(), 0.0)}
+    fitted = fit_candidates(
+        views, white, groups, initial, sigma_prior, prior.wrong_target_probability
+    )
+    if not fitted:
+        return initial._replace(field=np.zeros_like(initial.field))
+    return max(fitted.values(), key=lambda candidate: candidate.log_weight).maximum.sigmas
+
+
+def _linearised_at_mode(
+    views: ViewStatistics,
+    names: Sequence[str],
+    z: Step,
+    linearised: LinearisedViews,
+    sigmas: StandardDeviations,
+) -> tuple[ViewStatistics, Step, LinearisedViews]:
+    """Linearise the views at the most probable parameters for given standard deviations.
+
+    The pose of a view is then the best that robot and pictures say together. At poses from
+    the pictures alone, their noise would enter the derivatives, and many views of an accurate
+    robot would shrink the target.
+
+    Args:
+        views: statistics of the views.
+        names: names of the free shared parameters.
+        z: step at which they have been linearised.
+        linearised: the views linearised there.
+        sigmas: standard deviations of all errors.
+
+    Returns:
+        The statistics with the robot error field evaluated at the poses of the fit, the fit, and
+        the views linearised there.
+    """
+    step = posterior_mode_step(linearised, sigmas)
+    moved, start = views.moved(z, step)
+    if TARGET_SCALE in names:
+        # Poses are proportional to the scale, whose logarithm is the parameter: a step d of the
+        # linear model is a factor of 1 + d.
+        k = names.index(TARGET_SCALE)
+        factor = np.clip(1.0 + step.shared[k], *TARGET_SCALE_LIMITS)
+        start.shared[k] = np.asarray(z.shared)[k] + np.log(factor)
+    if not all(np.isfinite(part).all() for part in start):
+        return views, z, linearised
+    views = moved.with_noise_corrections(np.asarray(start.per_view))
+    problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
+    solution, equations = solve(problem, start=start)
+    return views, solution.z, views.linearised_at_fit(problem, solution.z, equations)
 
 
 def _candidate_results(
@@ -157,7 +238,7 @@ def _candidate_results(
     )
 
 
-def _target_scale_evidence(
+def target_scale_evidence(
     built: BuiltProblem,
     views: LinearisedViews,
     z: Step,
@@ -171,9 +252,12 @@ def _target_scale_evidence(
     best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
     marginal = marginalise(views, fitted[best].maximum.sigmas)
     index = built.shared_names.index(TARGET_SCALE)
-    scale_at_start = np.asarray(built.problem.parameters.start.target_scale)
-    scale = scale_at_start + np.asarray(z.shared)[index] + marginal.step.shared[index]
-    std = np.sqrt(marginal.shared_covariance[index, index])
+    # The parameter is the logarithm of the scale, but poses are proportional to the scale itself:
+    # a step d of the linear model is a factor of 1 + d.
+    start = built.problem.parameters.start
+    linearised_scale = np.asarray(start.target_scale) * np.exp(np.asarray(z.shared)[index])
+    scale = linearised_scale * np.clip(1.0 + marginal.step.shared[index], *TARGET_SCALE_LIMITS)
+    std = linearised_scale * np.sqrt(marginal.shared_covariance[index, index])
     return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
 
 

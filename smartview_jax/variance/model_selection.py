@@ -24,6 +24,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
 
+from ..calibration import TargetShape
 from ..dataset import Dataset
 from ..robot_errors import (
     AbstractField,
@@ -66,12 +67,23 @@ PIXEL_SIGMA_PRIOR_RATE = 0.7
 The two agree where the model is true; on real data sets they differ by up to a factor of ten.
 """
 
-MIN_MODEL_PROBABILITY = 0.01
-"""Probability below which a model is left out of the average."""
-
 TARGET_SCALE = "target_scale"
 """The name of the target's scale, both as a parameter and as a group."""
 
+TARGET_SHAPE = "target_shape"
+"""First part of the names of the parameters of the target's shape."""
+
+SHAPE_GROUPS = ("target_bow", "target_print")
+"""Groups of the parameters of the target's shape: out of its plane, and within it."""
+
+TARGET_GROUPS = (*SHAPE_GROUPS, TARGET_SCALE)
+"""Groups of parameters of the target, which come after those of the robot's error."""
+
+MIN_WEAK_ROBOT_EXCESS = 2.0
+"""Standard deviations of the good robot's prior above its median from which a robot may be weak."""
+
+MIN_MODEL_PROBABILITY = 0.01
+"""Probability below which a model is left out of the average."""
 
 WHITE_NOISE = "white"
 """The name of the model without a robot error field."""
@@ -192,15 +204,47 @@ def fit_candidates(
             else 0.0
         )
         for name, model in models.items():
-            model_groups = model.groups | ({TARGET_SCALE} if free_scale else set())
+            # Every target has a shape: how much of one is estimated, not chosen.
+            model_groups = model.groups | set(SHAPE_GROUPS)
+            model_groups |= {TARGET_SCALE} if free_scale else set()
             active = np.array([True, True, *(group in model_groups for group in groups)])
-            maximum = maximise(views, initial, active, prior)
-            log_weight = float(
-                log_evidence(maximum, active, prior) + model.log_odds + scale_log_odds
-            )
+            maximum, evidence = fit_good_or_weak_robot(views, initial, active, prior)
+            log_weight = float(evidence + model.log_odds + scale_log_odds)
             if np.isfinite(log_weight):
                 fitted[ModelName(name, free_scale)] = FittedCandidate(active, maximum, log_weight)
     return fitted
+
+
+def fit_good_or_weak_robot(
+    views: LinearisedViews,
+    initial: StandardDeviations,
+    active: Bool[np.ndarray, "robot"],
+    prior: StandardDeviationPrior,
+) -> tuple[LikelihoodMaximum, float]:
+    """Fit a model for a good and for a weak robot.
+
+    Returns:
+        The better maximum, and the logarithm of the evidence of both together.
+    """
+    good = maximise(views, initial, active, prior)
+    good_evidence = log_evidence(good, active, prior)
+    # A good robot's noise leaves no doubt that it is not a weak one.
+    log_excess = np.log(good.sigmas.vector[1:3] / prior.median[:2]) / prior.log_std[:2]
+    if not (prior.weak_probability > 0.0 and log_excess.max() > MIN_WEAK_ROBOT_EXCESS):
+        return good, good_evidence
+    of_weak = prior.of_weak_robot
+    # From the good robot's noise the search can end where only positions are wrong, and pixels by
+    # a hundred times what they scatter within a view: it begins at what weak robots usually do.
+    start = initial._replace(
+        translation=np.asarray(of_weak.median[0]), rotation=np.asarray(of_weak.median[1])
+    )
+    weak = maximise(views, start, active, of_weak)
+    log_odds = np.log(prior.weak_probability / (1.0 - prior.weak_probability))
+    weak_evidence = log_evidence(weak, active, of_weak) + log_odds
+    if not np.isfinite(weak_evidence):
+        return good, good_evidence
+    both = float(np.logaddexp(good_evidence, weak_evidence))
+    return (weak if weak_evidence > good_evidence else good), both
 
 
 def log_evidence(
@@ -268,7 +312,10 @@ def smallest_sufficient_field(
 
 
 def standard_deviation_prior(
-    prior: RobotPrior, field: AbstractField | None, group_names: Sequence[str]
+    prior: RobotPrior,
+    field: AbstractField | None,
+    group_names: Sequence[str],
+    shape: TargetShape | None = None,
 ) -> StandardDeviationPrior:
     """Return the prior of the standard deviations of reported poses and of some groups.
 
@@ -276,15 +323,26 @@ def standard_deviation_prior(
         prior: prior of the robot's errors.
         field: field that has the groups.
         group_names: names of the groups, with `TARGET_SCALE` last where the scale is one of them.
+        shape: shape of the target, where it has groups; they come before that.
     """
     field_names = [] if field is None else [name for name, _ in field.groups]
     indices = [0, 1, *(2 + field_names.index(name) for name in group_names if name in field_names)]
     median, log_std = prior.medians(field)[indices], np.asarray(prior.log_stds(field))[indices]
+    if shape is not None:
+        relative = np.array([prior.target_bow_median, prior.target_print_median])
+        median = np.append(median, float(shape.half_size) * relative)
+        log_std = np.append(log_std, np.full(2, np.log(prior.target_geometric_std)))
     if TARGET_SCALE in group_names:
         # The standard deviation of the scale is known, not estimated: a log-normal prior with a
         # negligible spread holds it.
         median, log_std = np.append(median, prior.wrong_target_scale_std), np.append(log_std, 0.01)
-    return StandardDeviationPrior(median, log_std, PIXEL_SIGMA_PRIOR_RATE)
+    return StandardDeviationPrior(
+        median,
+        log_std,
+        PIXEL_SIGMA_PRIOR_RATE,
+        prior.weak_robot_probability,
+        (prior.weak_translation_median, prior.weak_rotation_median),
+    )
 
 
 def initial_standard_deviations(

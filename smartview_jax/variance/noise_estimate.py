@@ -3,16 +3,15 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
+from jaxtyping import Float
 
-from ..calibration import Calibration
-from ..engine import Noise
+from ..calibration import Calibration, TargetShape
+from ..engine import Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
 from .model_selection import TARGET_SCALE, ModelName
-
-FREE_SCALE_PROBABILITY = 0.5
-"""Probability that the target does not have its stated size, above which its scale is made free."""
 
 
 class CandidateResult(NamedTuple):
@@ -51,6 +50,34 @@ class TargetScaleEvidence(NamedTuple):
     std: float
 
 
+class TargetShapeEstimate(NamedTuple):
+    """The estimated shape of the target.
+
+    Attributes:
+        shape: the shape.
+        covariance: covariance of its coefficients, m^2.
+        by_shape: change of each of the fit's shared parameters with each coefficient; after them,
+            of the coefficients themselves.
+    """
+
+    shape: TargetShape
+    covariance: Float[np.ndarray, "5 5"]
+    by_shape: Float[np.ndarray, "shared 5"]
+
+    def bow(self, points: Float[np.ndarray, "points 3"]) -> tuple[float, float]:
+        """Return the height of the highest over the lowest point, and its standard deviation, m.
+
+        Args:
+            points: the target's points as stated, m.
+        """
+        shape = jax.tree.map(np.asarray, self.shape)
+        along_z = np.asarray(shape.directions(points))[..., 2]
+        heights = along_z @ shape.coefficients
+        difference = along_z[np.argmax(heights)] - along_z[np.argmin(heights)]
+        std = np.sqrt(difference @ self.covariance @ difference)
+        return float(np.ptp(heights)), float(std)
+
+
 class NoiseEstimate(NamedTuple):
     """A noise model, averaged over models of the robot error by their probabilities.
 
@@ -63,6 +90,9 @@ class NoiseEstimate(NamedTuple):
         calibration: the calibration at the end of the estimation.
         candidates: all models of the robot error that were tried.
         target_scale: evidence on the target's size; None where its scale was not in question.
+        target_scale_std: prior standard deviation of the logarithm of the target's size in the
+            averaged model, about the stated size; None where the size is held.
+        target_shape: the target's shape; None where the target is not flat, or held as stated.
         mount_displacement: translation (m) and rotation (rad) of the camera's mount with the robot
             error field, relative to that with white noise alone; None where there is no field, or
             the mount is held.
@@ -70,10 +100,14 @@ class NoiseEstimate(NamedTuple):
         relative_std: relative standard errors of the estimated standard deviations of pixel,
             translation, rotation and field; large for one near zero, which the data do not
             determine.
-        parameter_names: names of the fit's shared parameters.
+        parameter_names: names of the fit's shared parameters, then of the target's shape.
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
+        between_models_covariance: covariance of the shared parameters between the models, about
+            those of the averaged model.
         robot_prior: prior of the robot's errors.
+        noise_corrections: twists at the tool that correct the reported poses for noise; the robot
+            error field is evaluated at the corrected poses. None evaluates it at the reported ones.
     """
 
     name: str
@@ -83,23 +117,44 @@ class NoiseEstimate(NamedTuple):
     calibration: Calibration
     candidates: tuple[CandidateResult, ...]
     target_scale: TargetScaleEvidence | None
+    target_scale_std: float | None
+    target_shape: TargetShapeEstimate | None
     mount_displacement: tuple[float, ...] | None
     converged: bool
     relative_std: tuple[float, ...]
     parameter_names: tuple[str, ...]
     small_sample_correction: SmallSampleCorrection
+    between_models_covariance: Float[np.ndarray, "shared shared"]
     robot_prior: RobotPrior
+    noise_corrections: Float[np.ndarray, "views 6"] | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
         """The paths of the parameters that are made free because the views call for it."""
-        scale_is_free = (
-            self.target_scale is not None and self.target_scale.probability > FREE_SCALE_PROBABILITY
-        )
-        return (TARGET_SCALE,) if scale_is_free else ()
+        return () if self.target_scale_std is None else (TARGET_SCALE,)
+
+    def priors(self, start: Calibration) -> dict[str, Prior]:
+        """Return the priors of these parameters, about their values in the start."""
+        if self.target_scale_std is None:
+            return {}
+        return {TARGET_SCALE: Prior(std=self.target_scale_std * float(start.target_scale))}
 
     def correction_of(self, names: Sequence[str]) -> SmallSampleCorrection:
         """Return the small-sample correction for a subset of the parameters."""
-        return self.small_sample_correction.subset(
-            np.array([self.parameter_names.index(n) for n in names], dtype=int)
-        )
+        return self.small_sample_correction.subset(self._indices(names))
+
+    def covariance_of_choices(self, names: Sequence[str]) -> Float[np.ndarray, "subset subset"]:
+        """Return the covariance of some parameters that a fit of the averaged model lacks.
+
+        It is due to the disagreement between the models, and to the target's uncertain shape.
+        """
+        indices = self._indices(names)
+        covariance = self.between_models_covariance[np.ix_(indices, indices)]
+        if self.target_shape is None:
+            return covariance
+        by_shape = self.target_shape.by_shape[indices]
+        return covariance + by_shape @ self.target_shape.covariance @ by_shape.T
+
+    def _indices(self, names: Sequence[str]) -> np.ndarray:
+        """Return the indices of parameters."""
+        return np.array([self.parameter_names.index(n) for n in names], dtype=int)

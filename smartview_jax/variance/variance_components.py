@@ -2,12 +2,13 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
-import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..blas_threads import on_one_blas_thread
-from ..calibration import Calibration
+from ..calibration import Calibration, TargetShape
 from ..dataset import Dataset
 from ..engine import (
     POSE_CORRECTIONS,
@@ -29,21 +30,27 @@ from .likelihood import (
     marginalise,
     posterior_mode_step,
 )
-from .model_comparison import ModelComparison, compare_models, noise_from_sigmas
+from .model_average import averaged_models, between_models_covariance
+from .model_comparison import (
+    ModelComparison,
+    compare_models,
+    noise_from_sigmas,
+    target_scale_evidence,
+)
 from .model_selection import (
+    TARGET_GROUPS,
     TARGET_SCALE,
     Candidate,
-    average_standard_deviations,
+    FittedCandidate,
+    ModelName,
     drop_negligible,
     fit_candidates,
     posterior_probabilities,
     smallest_sufficient_field,
     standard_deviation_prior,
 )
-from .noise_estimate import (
-    FREE_SCALE_PROBABILITY,
-    NoiseEstimate,
-)
+from .noise_estimate import NoiseEstimate, TargetShapeEstimate
+from .possible_models import is_possible
 from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
@@ -98,13 +105,9 @@ def estimate_noise(
 
     # Second pass: only the models with more than negligible probability, on the smallest field that
     # contains them, alternating between the fit and the standard deviations.
-    free_scale = (
-        first.target_scale is not None and first.target_scale.probability > FREE_SCALE_PROBABILITY
-    )
-    probabilities = drop_negligible(
-        {model: p for model, p in first.probabilities.items() if model.free_scale == free_scale}
-    )
-    field_probabilities = {model.field: p for model, p in probabilities.items()}
+    probabilities = drop_negligible(first.probabilities)
+    free_scale = any(model.free_scale for model in probabilities)
+    field_probabilities = _by_field(probabilities)
     listed = ", ".join(f"{name} {p:.2f}" for name, p in field_probabilities.items())
     report_progress(f"errors of the robot: {listed}")
     fitted_field = (
@@ -115,18 +118,44 @@ def estimate_noise(
     # The problem keeps the field that contains all models, and holds the rest of it at zero: all
     # fits of a calibration are then solved by one compiled program.
     built = first.built.holding(_held_names(first, fitted_field, free_scale))
-    views = ViewStatistics(built, data.usable_views(), first.views.within_sum_of_squares)
-    sigmas = average_standard_deviations(first.fitted, probabilities)
-    predicted = _predicted_optimum(first.linearised, first.z, sigmas)
-    chain, linearised, maximum, converged = _iterate_to_convergence(
+    scale_is_group = free_scale and first.target_scale is not None
+    within = first.views.within_sum_of_squares
+    sigmas = averaged_models(first.linearised, first.views.group_names, first.fitted, probabilities)
+    predicted_views, predicted = first.views.moved(
+        first.z, posterior_mode_step(first.linearised, sigmas)
+    )
+    shape = predicted_views.shape
+    views = ViewStatistics(built, data.usable_views(), within, scale_is_group, shape)
+    average = _iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
         {name: first.models[name] for name in field_probabilities},
         first.views.select_groups(sigmas, views.group_names),
-        standard_deviation_prior(prior, fitted_field, views.group_names),
+        standard_deviation_prior(prior, fitted_field, views.group_names, shape),
+        prior.wrong_target_probability,
     )
+    chain, linearised, maximum = average.chain, average.views, average.maximum
+    if (free_scale or field == "auto") and not is_possible(chain, data):
+        report_progress("the fit leaves nothing of the target or of the motion: without this model")
+        return estimate_noise(
+            data,
+            start,
+            field=field if free_scale else None,
+            fixed=fixed,
+            free=free,
+            priors=priors,
+            progress=progress,
+            robot_prior=dataclasses.replace(prior, wrong_target_probability=0.0),
+        )
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)
+    field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
+    target_scale, scale_std = first.target_scale, None
+    if scale_is_group:
+        target_scale = target_scale_evidence(
+            built, linearised, average.z, average.fitted, average.probabilities
+        )
+        scale_std = float(maximum.sigmas.field[views.group_names.index(TARGET_SCALE)])
     return NoiseEstimate(
         max(field_probabilities, key=lambda name: field_probabilities[name]),
         _averaged_noise(maximum.sigmas, views, fitted_field, prior),
@@ -139,14 +168,74 @@ def estimate_noise(
             else error.converted_to(fitted_field),
         ),
         first.candidates,
-        first.target_scale,
-        None if fitted_field is None else _mount_displacement(built, linearised, maximum.sigmas),
-        converged,
-        tuple(map(float, correction.relative_std)),
-        built.shared_names,
+        target_scale,
+        scale_std,
+        _target_shape_estimate(average, maximum.sigmas),
+        None
+        if fitted_field is None
+        else _mount_displacement(built, views.group_names, linearised, maximum.sigmas),
+        average.converged,
+        tuple(map(float, correction.relative_std[: 3 + field_group_count])),
+        (*built.shared_names, *views.shape_names),
         correction,
+        between_models_covariance(
+            linearised, average.fitted, average.probabilities, maximum.sigmas
+        ),
         prior,
+        average.noise_corrections,
     )
+
+
+def _by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
+    """Return the probabilities of the fields, whatever the target's size."""
+    fields: dict[str, float] = {}
+    for model, probability in probabilities.items():
+        fields[model.field] = fields.get(model.field, 0.0) + probability
+    return fields
+
+
+def _target_shape_estimate(
+    average: "_Average", sigmas: StandardDeviations
+) -> TargetShapeEstimate | None:
+    """Return the target's shape, and how it affects all other parameters."""
+    shape = average.shape
+    if shape is None:
+        return None
+    covariance = np.asarray(marginalise(average.views, sigmas).shared_covariance)
+    columns = covariance[:, -len(shape.coefficients) :]
+    own = columns[-len(shape.coefficients) :]
+    # The covariance can be singular to rounding where the standard deviations are at their floor.
+    scale = np.sqrt(np.diagonal(own))
+    correlation = own / np.outer(scale, scale)
+    by_shape = np.asarray((columns / scale) @ np.linalg.pinv(correlation, hermitian=True))
+    return TargetShapeEstimate(shape, own, by_shape / scale)
+
+
+class _Average(NamedTuple):
+    """The fit of the averaged model.
+
+    Attributes:
+        shape: the target's shape; None where it is held as stated.
+        chain: the chain of the fit.
+        z: the step of the fit.
+        views: the views linearised there.
+        fitted: the models, fitted there.
+        probabilities: the probabilities of the models.
+        maximum: the standard deviations of the averaged model, and their information.
+        converged: whether the standard deviations converged.
+        noise_corrections: corrections of the poses for noise with which the robot error field was
+            evaluated.
+    """
+
+    shape: TargetShape | None
+    chain: FittedChain
+    z: Step
+    views: LinearisedViews
+    fitted: Mapping[ModelName, FittedCandidate]
+    probabilities: Mapping[ModelName, float]
+    maximum: LikelihoodMaximum
+    converged: bool
+    noise_corrections: Float[np.ndarray, "views 6"]
 
 
 def _held_names(
@@ -169,7 +258,8 @@ def _iterate_to_convergence(
     models: Mapping[str, Candidate],
     sigmas: StandardDeviations,
     prior: StandardDeviationPrior,
-) -> tuple[FittedChain, LinearisedViews, LikelihoodMaximum, bool]:
+    wrong_target_probability: float,
+) -> _Average:
     """Alternate between the fit and the averaged standard deviations, until these converge.
 
     Args:
@@ -178,38 +268,53 @@ def _iterate_to_convergence(
         models: models to average over.
         sigmas: standard deviations for the first fit.
         prior: prior of the standard deviations of the field's groups.
-
-    Returns:
-        The chain of the fit, the views linearised there, the maximum of the likelihood, and whether
-        the standard deviations converged.
+        wrong_target_probability: prior probability that the target does not have its stated size.
     """
-    iterations, chain, accepted = 0, None, None
+    iterations, last = 0, None
     while True:
+        corrections = np.asarray(initial.per_view)
+        views = views.with_noise_corrections(corrections)
         problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
         solution, equations = solve(problem, start=initial)
         linearised = views.linearised_at_fit(problem, solution.z, equations)
         iterations += 1
-        fitted = fit_candidates(linearised, models, views.group_names, sigmas, prior, 0.0)
+        search_start = sigmas
+        if TARGET_SCALE in views.group_names:
+            # Its prior in the average is another one than in the models.
+            search_start = sigmas._replace(field=np.append(sigmas.field[:-1], prior.median[-1]))
+        fitted = fit_candidates(
+            linearised, models, views.group_names, search_start, prior, wrong_target_probability
+        )
         if not fitted:
             # No model has a finite weight, for example where pictures and poses do not belong
             # together: return the last good result.
-            if chain is None or accepted is None:
-                chain, accepted = chain_at(views.problem, initial), views.linearise(initial)
-            return chain, accepted, _maximum_at(accepted, sigmas, prior), False
-        chain, accepted = solution.chain, linearised
+            if last is not None:
+                return last._replace(maximum=_maximum_at(last.views, sigmas, prior))
+            chain, linearised = chain_at(views.problem, initial), views.linearise(initial)
+            maximum = _maximum_at(linearised, sigmas, prior)
+            return _Average(
+                views.shape, chain, initial, linearised, {}, {}, maximum, False, corrections
+            )
         previous, kept = sigmas, drop_negligible(posterior_probabilities(fitted))
-        sigmas = average_standard_deviations(fitted, kept)
+        sigmas = averaged_models(linearised, views.group_names, fitted, kept)
         change = np.abs(sigmas.vector - previous.vector)
         tolerance = SIGMA_TOLERANCE * previous.vector + 10.0 * ROBOT_SIGMA_FLOOR
         converged = bool((change <= tolerance).all())
+        maximum = _maximum_at(linearised, sigmas, prior)
+        last = _Average(
+            views.shape,
+            solution.chain,
+            solution.z,
+            linearised,
+            fitted,
+            kept,
+            maximum,
+            converged,
+            corrections,
+        )
         if converged or iterations == MAX_LINEARISATIONS:
-            return chain, accepted, _maximum_at(accepted, sigmas, prior), converged
-        initial = _predicted_optimum(accepted, solution.z, sigmas)
-
-
-def _predicted_optimum(views: LinearisedViews, z: Step, sigmas: StandardDeviations) -> Step:
-    """Compute the most probable parameters for given standard deviations, to first order."""
-    return jax.tree.map(np.add, z, posterior_mode_step(views, sigmas))
+            return last
+        views, initial = views.moved(solution.z, posterior_mode_step(linearised, sigmas))
 
 
 def _transfer_step(z: Step, names: tuple[str, ...], target_names: tuple[str, ...]) -> Step:
@@ -219,7 +324,10 @@ def _transfer_step(z: Step, names: tuple[str, ...], target_names: tuple[str, ...
 
 
 def _mount_displacement(
-    built: BuiltProblem, views: LinearisedViews, sigmas: StandardDeviations
+    built: BuiltProblem,
+    groups: Sequence[str],
+    views: LinearisedViews,
+    sigmas: StandardDeviations,
 ) -> tuple[float, ...] | None:
     """Compute how far the robot error field displaces the mount, to first order."""
     mount = f"{built.problem.parameters.start.transform_names[0]}."
@@ -227,7 +335,8 @@ def _mount_displacement(
     if len(indices) != 6:
         return None
     # A field with standard deviations of `ROBOT_SIGMA_FLOOR` is held at zero.
-    white_sigmas = sigmas._replace(field=np.full_like(sigmas.field, ROBOT_SIGMA_FLOOR))
+    is_field = np.array([group not in TARGET_GROUPS for group in groups])
+    white_sigmas = sigmas._replace(field=np.where(is_field, ROBOT_SIGMA_FLOOR, sigmas.field))
     with_field, without_field = (
         posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)
     )

@@ -4,7 +4,9 @@ The statistics are the best free pose of each view, and the camera of the fit wi
 `likelihood.py`. They change with the linearisation only, not with the standard deviations.
 """
 
+import copy
 import dataclasses
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -12,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..array_namespace import to_device
+from ..calibration import BOW, PRINT, SHAPE_NAMES, TargetShape
 from ..compilation import compiled
 from ..engine import (
     ROBOT_ERROR,
@@ -27,7 +30,7 @@ from ..engine import (
     padded_step,
 )
 from .likelihood import LinearisedViews, StandardDeviations
-from .model_selection import TARGET_SCALE
+from .model_selection import SHAPE_GROUPS, TARGET_SCALE, TARGET_SHAPE
 
 HOLDING_SIGMA = 1e-6
 """Prior standard deviation, in m, rad or no unit, that holds the chain while all poses are free.
@@ -42,7 +45,8 @@ class ViewStatistics:
 
     Attributes:
         problem: the joint problem.
-        group_index: group of unknown standard deviation of each free shared parameter, -1 for none.
+        group_index: group of unknown standard deviation of each free shared parameter, and of the
+            coefficients of the target's shape after these; -1 for none.
         within_sum_of_squares: sum of squared residuals of the fit with free poses and a free
             camera, px^2.
         group_names: names of the groups.
@@ -50,6 +54,9 @@ class ViewStatistics:
             poses.
         white_sigma: standard deviation of the noise within views, px.
         known_weight: one over the standard deviation of the priors with known standard deviations.
+        shape: shape of the target, to which the points of the problem belong; None where it is
+            held as stated.
+        shape_names: names of the shape's parameters.
     """
 
     def __init__(
@@ -58,31 +65,79 @@ class ViewStatistics:
         usable_views: Int[np.ndarray, "placed"],
         within_sum_of_squares: float,
         scale_is_group: bool = False,
+        shape: TargetShape | None = None,
     ):
         problem = built.problem
+        self._stated_observations = problem.observations
         self.problem: JointProblem = problem
-        self.group_index: Int[np.ndarray, "free"] = _group_index(built, scale_is_group)
+        self.shape: TargetShape | None = None
+        self.group_names: tuple[str, ...] = _group_names(built, scale_is_group, shape)
+        self.group_index: Int[np.ndarray, "shared"] = _group_index(built, self.group_names, shape)
         self.free: Int[np.ndarray, "free"] = np.asarray(problem.free)
         camera_count = int(np.sum(self.free < problem.parameters.layout.camera.stop))
         self.within_sum_of_squares: float = within_sum_of_squares
         self.per_view_free: Bool[np.ndarray, "corrected 6"] = np.asarray(problem.per_view_free)
-        self.group_names: tuple[str, ...] = _group_names(built, scale_is_group)
-        self.statistic_count: int = camera_count + int(self.per_view_free[usable_views].sum())
+        self.shape_names: tuple[str, ...] = () if shape is None else shape_parameter_names()
+        self.statistic_count: int = (
+            camera_count + len(self.shape_names) + int(self.per_view_free[usable_views].sum())
+        )
         visible_count = int(np.asarray(problem.observations.visible).sum())
         # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
         # poses).
         white = np.sqrt(within_sum_of_squares / max(2 * visible_count - self.statistic_count, 1))
         self.white_sigma: float = max(float(white), SIGMA_FLOOR)
         free_weight = np.asarray(problem.prior_weight.shared)[self.free]
+        free_weight = np.append(free_weight, np.zeros(len(self.shape_names)))
         self.known_weight: Float[np.ndarray, "free"] = np.where(
             self.group_index < 0, free_weight, 0.0
         )
         shared, per_view = jax.tree.map(np.asarray, _offset_at_start(padded(problem)))
         self._offset_at_start = Step(shared[self.free], per_view[: len(self.per_view_free)])
+        if shape is not None:
+            self._set_shape(shape)
+
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "ViewStatistics":
+        """Return the statistics with the robot error field evaluated at poses less their noise."""
+        views = copy.copy(self)
+        views.problem = self.problem.with_noise_corrections(corrections)
+        return views
+
+    def _set_shape(self, shape: TargetShape) -> None:
+        """Set the target's shape, and displace the points of the problem by it."""
+        self.shape = shape
+        self.problem = dataclasses.replace(
+            self.problem, observations=self._stated_observations.of_shape(shape)
+        )
+
+    def with_shape(self, shape: TargetShape | None) -> "ViewStatistics":
+        """Return the statistics for a target of another shape."""
+        views = copy.copy(self)
+        if shape is not None:
+            views._set_shape(shape)
+        return views
+
+    def moved(self, z: Step, step: Step) -> tuple["ViewStatistics", Step]:
+        """Return the statistics and the step of the problem after a step of all parameters.
+
+        Args:
+            z: step of the problem at the linearisation.
+            step: change of its parameters, and after them of the target's shape.
+        """
+        count = len(self.free)
+        shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
+        z = jax.tree.map(np.asarray, z)
+        moved = Step(z.shared + shared[:count], z.per_view + per_view)
+        if self.shape is None:
+            return self, moved
+        coefficients = np.asarray(self.shape.coefficients) + shared[count:]
+        return self.with_shape(self.shape.with_coefficients(coefficients)), moved
 
     def linearise(self, z: Step) -> LinearisedViews:
         """Linearise the problem at a step, by another pass over the pixels."""
         problem = padded(self.problem)
+        if self.shape is not None:
+            equations = _equations_with_shape(problem, padded_step(z, problem), self.shape)
+            return self._with_equations(self._without_padding(equations), z)
         equations = _equations_without_priors(problem, padded_step(z, problem))
         return self._with_equations(equations_without_padding(equations, self.problem), z)
 
@@ -96,6 +151,9 @@ class ViewStatistics:
             z: step of the fit.
             equations: its normal equations, with these priors.
         """
+        if self.shape is not None:
+            # The fit holds the shape: its derivatives take another pass.
+            return self.linearise(z)
         equations, weight = jax.tree.map(np.asarray, (equations, fitted.prior_weight))
         offset = self._offset_from_prior(z)
         # A prior adds w^2 o^2 / 2 to the cost, w^2 o to the gradient and w^2 to the diagonal; to
@@ -122,7 +180,29 @@ class ViewStatistics:
 
     def _offset_from_prior(self, z: Step) -> Step:
         """Return the differences of the free parameters from their prior means at a step."""
-        return jax.tree.map(np.add, self._offset_at_start, z)
+        shared, per_view = jax.tree.map(np.add, self._offset_at_start, z)
+        if self.shape is not None:
+            shared = np.append(shared, np.asarray(self.shape.coefficients))
+        return Step(shared, per_view)  # pyright: ignore[reportArgumentType]
+
+    def _without_padding(self, equations: NormalEquations) -> NormalEquations:
+        """Return the equations without parameters and views that were added to the problem."""
+        equations = jax.tree.map(np.asarray, equations)
+        gradient, matrix = equations.gradient, equations.matrix
+        added = len(gradient.shared) - len(self.shape_names)
+        kept = np.append(np.arange(len(self.free)), np.arange(added, len(gradient.shared)))
+        views = len(self.per_view_free)
+        return eqx.tree_at(
+            lambda e: (*e.gradient, e.matrix.shared, e.matrix.border, e.matrix.per_view),
+            equations,
+            (
+                gradient.shared[kept],
+                gradient.per_view[:views],
+                matrix.shared[np.ix_(kept, kept)],
+                matrix.border[:views, :, kept],
+                matrix.per_view[:views],
+            ),
+        )
 
     def _with_equations(self, equations: NormalEquations, z: Step) -> LinearisedViews:
         """Return the views with the normal equations of the observations alone at a step."""
@@ -161,11 +241,12 @@ def with_free_poses(problem: JointProblem) -> JointProblem:
 
 
 def with_prior_sigmas(
-    problem: JointProblem, sigmas: StandardDeviations, group_index: Int[np.ndarray, "free"]
+    problem: JointProblem, sigmas: StandardDeviations, group_index: Int[np.ndarray, "shared"]
 ) -> JointProblem:
     """Return the problem with priors of the given standard deviations."""
     shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
-    weights = sigmas.prior_weights(group_index, shared[free])
+    # The shape of the target is no parameter of the problem, which it comes after in the index.
+    weights = sigmas.prior_weights(group_index[: len(free)], shared[free])
     shared[free] = weights.shared
     per_view = np.tile(weights.per_view, (len(problem.per_view_free), 1))
     return dataclasses.replace(
@@ -199,24 +280,44 @@ def _equations_without_priors(problem: JointProblem, z: Step) -> NormalEquations
     return problem.normal_equations_without_priors(z)
 
 
-def _group_names(built: BuiltProblem, scale_is_group: bool) -> tuple[str, ...]:
+@compiled
+def _equations_with_shape(problem: JointProblem, z: Step, shape: TargetShape) -> NormalEquations:
+    """Return the normal equations of the observations by the target's shape, too."""
+    return problem.normal_equations_with_shape(z, shape)
+
+
+def shape_parameter_names() -> tuple[str, ...]:
+    """Return the names of the parameters of the target's shape."""
+    return tuple(f"{TARGET_SHAPE}.{name}" for name in SHAPE_NAMES)
+
+
+def _group_names(
+    built: BuiltProblem, scale_is_group: bool, shape: TargetShape | None
+) -> tuple[str, ...]:
     """Return the names of the groups of unknown standard deviation that have free parameters.
 
     Args:
         built: problem with the names of its parameters.
         scale_is_group: whether the target's scale is a group of its own, the last one.
+        shape: shape of the target, whose groups come before that; None where it is held.
     """
     error = built.problem.parameters.start.robot_error
     groups = () if error is None else error.field.groups
     free_groups = {name.split(".")[1] for name in built.shared_names if _is_field_name(name)}
     names = tuple(name for name, _ in groups if name in free_groups)
+    names = names if shape is None else (*names, *SHAPE_GROUPS)
     return (*names, TARGET_SCALE) if scale_is_group else names
 
 
-def _group_index(built: BuiltProblem, scale_is_group: bool) -> Int[np.ndarray, "free"]:
+def _group_index(
+    built: BuiltProblem, group_names: Sequence[str], shape: TargetShape | None
+) -> Int[np.ndarray, "shared"]:
     """Return the group of unknown standard deviation of each free shared parameter; -1 for none."""
-    index = {name: k for k, name in enumerate(_group_names(built, scale_is_group))}
+    index = {name: k for k, name in enumerate(group_names)}
     groups = [name.split(".")[1] if _is_field_name(name) else name for name in built.shared_names]
+    if shape is not None:
+        for group, coefficients in zip(SHAPE_GROUPS, (BOW, PRINT), strict=True):
+            groups += [group] * len(SHAPE_NAMES[coefficients])
     return np.array([index.get(group, -1) for group in groups], dtype=int)
 
 

@@ -5,8 +5,10 @@ Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..array_namespace import AnyArray
 from ..compilation import compiled_optimised
 from .optimality_criteria import OptimalityCriterion
 
@@ -91,7 +93,7 @@ def cumulative_criterion(
 
 
 def views_needed(
-    values: Float[Array, "views"],
+    values: Float[AnyArray, "views"],
     min_relative_decrease: float = 0.05,
     required_value: float | None = None,
 ) -> int:
@@ -107,12 +109,13 @@ def views_needed(
         A number from 1; the number of all views if neither condition is met earlier.
     """
     # `value` is that after k views, and values[k], counted from zero, that after k + 1 views.
+    values = np.asarray(values)
     for k, value in enumerate(values, start=1):
         if required_value is not None and value <= required_value:
             return k
         if (
             k < len(values)
-            and jnp.isfinite(value)
+            and np.isfinite(value)
             and values[k] > (1.0 - min_relative_decrease) * value
         ):
             return k

@@ -8,9 +8,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array
+from ..array_namespace import as_float_array, to_device
 from ..calibration import Calibration
-from ..compilation import one_program
+from ..compilation import is_traced, one_program
 from ..geometry import transform_points
 from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
 from .reachability import is_singular, status_message
@@ -103,13 +103,13 @@ class Checks(eqx.Module):
     @property
     def ok(self) -> Bool[Array, "*views"]:
         """Whether a viewpoint passes all checks."""
-        return jnp.all(jnp.stack(list(self.passed.values())), axis=0)
+        return _all_of(list(self.passed.values()))
 
     @property
     def safe(self) -> Bool[Array, "*views"]:
         """Whether a viewpoint passes those of the `SAFETY_CHECKS` that could be checked."""
         masks = [mask for name, mask in self.passed.items() if name in SAFETY_CHECKS]
-        return jnp.all(jnp.stack(masks), axis=0)
+        return _all_of(masks)
 
     def safety_violations(self) -> tuple[str, ...]:
         """Return the reasons among the `SAFETY_CHECKS` for each viewpoint, in flat order."""
@@ -141,6 +141,14 @@ class Checks(eqx.Module):
         return CHECK_MESSAGES[check].format(measured)
 
 
+def _all_of(masks: list[Bool[Array, "*views"]]) -> Bool[Array, "*views"]:
+    """Return where all masks are True."""
+    if is_traced(masks):
+        return jnp.all(jnp.stack(masks), axis=0)
+    return to_device(np.all([np.asarray(mask) for mask in masks], axis=0))
+
+
+@one_program
 def check_views(
     calibration: Calibration,
     command: Command,

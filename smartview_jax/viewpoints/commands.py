@@ -7,8 +7,10 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..array_namespace import as_float_array
 from ..calibration import Calibration
 from ..cameras import Camera
+from ..compilation import compiled, is_traced
 from ..geometry import PoseLike, as_se3, xyzoat
 from ..robots import Command, CommandLike, JointsLike, JointSolution, SerialArm, as_command
 from .checks import Checks, Limits, check_views
@@ -30,7 +32,7 @@ class ViewCalibration(eqx.Module):
     camera_from_world: SE3
 
 
-@eqx.filter_jit
+@compiled
 def predict(calibration: Calibration, command: CommandLike) -> ViewCalibration:
     """Return the calibration of any viewpoints, from robot commands or reports, `(*views)`.
 
@@ -100,25 +102,23 @@ def viewpoint_commands(
         raise ValueError("an arm reaches a pose in several ways: give near=joints to begin from")
     wanted = as_se3(camera_from_world)
     if near is not None:
-        near = jnp.asarray(near, dtype=float)
-        near = jnp.broadcast_to(near, (*wanted.get_batch_axes(), near.shape[-1]))
-    command = _reported_command(calibration, wanted, near)
+        shape = (*wanted.get_batch_axes(), np.shape(near)[-1])
+        near = (
+            jnp.broadcast_to(jnp.asarray(near, dtype=float), shape)
+            if is_traced(near)
+            else as_float_array(np.broadcast_to(near, shape))
+        )
+    command = calibration.robot_command_for(wanted, near=near)
     solution = None
     if arm is not None and near is not None:
         # Outside jit, because only there the arm's parameters show whether it has a closed form.
         solution = solve_joints(arm, command, near)
         command = Command(command.base_from_tool, solution.joints)
-    points = None if points is None else jnp.asarray(points, dtype=float)
+    points = None if points is None else as_float_array(points)
     return _commands_with_checks(calibration, command, points, solution, limits or Limits())
 
 
-@eqx.filter_jit
-def _reported_command(calibration: Calibration, wanted: SE3, near: Array | None) -> Command:
-    """Return the commands, with the robot error compensated, that lead to wanted camera poses."""
-    return calibration.robot_command_for(wanted, near=near)
-
-
-@eqx.filter_jit
+@compiled
 def _commands_with_checks(
     calibration: Calibration,
     command: Command,

@@ -16,6 +16,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..array_namespace import as_float_array, to_device
 from ..calibration import Calibration
 from ..compilation import compiled_optimised
 from ..dataset import Dataset, Observations
@@ -78,7 +79,7 @@ class InformationModel(eqx.Module):
         Raises:
             ValueError: arm errors without `near`, or as in `fit_joint`.
         """
-        target = jnp.asarray(points, dtype=float)
+        target = as_float_array(points)
         arm = nominal_arm(calibration.field if field == "auto" else field)
         if arm is not None and near is None:
             raise ValueError(
@@ -101,12 +102,13 @@ class InformationModel(eqx.Module):
         )
         problem = built.problem
         if not isinstance(noise, Noise):
-            sigma = jnp.asarray(float(noise))
+            sigma = to_device(float(noise))
             problem = eqx.tree_at(lambda p: p.pixel_sigma, problem, sigma)
         # Prior information is the square of the weight on each free parameter.
-        weight = problem.prior_weight.shared[problem.free]
-        near_joints = None if arm is None else jnp.asarray(near, dtype=float)
-        model = cls(problem, target, jnp.diag(weight**2), near_joints, built.shared_names)
+        weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
+        near_joints = None if arm is None or near is None else as_float_array(near)
+        prior = to_device(np.diag(weight**2))
+        model = cls(problem, target, prior, near_joints, built.shared_names)
         if previous_data is None:
             return model
         previous_information = jnp.sum(model.dataset_information(previous_data), axis=0)
@@ -230,6 +232,7 @@ class InformationModel(eqx.Module):
 
 def _placeholder_commands(calibration: Calibration, points: Float[Array, "points 3"]) -> SE3:
     """Return three arbitrary views, on which the used parts of the problem do not depend."""
-    size, middle = jnp.max(jnp.ptp(points, axis=0)), jnp.mean(points, axis=0)
-    facing = look_at(middle, jnp.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)
+    target = np.asarray(points)
+    size, middle = np.ptp(target, axis=0).max(), target.mean(axis=0)
+    facing = look_at(middle, np.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)
     return calibration.command_for(facing)

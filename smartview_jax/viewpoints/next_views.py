@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise, parameter_names
-from ..geometry import ViewedRegion
+from ..geometry import ViewedRegion, host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike, SerialArm
 from .candidate_selection import views_needed
@@ -182,10 +182,10 @@ def plan_views(
     )
     before = float(criterion(model.prior_information))
     before = before if np.isfinite(before) else float("inf")
-    values = tuple(float(value) for value in chosen.cumulative_criterion)
+    values = tuple(np.asarray(chosen.cumulative_criterion).tolist())
     # The state before counts too: it may be that no view at all is worth taking.
-    needed = views_needed(jnp.array([before, *values]), least_gain, goal) - 1
-    matrices = np.asarray(chosen.camera_from_world.as_matrix())[:needed]
+    needed = views_needed(to_device([before, *values]), least_gain, goal) - 1
+    matrices = host_matrices(chosen.camera_from_world)[:needed]
     return ViewPlan(matrices, before, values, criterion.unit, distance)
 
 

@@ -15,6 +15,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..array_namespace import to_device
 from ..compilation import one_program
 from ..engine import RANK_TOLERANCE
 from .information_model import InformationModel
@@ -92,7 +93,7 @@ def a_optimal(information_model: InformationModel, lever_arm: float) -> Optimali
     # A rotation about an axis does not displace points on it: on average over directions two of
     # three axes displace the point, hence 2/3 lever_arm^2.
     return OptimalityCriterion(
-        jnp.diag(jnp.asarray(is_translation + 2.0 / 3.0 * lever_arm**2 * is_rotation)), "m"
+        to_device(np.diag(is_translation + 2.0 / 3.0 * lever_arm**2 * is_rotation)), "m"
     )
 
 

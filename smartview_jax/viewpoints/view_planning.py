@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from ..compilation import compiled_optimised
+from ..array_namespace import AnyArray, to_device
+from ..compilation import compiled_optimised, one_program
 from .candidate_selection import cumulative_criterion, exchange_selection, greedy_selection
 from .information_model import InformationModel
 from .optimality_criteria import OptimalityCriterion
@@ -86,10 +87,10 @@ def choose_views(
     say = progress or (lambda _: None)
 
     def is_admissible(poses: SE3) -> Bool[Array, "views"]:
-        enough_visible = (
-            visible_fraction(information_model, poses, border_margin) >= min_visible_fraction - 1e-9
-        )
-        return enough_visible if allowed is None else enough_visible & allowed(poses)
+        visible = np.asarray(visible_fraction(information_model, poses, border_margin))
+        enough_visible = visible >= min_visible_fraction - 1e-9
+        allowed_views = True if allowed is None else np.asarray(allowed(poses))
+        return to_device(enough_visible & allowed_views)
 
     if isinstance(views, ViewRange):
         coordinates = views.sample(np.random.default_rng(seed), DEFAULT_CANDIDATE_COUNT)
@@ -97,7 +98,7 @@ def choose_views(
     else:
         coordinates, candidates = None, views
     admissible = is_admissible(candidates)
-    admissible_count = int(jnp.sum(admissible))
+    admissible_count = int(np.sum(admissible))
     if admissible_count < count or count < 1:
         raise ValueError(
             f"{count} views asked for; of {len(admissible)} candidates {admissible_count} may be "
@@ -113,14 +114,14 @@ def choose_views(
     index = exchange_selection(
         information, information_model.prior_information, criterion, index, admissible
     )
-    poses, selected_information = SE3(candidates.wxyz_xyz[index]), information[index]
+    poses, selected_information = _rows((candidates, information), index)
     if refine and isinstance(views, ViewRange) and coordinates is not None:
         say("moving them by the gradient")
         refined_poses = refine_views(
             information_model,
             criterion,
             views,
-            coordinates[index],
+            _rows(coordinates, index),
             border_margin,
             min_visible_fraction,
             is_admissible,
@@ -128,9 +129,8 @@ def choose_views(
         refined_information = information_model.information(refined_poses)
         # Backtracking to admissible views can undo the improvement, so the refined views are kept
         # only if they have the smaller criterion.
-        if bool(
-            _total_criterion(criterion, refined_information, information_model)
-            < _total_criterion(criterion, selected_information, information_model)
+        if float(_total_criterion(criterion, refined_information, information_model)) < float(
+            _total_criterion(criterion, selected_information, information_model)
         ):
             poses, selected_information = refined_poses, refined_information
     # The chosen views are sorted by how much each reduces the criterion, so that any first few of
@@ -140,15 +140,20 @@ def choose_views(
         information_model.prior_information,
         criterion,
         count,
-        jnp.ones(count, dtype=bool),
+        to_device(np.ones(count, dtype=bool)),
     )
+    poses, selected_information = _rows((poses, selected_information), order)
     return ChosenViews(
-        SE3(poses.wxyz_xyz[order]),
-        cumulative_criterion(
-            selected_information[order], information_model.prior_information, criterion
-        ),
+        poses,
+        cumulative_criterion(selected_information, information_model.prior_information, criterion),
         criterion.unit,
     )
+
+
+@one_program
+def _rows(arrays: Any, index: Int[Array, "count"]) -> Any:
+    """Return the rows of arrays, or of transforms, at the given indices."""
+    return jax.tree.map(lambda array: array[index], arrays)
 
 
 @compiled_optimised
@@ -178,12 +183,23 @@ def refine_views(
     minimiser = _minimise_bfgs(
         initial, information_model, criterion, views, border_margin, min_visible_fraction
     )
-    accepted_fraction = jnp.zeros(len(coordinates))
+    accepted_fraction = np.zeros(len(coordinates))
     # From small to large fractions: for each view the last one that is admissible remains.
     for fraction in BACKTRACKING_FRACTIONS[::-1]:
-        poses = _poses_at(views, initial + fraction * (minimiser - initial))
-        accepted_fraction = jnp.where(is_admissible(poses), fraction, accepted_fraction)
-    return _poses_at(views, initial + accepted_fraction[:, None] * (minimiser - initial))
+        poses = _poses_between(views, initial, minimiser, np.full(len(coordinates), fraction))
+        accepted_fraction[np.asarray(is_admissible(poses))] = fraction
+    return _poses_between(views, initial, minimiser, accepted_fraction)
+
+
+@compiled_optimised
+def _poses_between(
+    views: ViewRange,
+    initial: Float[Array, "count 6"],
+    minimiser: Float[Array, "count 6"],
+    fraction: Float[AnyArray, "count"],
+) -> SE3:
+    """Return the poses at fractions of the way between unbounded coordinates."""
+    return _poses_at(views, initial + jnp.asarray(fraction)[:, None] * (minimiser - initial))
 
 
 @compiled_optimised

@@ -1,5 +1,6 @@
 """A folder that was begun can be filled in and read, for every robot and every target."""
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -61,3 +62,32 @@ def test_an_unknown_robot_is_named_with_the_known_ones(tmp_path):
     assert run.exit_code == 2
     assert "kuka" in run.output
     assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".tif", ".PNG"])
+def test_pictures_that_are_there_already_are_described(tmp_path, suffix):
+    """Their size, suffix and number need not be stated by a person."""
+    images = tmp_path / "mine" / "images"
+    images.mkdir(parents=True)
+    for name in (f"a{suffix}", f"b{suffix}", "screen.bmp"):
+        (images / name).write_bytes(cv2.imencode(suffix.lower(), np.zeros((48, 64), np.uint8))[1])
+    (images / "Thumbs.db").write_bytes(b"no picture")
+    run = CliRunner().invoke(app, ["new", str(tmp_path / "mine")])
+    assert run.exit_code == 0
+    assert f"2 pictures named *{suffix}, 64 x 48 px" in run.output.replace("\n", " ")
+    assert "not among them: screen.bmp" in run.output.replace("\n", " ")
+    content = read_yaml(tmp_path / "mine" / "dataset.yaml")
+    assert content["camera"]["image_size"] == [64, 48]
+    assert content["pictures"]["pattern"] == "images/{view}" + suffix
+
+
+def test_a_grid_of_tags_is_not_begun_with_the_numbers_of_kalibr(tmp_path):
+    for kind in ("tag_grid", "aprilgrid"):
+        write_new_dataset(tmp_path / kind, "ros", kind, "eye_in_hand", (640, 480))
+    tags, april = (
+        target_from_dict(read_yaml(tmp_path / kind / "dataset.yaml")["target"])
+        for kind in ("tag_grid", "aprilgrid")
+    )
+    assert (april.rows, april.columns, april.size, april.border_bits) == (6, 6, 0.088, 2)
+    assert tags.size != april.size
+    assert tags.border_bits == 1

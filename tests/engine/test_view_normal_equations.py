@@ -110,7 +110,7 @@ def test_a_field_of_the_robots_error(scene, mount, corrected, lens):
     data, start = mounted(scene, mount)
     field = LinearInPose.from_poses(data.base_from_tool)
     noise = Noise(0.15, 1e-3, 1e-2, field=(1e-3, 2e-3, 3e-3, 4e-3)) if corrected else "trusted"
-    priors = {} if corrected else {"robot_error": Prior(1e-3, mean=0.0)}
+    priors = {} if corrected else {"robot_error": Prior(std=1e-3, mean=0.0)}
     problem = build_problem(data, start, lens=lens, noise=noise, priors=priors, field=field).problem
     assert_same(*dense_and_structured(problem, 3e-2))
 
@@ -149,8 +149,8 @@ def test_corrections_scale_and_priors(scene, mount, lens, coefficient):
         free=("target_scale",),
         fixed=("camera.v0", "pose_corrections.3", "pose_corrections.1.rotation.z"),
         priors={
-            f"camera.lens.{coefficient}": Prior(0.1, mean=0.2),
-            "pose_corrections.2": Prior(0.5),
+            f"camera.lens.{coefficient}": Prior(std=0.1, mean=0.2),
+            "pose_corrections.2": Prior(std=0.5),
         },
     ).problem
     # jaxlie's exp loses digits at small angles, so the step is a large one here.

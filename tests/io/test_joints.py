@@ -7,12 +7,13 @@ from smartview_jax.robots import SerialArm, kuka_lwr4
 from smartview_jax.targets import CircleGrid
 
 TARGET = CircleGrid(3, 4, 0.01)
+SEEN = 100.0 + 3000.0 * TARGET.points[:, :2]
 
 
 @pytest.fixture
 def data():
     rng = np.random.default_rng(0)
-    pixels = rng.uniform(0.0, 400.0, (3, 12, 2))
+    pixels = SEEN + rng.uniform(0.0, 200.0, (3, 1, 2))
     joints = rng.uniform(-1.0, 1.0, (3, 7))
     return Dataset.from_arrays(
         TARGET.points, pixels, None, (640, 480), target=TARGET, joints=joints, arm=kuka_lwr4()
@@ -54,7 +55,7 @@ def test_joints_alone_in_degrees_with_a_named_arm(data, folder):
 
 def test_a_gantrys_joint_has_a_length(tmp_path):
     arm = SerialArm([0.0, 0.0], [0.1, 0.2], [0.0, 0.5], [0.0, 0.3], prismatic=[True, False])
-    pixels = np.full((3, 12, 2), 7.0)
+    pixels = np.stack([SEEN] * 3)
     joints = np.array([[0.25, 0.5], [0.3, 0.6], [0.4, 0.7]])
     data = Dataset.from_arrays(
         TARGET.points, pixels, None, (640, 480), target=TARGET, joints=joints, arm=arm

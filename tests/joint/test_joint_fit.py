@@ -272,7 +272,7 @@ def test_noise_and_priors_must_be_positive():
 @pytest.mark.parametrize("sigma", [0.02, 1.5])
 def test_priors_weigh_as_much_as_they_say_where_the_residuals_tell_the_sigma(sigma):
     scene = scene_of(5, pixel_noise=sigma)
-    priors = {"camera.u0": Prior(1.0), "camera_from_tool.translation.z": Prior(1e-4)}
+    priors = {"camera.u0": Prior(std=1.0), "camera_from_tool.translation.z": Prior(std=1e-4)}
     fit = fit_joint(scene.data, scene.calibration, noise="trusted", priors=priors)
     assert fit.pixel_sigma == pytest.approx(sigma, rel=0.05)
     bound = cramer_rao(fit.calibration, scene.data, fit.pixel_sigma, priors=priors)
@@ -291,9 +291,10 @@ def test_priors_about_the_start_stay_there_while_the_noise_is_estimated():
         free.calibration,
         camera_from_mount=SE3.from_rotation_and_translation(turned, mount.translation()),
     )
-    known = {path: Prior(std), "camera.u0": Prior(0.01)}
+    known = {path: Prior(std=std), "camera.u0": Prior(std=0.01)}
     estimated = fit_joint(scene.data, start, field=None, priors=known)
-    stated = fit_joint(scene.data, start, field=None, priors=known, noise=estimated.noise)
+    of_shape = dataclasses.replace(start, target_shape=estimated.calibration.target_shape)
+    stated = fit_joint(scene.data, of_shape, field=None, priors=known, noise=estimated.noise)
     moved = (estimated.calibration.camera_from_tool.rotation() @ mount.rotation().inverse()).log()
     # Halfway between the data's answer and the prior's, which weigh the same.
     assert float(moved[0]) == pytest.approx(1.5 * std, rel=0.15)

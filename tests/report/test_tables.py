@@ -125,10 +125,13 @@ def test_the_errors_found_are_in_the_units_people_use(moved_view):
         tried,
         None,
         None,
+        None,
+        None,
         False,
         sizes,
         (),
         none,
+        np.zeros((0, 0)),
         RobotPrior(),
     )
     stated = moved_view[1].joint

@@ -1,6 +1,7 @@
 """The Puma's models, and its closed-form inverse."""
 
 import dataclasses
+import inspect
 
 import equinox as eqx
 import jax
@@ -14,6 +15,7 @@ from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import (
     SerialArm,
     SolutionStatus,
+    general_inverse_kinematics,
     is_puma_like,
     joints_for_pose,
     kuka_lwr4,
@@ -60,8 +62,7 @@ ARMS = {
 }
 
 
-# One program for all arms; without `jit` every operation is one.
-all_joints = eqx.filter_jit(puma_joints)
+all_joints = puma_joints
 nearest_joints = joints_for_pose
 
 
@@ -315,3 +316,15 @@ def test_other_arms_are_refused():
         with pytest.raises(ValueError, match="a Puma-like arm has six revolute joints"):
             puma_joints(arm, SE3.identity())
     assert is_puma_like(puma_560())
+
+
+def test_the_program_that_solves_for_a_known_arm_can_be_kept():
+    """One that calls Python, to raise at run time, would be compiled anew in every process."""
+    arm, joints = puma_560(), jnp.zeros(6)
+
+    def calls_python(solve):
+        text = eqx.filter_jit(solve).lower(arm, arm.base_from_tool(joints), joints).as_text()
+        return "callback" in text
+
+    assert not calls_python(inspect.unwrap(general_inverse_kinematics._closed_form_solution))
+    assert calls_python(nearest_puma_joints), "within jit nobody knows the arm"

@@ -146,7 +146,7 @@ def test_a_view_with_twelve_good_corners_is_kept(few_corners):
     assert np.asarray(few_corners.visible)[FEW].sum() == 12
     assert whole(fit) == []
     assert np.asarray(fit.inliers)[FEW].sum() == 12
-    # By its points alone it has the other of its two poses, 23 degrees off: the robot knows.
+    # By its points alone it has the other of its two poses, 23 degrees off: motion knows.
     assert FEW in fit.views
     assert misfits(fit, few_corners)[FEW, 1] < np.deg2rad(5.0)
 

@@ -26,7 +26,10 @@ def statistics():
         field=LinearInPosition.from_poses(scene.data.base_from_tool),
         free=("target_scale",),
         fixed=(f"pose_corrections.{scene.data.view_ids[2]}.rotation",),
-        priors={"camera.alpha_u": Prior(3.0, 2010.0), "target_scale": Prior(0.01, 0.99)},
+        priors={
+            "camera.alpha_u": Prior(std=3.0, mean=2010.0),
+            "target_scale": Prior(std=0.01, mean=0.99),
+        },
     )
     return ViewStatistics(built, np.delete(np.arange(8), 5), 100.0)
 
@@ -72,5 +75,6 @@ def test_offsets_are_from_the_means_of_the_priors(statistics):
     z = statistics.problem.zero_step()
     offset = statistics.linearise(z).offset_from_prior.shared
     start = statistics.problem.parameters.start
-    expected = [start.camera.alpha_u - 2010.0, start.target_scale - 0.99]
+    # The parameter of the target's scale is its logarithm.
+    expected = [start.camera.alpha_u - 2010.0, np.log(start.target_scale / 0.99)]
     np.testing.assert_allclose(offset[offset != 0.0], expected, rtol=1e-12)

@@ -101,7 +101,7 @@ def test_the_goals_are_those_of_the_bound_of_the_chosen_views(survey, goal, test
 def test_priors_past_views_and_an_exact_robot_count_as_in_the_bound(candidates):
     poses, _ = candidates
     first, rest = SE3(poses.wxyz_xyz[:3]), SE3(poses.wxyz_xyz[3:6])
-    priors = {"camera.lens.k1": Prior(0.01)}
+    priors = {"camera.lens.k1": Prior(std=0.01)}
     bound = cramer_rao(TRUTH, taken(SE3(poses.wxyz_xyz[:6])), 0.15, priors=priors)
     survey = InformationModel.from_calibration(
         TRUTH, POINTS, 0.15, priors=priors, previous_data=taken(first)

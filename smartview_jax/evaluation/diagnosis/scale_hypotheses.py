@@ -14,6 +14,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array
 
+from ...array_namespace import to_device
 from ...calibration import Calibration
 from ...dataset import Dataset
 from ...engine import parameter_names
@@ -140,13 +141,15 @@ def fit_scale_hypothesis(
     """
     start = fit.calibration.uncorrected
     views = data.usable_views()
-    pose = LinearInPose.from_poses(SE3(data.base_from_tool.wxyz_xyz[views]))
-    all_groups_field = LinearInPoseWithScales(pose, _scale_center(start), jnp.ones(6))
+    pose = LinearInPose.from_poses(SE3(to_device(np.asarray(data.base_from_tool.wxyz_xyz)[views])))
+    all_groups_field = LinearInPoseWithScales(pose, _scale_center(start), to_device(np.ones(6)))
     active = [
         k < field_group_count or name == group
         for k, (name, _) in enumerate(all_groups_field.groups)
     ]
-    field = dataclasses.replace(all_groups_field, active_groups=jnp.array(active, dtype=float))
+    field = dataclasses.replace(
+        all_groups_field, active_groups=to_device(np.array(active, dtype=float))
+    )
     free_names = {TARGET_SCALE, *fit.parameter_names}
     fixed_names = tuple(name for name in parameter_names(start) if name not in free_names)
     # A wrong size of the target is one of the hypotheses: `fit_joint` must not try one in addition.

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
+from ...array_namespace import to_device
 from ...calibration import Calibration
 from ...dataset import Dataset
 from ..measures import Predictor, ReprojectionErrors, reprojection_errors
@@ -166,7 +167,8 @@ def _extrapolated_views(fold: FoldFit, data: Dataset) -> tuple[int, ...]:
     if is_inside is None:
         return ()
     views = np.array(fold.views)
-    return tuple(int(v) for v in views[~is_inside(SE3(data.base_from_tool.wxyz_xyz[views]))])
+    poses = np.asarray(data.base_from_tool.wxyz_xyz)[views]
+    return tuple(int(v) for v in views[~is_inside(SE3(to_device(poses)))])
 
 
 def pool_errors(

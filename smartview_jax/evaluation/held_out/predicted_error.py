@@ -14,6 +14,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ...array_namespace import to_device
 from ...calibration import Calibration
 from ...compilation import compiled
 from ...dataset import Dataset
@@ -130,7 +131,7 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
     if noise is not None:
         if not max(noise.translation, noise.rotation) < np.inf:
             raise ValueError("a robot whose poses may be anywhere leaves nothing to predict")
-        pose_sigmas = jnp.repeat(jnp.array([noise.translation, noise.rotation]), 3)
+        pose_sigmas = to_device(np.repeat([noise.translation, noise.rotation], 3))
         pose_variance = np.asarray(
             _pose_noise_variance(calibration, pose_sigmas, data.command, data.points)
         )

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ...array_namespace import to_device
 from ...calibration import Calibration
-from ...dataset import Dataset, Observations, view_residuals
+from ...dataset import Dataset, Observations, chain_residuals
 from ...engine import host_retract
 from ...geometry import look_at
 from ...robots import Command, as_command
@@ -104,8 +104,7 @@ def _pixels_with_std(
 
     def pixels_of(one: Calibration) -> Float[np.ndarray, "views points 2"]:
         """Return the pixels under a calibration: minus the residuals of pixels that are zero."""
-        poses = np.asarray(one.camera_from_world_matrices(command))
-        residuals = np.asarray(view_residuals(one.camera, one.target_scale, poses, observations))
+        residuals = np.asarray(chain_residuals(one, observations))
         return np.where(np.isfinite(residuals), -residuals, np.nan)
 
     # With P = sum_k d_k d_k^T: J P J^T = sum_k (J d_k)^2, and J d_k from steps of +- d_k, which is

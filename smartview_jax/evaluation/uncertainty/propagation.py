@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...array_namespace import to_device
 from ...calibration import Calibration
 from ...compilation import compiled
 from ...engine import Observability, Parameters, Step, covariance_factor, parameter_names
@@ -47,7 +48,7 @@ def std_of(
     Raises:
         ValueError: the data leave something entirely undetermined; the message names it.
     """
-    return jnp.sqrt(_variance(estimate.calibration, function, covariance_root(estimate)))
+    return _standard_deviation(estimate.calibration, function, covariance_root(estimate))
 
 
 def covariance_of(
@@ -80,18 +81,18 @@ def covariance_root(estimate: CalibrationEstimate) -> Float[Array, "directions p
     # Held parameters have no uncertainty: their entries of every step stay zero.
     steps = np.zeros((len(roots), len(names)))
     steps[:, indices] = roots
-    return jnp.asarray(steps)
+    return to_device(steps)
 
 
 @compiled
-def _variance(
+def _standard_deviation(
     calibration: Calibration,
     function: Callable[[Calibration], Array],
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "*numbers"]:
-    """Return the variances of a function's numbers under steps of one standard deviation each."""
+    """Return a function's standard deviations, from steps of one standard deviation each."""
     # var(f) = sum_k (J d_k)^2, as P = sum_k d_k d_k^T. One tangent at a time: J is never stored.
-    return sum_of_squared_derivatives(_function_of_step(calibration, function), steps)
+    return jnp.sqrt(sum_of_squared_derivatives(_function_of_step(calibration, function), steps))
 
 
 @compiled

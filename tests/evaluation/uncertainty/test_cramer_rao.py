@@ -95,7 +95,7 @@ def test_pixels_do_not_matter_and_noise_counts_in_proportion(setting):
 def test_a_robot_that_errs_a_fit_and_priors_agree_with_the_bound(setting):
     """The stated deviations of a fit are the bound's at its own optimum; priors count in both."""
     scene, _ = setting
-    priors = {"camera.lens.k1": Prior(0.01)}
+    priors = {"camera.lens.k1": Prior(std=0.01)}
     fit = fit_joint(scene.data, scene.calibration, noise=NOISE, priors=priors)
     bound = cramer_rao(fit.calibration, scene.data, NOISE, priors=priors)
     for name, value in bound.std.items():

@@ -1,0 +1,130 @@
+"""The shape of a flat target: it bows a little, and is printed a little wider than high.
+
+A sheet on a board is never flat: bows of 0.1 to 0.3 mm are usual, and they cost as much of a
+hand-eye calibration as everything else together. Five numbers, in metres at the target's edge,
+describe what a sheet does at first: it bends about two axes and twists, and it is stretched along
+one axis more than along the other, or sheared. Equal stretch of both axes is the target's scale.
+"""
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..array_namespace import AnyArray, array_namespace, as_float_array, to_device
+from ..compilation import is_traced
+
+SHAPE_NAMES = ("bow_x", "bow_xy", "bow_y", "aspect", "shear")
+"""Names of the coefficients."""
+
+BOW, PRINT = slice(0, 3), slice(3, 5)
+"""The coefficients out of the target's plane and within it."""
+
+PLANE_TOLERANCE = 1e-6
+"""Heights of two points, m, that differ by less lie in one plane."""
+
+MIN_POINTS_PER_PLANE = 4
+"""Smallest number of points per plane, on average, of a target that is taken for flat."""
+
+EDGE = 1.25
+"""Distance from the centre, in half sizes, beyond which the shape goes on as it is there."""
+
+
+class TargetShape(eqx.Module):
+    """The deviation of a flat target's points from where they are stated.
+
+    Attributes:
+        centre: centre of the target in its plane (x, y), m.
+        half_size: half of its longer side, m.
+        mean_products: means of x^2, x y and y^2 over its points, x and y being distances from the
+            centre over the half size. The bow is about the plane in which the points lie on
+            average.
+        coefficients: displacement at the edge by each of `SHAPE_NAMES`, m.
+    """
+
+    centre: Float[Array, "2"]
+    half_size: Float[Array, ""]
+    mean_products: Float[Array, "3"]
+    coefficients: Float[Array, "5"]
+
+    def displaced(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 3"]:
+        """Return the points where they truly are, for a target of its stated size.
+
+        Args:
+            points: points as stated, in the target's frame, m.
+        """
+        # On the host outside of a transformation: a program of its own would take longer.
+        shape, stated = self, points
+        if not is_traced(self, points):
+            shape, stated = jax.tree.map(np.asarray, (self, points))
+        xp = array_namespace(shape, stated)
+        displacement = xp.einsum("...ci,c->...i", shape.directions(stated), shape.coefficients)
+        return as_float_array(stated + displacement)
+
+    def directions(self, points: Float[AnyArray, "*points 3"]) -> Float[AnyArray, "*points 5 3"]:
+        """Return how each coefficient displaces each point, per metre."""
+        xp = array_namespace(self, points)
+        # A point that is not on the target must not be moved by an extrapolated parabola.
+        x, y = (
+            xp.clip((points[..., k] - self.centre[k]) / self.half_size, -EDGE, EDGE)
+            for k in range(2)
+        )
+        zero = xp.zeros_like(x)
+        products = (x * x, x * y, y * y)
+        bow = (p - mean for p, mean in zip(products, self.mean_products, strict=True))
+        along_x = xp.stack([zero, zero, zero, x, y], axis=-1)
+        along_y = xp.stack([zero, zero, zero, -y, x], axis=-1)
+        along_z = xp.stack([*bow, zero, zero], axis=-1)
+        return xp.stack([along_x, along_y, along_z], axis=-1)
+
+    def with_coefficients(self, coefficients: Float[np.ndarray, "5"]) -> "TargetShape":
+        """Return the shape with other coefficients."""
+        return eqx.tree_at(lambda shape: shape.coefficients, self, to_device(coefficients))
+
+
+def flat_shape(
+    points: Float[np.ndarray, "views points 3"], visible: Bool[np.ndarray, "views points"]
+) -> TargetShape | None:
+    """Return the shape of a target that is exactly as stated; None for one that is not flat.
+
+    A target may lie in several parallel planes, as a board does that is seen at several heights.
+
+    Args:
+        points: points of the target in its frame in each view, m.
+        visible: mask of the points that were seen.
+    """
+    seen = np.unique(np.round(points[visible] / PLANE_TOLERANCE), axis=0) * PLANE_TOLERANCE
+    planes = len(np.unique(np.round(seen[:, 2] / PLANE_TOLERANCE))) if len(seen) else 1
+    if len(seen) < MIN_POINTS_PER_PLANE * planes:
+        return None
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    half_size = 0.5 * float((high - low).max())
+    if not half_size > 0.0:
+        return None
+    x, y = ((seen[:, :2] - 0.5 * (low + high)) / half_size).T
+    arrays = (
+        0.5 * (low + high),
+        np.asarray(half_size),
+        np.array([np.mean(x * x), np.mean(x * y), np.mean(y * y)]),
+        np.zeros(len(SHAPE_NAMES)),
+    )
+    return TargetShape(*map(to_device, arrays))
+
+
+def shape_to_dict(shape: TargetShape) -> dict[str, object]:
+    """Return a shape as plain numbers, all in metres but the mean products."""
+    return {
+        "centre": [float(x) for x in shape.centre],
+        "half_size": float(shape.half_size),
+        "mean_products": [float(x) for x in shape.mean_products],
+        "coefficients": {
+            name: float(x) for name, x in zip(SHAPE_NAMES, shape.coefficients, strict=True)
+        },
+    }
+
+
+def shape_from_dict(entry: dict) -> TargetShape:
+    """Return the shape that `shape_to_dict` described."""
+    coefficients = [entry["coefficients"][name] for name in SHAPE_NAMES]
+    numbers = (entry["centre"], entry["half_size"], entry["mean_products"], coefficients)
+    return TargetShape(*(to_device(np.array(x, dtype=float)) for x in numbers))

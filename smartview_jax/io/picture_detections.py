@@ -1,0 +1,194 @@
+"""Detect a target in all pictures of a data set, unless the detections were kept."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..detection import (
+    Detection,
+    DetectionLimits,
+    content_hash,
+    decode_picture,
+    detect,
+    detection_identity,
+    empty_detection,
+    picture_bytes,
+    read_picture,
+)
+from ..targets import AbstractTarget, StackedTarget
+from .detections import KeptDetection, read_kept_detections, write_kept_detections
+
+_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
+"""Suffixes of files that are counted as pictures, in lower case."""
+
+_DECIDING_PICTURES = 3
+"""Number of pictures of another size than stated, all equal, after which no more are looked at."""
+
+
+def detect_views(
+    pictures: Mapping[str, Sequence[Path]],
+    target: AbstractTarget,
+    image_size: tuple[int, int] | None = None,
+    bad_views: str = "raise",
+    progress: Callable[[str], None] | None = None,
+    cache: Path | None = None,
+    board_heights: Mapping[str, int] | None = None,
+    limits: DetectionLimits | None = None,
+) -> tuple[dict[str, Detection], tuple[int, int]]:
+    """Detect the target in every view, and return the detections and the pictures' size, px.
+
+    Args:
+        pictures, target, image_size, bad_views, progress, cache, board_heights: as in
+            `dataset_from_pictures`.
+        limits: of the test of detected points; by default `DetectionLimits()`.
+
+    Raises:
+        FileNotFoundError: no picture exists; or one does not, unless views are masked.
+        ValueError: no picture has the stated size or can be read; or one does not, unless views
+            are masked.
+    """
+    report_progress = progress or (lambda _: None)
+    limits = limits or DetectionLimits()
+    _refuse_missing(pictures)
+    image_size = _checked_size(pictures, image_size)
+    kept = {} if cache is None else read_kept_detections(cache, list(pictures), len(target.points))
+    common = repr((detection_identity(target), limits, image_size, cv2.__version__))
+    found: dict[str, KeptDetection] = {}
+    for number, (view, paths) in enumerate(pictures.items(), start=1):
+        height = None if board_heights is None else board_heights[view]
+        try:
+            contents = [picture_bytes(path) for path in paths]
+            digests = [content_hash(content) for content in contents]
+            key = hashlib.sha256(repr((common, height, digests)).encode()).hexdigest()[:16]
+            if view in kept and kept[view].key == key:
+                found[view] = kept[view]
+                continue
+            report_progress(f"looking for the target: view {view} ({number} of {len(pictures)})")
+            detection = _detect_view(paths, contents, target, image_size, height, limits)
+            found[view] = KeptDetection(key, detection)
+        except (FileNotFoundError, ValueError) as error:
+            if bad_views != "mask":
+                raise
+            found[view] = KeptDetection("", empty_detection(len(target.points), str(error)))
+    detections = {view: detection for view, (_, detection) in found.items()}
+    if all(not key for key, _ in found.values()):
+        raise ValueError(f"no picture can be used: {next(iter(detections.values())).reason}")
+    if cache is not None:
+        _keep(cache, kept, found, report_progress)
+    return detections, image_size
+
+
+def _keep(
+    cache: Path,
+    kept: Mapping[str, KeptDetection],
+    found: Mapping[str, KeptDetection],
+    report_progress: Callable[[str], None],
+) -> None:
+    """Write the detections to the file, unless all of them are from there."""
+    usable = {view: entry for view, entry in found.items() if entry.key}
+    if all(kept.get(view) is entry for view, entry in usable.items()):
+        report_progress(f"detections of {len(usable)} views from {cache.name}")
+        return
+    try:
+        write_kept_detections(cache, usable)
+    # The file only saves time: a folder that cannot be written to is no reason to fail.
+    except OSError as error:
+        report_progress(f"detections are not kept: {error}")
+
+
+def _detect_view(
+    paths: Sequence[Path],
+    contents: Sequence[bytes],
+    target: AbstractTarget,
+    image_size: tuple[int, int],
+    height: int | None,
+    limits: DetectionLimits,
+) -> Detection:
+    """Detect the target in a view's pictures; the heights of a stacked target are concatenated.
+
+    Args:
+        paths: a picture for each height, or the only one.
+        contents: of these files.
+        target: the target.
+        image_size: width and height that every picture must have, px.
+        height: index of the height in the only picture; the points of the others are not visible.
+        limits: of the test of detected points.
+    """
+    board = target.board if isinstance(target, StackedTarget) else target
+    parts, reasons = [], []
+    for path, content in zip(paths, contents, strict=True):
+        picture = decode_picture(path, content, image_size)
+        part = detect(picture.grey, board, limits)
+        parts.append(part)
+        if part.reason:
+            reasons.append(f"{part.reason}; {picture.range_in_words}")
+    if height is not None and isinstance(target, StackedTarget):
+        (found,), absent = parts, empty_detection(len(board.points), "")
+        parts = [found if k == height else absent for k in range(len(target.heights))]
+    return Detection(
+        np.concatenate([part.pixels for part in parts]),
+        np.concatenate([part.visible for part in parts]),
+        "; ".join(reasons) or None,
+        max(part.noise for part in parts),
+        sum(part.left_out for part in parts),
+    )
+
+
+def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
+    """Raise a FileNotFoundError if none of the pictures exists, which says what there is instead.
+
+    A wrong folder or suffix is then the reason, not a picture that was lost.
+    """
+    paths = [path for view_paths in pictures.values() for path in view_paths]
+    if not paths:
+        raise ValueError("pictures: expected at least one view")
+    if any(path.is_file() for path in paths):
+        return
+    first = paths[0]
+    if not first.parent.is_dir():
+        raise FileNotFoundError(f"{first}: no such picture: there is no folder {first.parent}")
+    others = [file for file in sorted(first.parent.iterdir()) if is_picture_name(file)]
+    there = f"such as {others[0].name}" if others else "no pictures"
+    raise FileNotFoundError(
+        f"{first}: no such picture, nor any other of {len(paths)}; {first.parent} has "
+        f"{f'{len(others)} others, ' if others else ''}{there}: does the pattern name their suffix "
+        "and folder?"
+    )
+
+
+def is_picture_name(path: Path) -> bool:
+    """Return whether a file has the suffix of a picture and is not hidden."""
+    return path.suffix.lower() in _PICTURE_SUFFIXES and not path.name.startswith(".")
+
+
+def _checked_size(
+    pictures: Mapping[str, Sequence[Path]], stated: tuple[int, int] | None
+) -> tuple[int, int]:
+    """Return the stated size of the pictures, or else the first picture's.
+
+    Raises:
+        ValueError: no picture can be read, or none has the stated size: the description is then
+            wrong, not a picture.
+    """
+    first_error: Exception | None = None
+    other_sizes: list[tuple[int, int]] = []
+    for path in (path for paths in pictures.values() for path in paths):
+        try:
+            rows, columns = read_picture(path).shape
+        except (FileNotFoundError, ValueError) as error:
+            first_error = first_error or error
+            continue
+        if stated is None or (columns, rows) == tuple(stated):
+            return columns, rows
+        other_sizes.append((columns, rows))
+        first_error = first_error or ValueError(
+            f"{path}: expected {stated[0]} x {stated[1]} px, found {columns} x {rows}: is the size "
+            "of the pictures stated rightly?"
+        )
+        # A picture or two may be others; more of one size are the data set's.
+        if len(other_sizes) >= _DECIDING_PICTURES and len(set(other_sizes)) == 1:
+            break
+    raise first_error or ValueError("pictures: expected at least one view")

@@ -1,0 +1,121 @@
+"""Fit the camera, a free pose for every view, and the target's shape to the pixels alone.
+
+No robot is needed for that. What is left over is noise within the views.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..calibration import TargetShape
+from ..engine import BuiltProblem, JointProblem, NormalEquations, Step, solve
+from .likelihood import LinearisedViews
+from .view_statistics import ViewStatistics, with_free_poses
+
+MAX_SHAPE_FITS = 4
+"""Largest number of fits, each with the target's shape that the one before calls for."""
+
+SHAPE_TOLERANCE = 0.1
+"""Change of every coefficient of the shape, in its standard deviations, that is small enough."""
+
+VAGUE_SHAPE_STD = 1e-2
+"""Prior standard deviation of the shape's coefficients, in half sizes of the target.
+
+It holds what the views do not determine, and nothing else: sheets bow by a tenth of it.
+"""
+
+
+class FreePoseFit(NamedTuple):
+    """The fit with free poses.
+
+    Attributes:
+        problem: the problem that was solved.
+        z: its solution.
+        equations: its normal equations there.
+        sum_of_squares: sum of its squared residuals, px^2.
+        shape: the target's shape; None where it is held as stated.
+    """
+
+    problem: JointProblem
+    z: Step
+    equations: NormalEquations
+    sum_of_squares: float
+    shape: TargetShape | None
+
+
+def fit_free_poses(
+    built: BuiltProblem,
+    usable_views: Int[np.ndarray, "placed"],
+    shape: TargetShape | None,
+    start: Step | None = None,
+) -> FreePoseFit:
+    """Fit camera, poses and shape to the pixels alone.
+
+    Args:
+        built: problem, with a pixel sigma of 1 px.
+        usable_views: indices of the views that are fitted.
+        shape: shape of the target to begin with; None holds it as stated.
+        start: step at which the fit begins; by default zero.
+    """
+    fits = 0
+    while True:
+        views = ViewStatistics(built, usable_views, 0.0, shape=shape)
+        problem = with_free_poses(views.problem)
+        solution, equations = solve(problem, start=start)
+        sum_of_squares, fits = 2.0 * float(equations.cost), fits + 1
+        fit = FreePoseFit(problem, solution.z, equations, sum_of_squares, shape)
+        if shape is None or fits == MAX_SHAPE_FITS:
+            return fit
+        visible = int(np.asarray(problem.observations.visible).sum())
+        variance = sum_of_squares / max(2 * visible - views.statistic_count, 1)
+        change, std = _shape_step(views, solution.z, shape, variance)
+        if not np.isfinite(change).all() or (np.abs(change) <= SHAPE_TOLERANCE * std).all():
+            return fit
+        shape = shape.with_coefficients(np.asarray(shape.coefficients) + change)
+        start = solution.z
+
+
+def _shape_step(
+    views: ViewStatistics, z: Step, shape: TargetShape, variance: float
+) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "5"]]:
+    """Return the step of the shape to its best value, and its standard deviations.
+
+    Args:
+        views: statistics of the views.
+        z: the fit with this shape.
+        shape: the shape.
+        variance: of a pixel's u and v, px^2.
+    """
+    linearised = views.linearise(z)
+    names, camera = len(views.shape_names), views.problem.parameters.layout.camera.stop
+    # The chain is held, the camera and the poses are free: of the shared parameters only the
+    # camera's and the shape's remain.
+    shared = np.arange(len(linearised.gradient.shared))
+    kept = np.append(np.flatnonzero(views.free < camera), shared[-names:])
+    matrix, gradient = _without_poses(linearised, kept)
+    vague = variance / (VAGUE_SHAPE_STD * float(shape.half_size)) ** 2
+    matrix[-names:, -names:] += vague * np.eye(names)
+    gradient[-names:] += vague * np.asarray(shape.coefficients)
+    # Focal lengths and coefficients differ by many orders of magnitude.
+    norms = np.sqrt(np.diagonal(matrix))
+    covariance = np.linalg.pinv(matrix / np.outer(norms, norms), hermitian=True)
+    covariance = covariance / np.outer(norms, norms)
+    step, std = -covariance @ gradient, np.sqrt(variance * np.diagonal(covariance))
+    return step[-names:], std[-names:]
+
+
+def _without_poses(
+    linearised: LinearisedViews, kept: Int[np.ndarray, "kept"]
+) -> tuple[Float[np.ndarray, "kept kept"], Float[np.ndarray, "kept"]]:
+    """Return the equations of some shared parameters, with free poses eliminated."""
+    matrix, gradient = linearised.matrix, linearised.gradient
+    border, free = matrix.border[:, :, kept], linearised.per_view_free
+    # A number that is held has an empty row; the one keeps its equation solvable.
+    per_view = matrix.per_view + np.eye(6)[None] * np.where(free, 0.0, 1.0)[:, None]
+    seen = np.linalg.matrix_rank(per_view, hermitian=True) == 6
+    gains = np.linalg.solve(per_view[seen], border[seen])
+    return (
+        matrix.shared[np.ix_(kept, kept)] - np.einsum("vki,vkj->ij", border[seen], gains),
+        gradient.shared[kept] - np.einsum("vki,vk->i", gains, gradient.per_view[seen]),
+    )

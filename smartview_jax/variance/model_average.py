@@ -1,0 +1,86 @@
+"""Average over models of the robot's error and of the target's size, and cover their disagreement.
+
+Where the data do not decide between two models, the answer lies between theirs, and its covariance
+has to cover both. The parameters' covariance over all models is the average of the covariances
+within the models, plus the covariance between the models: the weighted squares of their distances
+from the answer.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from .likelihood import ROBOT_SIGMA_FLOOR, LinearisedViews, StandardDeviations, marginalise
+from .model_selection import TARGET_SCALE, FittedCandidate, ModelName, average_standard_deviations
+
+
+def averaged_models(
+    views: LinearisedViews,
+    groups: tuple[str, ...],
+    fitted: Mapping[ModelName, FittedCandidate],
+    probabilities: Mapping[ModelName, float],
+) -> StandardDeviations:
+    """Return the standard deviations of the averaged model.
+
+    The target's size is estimated from the data in some models, and as stated in the others: its
+    prior standard deviation is that with which the most probable size is their average.
+
+    Args:
+        views: the linearised views.
+        groups: names of the groups, with `TARGET_SCALE` last where the scale is a parameter.
+        fitted: the models.
+        probabilities: their probabilities.
+    """
+    sigmas = average_standard_deviations(fitted, probabilities)
+    if TARGET_SCALE not in groups:
+        return sigmas
+    group = groups.index(TARGET_SCALE)
+    probability = sum(p for name, p in probabilities.items() if name.free_scale)
+    if not 0.0 < probability < 1.0:
+        prior_std = ROBOT_SIGMA_FLOOR if probability == 0.0 else _prior_std(fitted, group)
+        return _with_group(sigmas, group, prior_std)
+    # Data alone give the logarithm x +- s, the stated size is a logarithm of 0. With a prior
+    # 0 +- t the mode is x t^2 / (s^2 + t^2), which is the average p x for t^2 = s^2 p / (1 - p).
+    prior_std = _prior_std(fitted, group)
+    free = marginalise(views, _with_group(sigmas, group, prior_std))
+    variance = float(free.shared_covariance.diagonal()[views.group_index == group][0])
+    precision = (1.0 - probability) / (probability * variance) + prior_std**-2
+    return _with_group(sigmas, group, precision**-0.5)
+
+
+def between_models_covariance(
+    views: LinearisedViews,
+    fitted: Mapping[ModelName, FittedCandidate],
+    probabilities: Mapping[ModelName, float],
+    averaged: StandardDeviations,
+) -> Float[np.ndarray, "shared shared"]:
+    """Return the covariance of the parameters between the models, about the averaged answer.
+
+    Args:
+        views: the linearised views.
+        fitted: the models.
+        probabilities: their probabilities.
+        averaged: result of `averaged_models`.
+    """
+    answer = marginalise(views, averaged).step.shared
+    if not probabilities:
+        return np.zeros((len(answer), len(answer)))
+    differences = np.array(
+        [marginalise(views, fitted[name].maximum.sigmas).step.shared for name in probabilities]
+    )
+    differences = differences - answer
+    weights = np.array(list(probabilities.values()))
+    return differences.T @ (weights[:, None] * differences)
+
+
+def _prior_std(fitted: Mapping[ModelName, FittedCandidate], group: int) -> float:
+    """Return the prior standard deviation of the target's size in the models that estimate it."""
+    return max(float(one.maximum.sigmas.field[group]) for one in fitted.values())
+
+
+def _with_group(sigmas: StandardDeviations, group: int, value: float) -> StandardDeviations:
+    """Return the standard deviations with another one of one group."""
+    field = np.array(sigmas.field)
+    field[group] = value
+    return sigmas._replace(field=field)

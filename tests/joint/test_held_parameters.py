@@ -1,0 +1,113 @@
+"""What was held, or given by a prior, is asked of the pictures, and a contradiction is named."""
+
+import dataclasses
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fit_scenes import MANY_VIEWS
+from starts import nudged
+
+from smartview_jax import Prior, fit_joint
+from smartview_jax.cameras import Camera, Pinhole, Radial
+from smartview_jax.simulation import paper_calibration, random_scene
+
+
+def wide_scene(k1):
+    """A camera with a wide lens, and a board of 0.24 by 0.16 m that fills its picture."""
+    y, x = np.indices((2, 7)).reshape(2, -1)
+    board = np.stack([0.04 * x, 0.16 * y, np.zeros(14)], axis=1)
+    camera = Camera(1000.0, 1000.0, 640.0, 512.0, Radial(k1), (1280, 1024))
+    return random_scene(
+        0,
+        MANY_VIEWS,
+        board,
+        dataclasses.replace(paper_calibration(), camera=camera),
+        distance=(0.3, 0.45),
+        translation_noise=1e-4,
+        rotation_noise=np.deg2rad(0.01),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return wide_scene(0.02)
+
+
+@pytest.fixture(scope="module")
+def distorted():
+    return wide_scene(-0.05)
+
+
+def contradictions(fit):
+    return [one for one in fit.warnings if "pictures contradict" in one]
+
+
+def value_and_std(sentence, name):
+    value, std = re.search(rf"{name} ([-\d.e]+) \+- ([-\d.e]+)", sentence).groups()
+    return float(value), float(std)
+
+
+def start_with(scene, **camera):
+    start = nudged(scene.calibration)
+    true = scene.calibration.camera
+    return dataclasses.replace(start, camera=dataclasses.replace(true, **camera))
+
+
+def test_what_is_held_at_its_true_value_is_not_doubted(scene):
+    fit = fit_joint(scene.data, start_with(scene), fixed=("camera",))
+    assert contradictions(fit) == []
+    fit = fit_joint(scene.data, start_with(scene), priors={"camera": Prior(std=1.0)})
+    assert contradictions(fit) == []
+
+
+def test_a_held_principal_point_is_named_with_the_value_that_the_pictures_want(scene):
+    true = float(scene.calibration.camera.u0)
+    start = start_with(scene, u0=jnp.asarray(true + 5.0))
+    (sentence,) = contradictions(fit_joint(scene.data, start, fixed=("camera",)))
+    wanted, std = value_and_std(sentence, "camera.u0")
+    assert abs(wanted - true) < 4.0 * std
+    assert f"(held at {true + 5.0:.6g})" in sentence
+    before, after = map(float, re.search(r"from ([\d.]+) to ([\d.]+) px RMS", sentence).groups())
+    assert after == pytest.approx(0.15 * np.sqrt(2.0), rel=0.15)
+    assert before > after
+
+
+@pytest.mark.parametrize("lens", [Pinhole(), Radial(0.0)])
+def test_a_camera_given_without_its_distortion_is_named(distorted, lens):
+    """Whether its lens could have a distortion, or not."""
+    start = start_with(distorted, lens=lens)
+    (sentence,) = contradictions(fit_joint(distorted.data, start, fixed=("camera",)))
+    assert "camera.lens.k1" in sentence
+    assert "(held at 0)" in sentence
+
+
+def test_a_prior_that_the_pictures_contradict_is_named(scene):
+    true = float(scene.calibration.camera.u0)
+    prior = Prior(mean=true + 20.0, std=2.0)
+    start = start_with(scene)
+    (sentence,) = contradictions(fit_joint(scene.data, start, priors={"camera.u0": prior}))
+    assert f"prior on camera.u0, {true + 20.0:.6g} +- 2:" in sentence
+    wanted, std = value_and_std(sentence, "they want")
+    assert abs(wanted - true) < 4.0 * std
+
+
+def test_a_held_mount_is_named_in_millimetres(scene):
+    start = start_with(scene)
+    moved = start.camera_from_tool.translation() + jnp.array([0.01, 0.0, 0.0])
+    true = scene.calibration.camera_from_mount
+    mount = type(true).from_rotation_and_translation(true.rotation(), moved)
+    start = dataclasses.replace(start, camera_from_mount=mount)
+    # A smooth error of the robot could make up for it: its coefficients and the mount are alike.
+    fit = fit_joint(scene.data, start, fixed=("camera", "camera_from_tool"), field=None)
+    (sentence,) = contradictions(fit)
+    assert "camera_from_tool.translation.x" in sentence
+    wanted, std = value_and_std(sentence, "camera_from_tool.translation.x")
+    assert abs(wanted - 1e3 * float(true.translation()[0])) < 4.0 * std
+
+
+def test_both_numbers_of_a_prior_have_names():
+    """`Prior(950.0, 1.0)` would be a standard deviation of 950."""
+    with pytest.raises(TypeError):
+        Prior(950.0, 1.0)
