@@ -42,11 +42,11 @@ still.
 Even an arm that returns to a pose within 2 mm and 0.4 degrees only shows half of it.
 """
 
-MIN_TURN = 0.01
-"""The smallest turn, rad times the square root of the number of views, that counts as one.
+MIN_TURN = 3e-3
+"""The smallest turn, RMS over the views in rad, that counts as one: a sixth of a degree.
 
-A robot that is good to 0.1 mm tells the camera's place to a centimetre with it, which a ruler does
-as well; what is seen of a smaller turn is mostly the robot's error.
+What is seen of a smaller one is mostly the robot's error, which more views do not average out: a
+robot that is good to 0.1 mm would tell the camera's place to 3 cm, which a ruler does better.
 """
 
 _REPEATED, _DUPLICATE = "its pose repeats view", "its picture and pose are given before, in view"
@@ -181,7 +181,8 @@ def _turns(poses: Poses) -> Float[np.ndarray, "3"]:
     """Return how far the poses turn directions of the tool, largest first; see `MIN_TURN`."""
     rotations = poses[:, :3, :3]
     # The direction d moves by (R_i - mean R) d.
-    return np.linalg.svd((rotations - rotations.mean(axis=0)).reshape(-1, 3), compute_uv=False)
+    rows = (rotations - rotations.mean(axis=0)).reshape(-1, 3)
+    return np.linalg.svd(rows, compute_uv=False) / np.sqrt(len(poses))
 
 
 def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6"]:
@@ -193,7 +194,7 @@ def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6
     adjoints = host_adjoints(mount_from_holder)
     rows = (adjoints - adjoints.mean(axis=0)).reshape(-1, 6)
     _, moved, twists = np.linalg.svd(rows, full_matrices=False)
-    return twists[moved < MIN_TURN]
+    return twists[moved < MIN_TURN * np.sqrt(len(mount_from_holder))]
 
 
 def given_places(

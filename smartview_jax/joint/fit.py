@@ -15,7 +15,7 @@ from ..array_namespace import to_device
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..compilation import refuse_traced
-from ..dataset import Dataset, chain_residuals, given_places, repeated_views, require_motion
+from ..dataset import Dataset, chain_residuals, repeated_views
 from ..engine import (
     ROBOT_ERROR,
     AbstractLoss,
@@ -42,7 +42,6 @@ from ..engine import (
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
-from ..geometry import host_matrices
 from ..robot_errors import (
     AbstractField,
     FieldChoice,
@@ -56,7 +55,7 @@ from .gross_errors import remove_gross_errors, without_views
 from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
-from .undetermined import undetermined_motion, with_undetermined
+from .undetermined import require_moving_robot, undetermined_motion, with_undetermined
 from .view_rejection import inconsistent_view, inflation_reason, suspect_view
 
 _log = logging.getLogger(__name__)
@@ -144,9 +143,7 @@ def fit_joint(
         require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
-    place_is_given = given_places(start.transform_names, fixed, priors or {})
-    poses = host_matrices(data.base_from_tool)[data.usable_views()]
-    require_motion(poses, start.transform_names[0], place_is_given)
+    require_moving_robot(data, start, fixed, priors)
     data = without_views(data, repeated_views(data))
     say, start = progress or (lambda _: None), with_lens(start, lens)
     # The engine is given the points where they truly are; the shape is estimated with the noise.

@@ -39,12 +39,6 @@ def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
         width = 2 + max(len(label) for label, _ in rows)
         lines += [f"  {label:{width}}{text}" for label, text in rows]
     lines.append(_noise_text(fit))
-    # A warning names it with what determines it.
-    lines += [
-        f"not determined: {direction.description}"
-        for direction in fit.observability.null_directions
-        if not any(direction.description in text for text in warnings)
-    ]
     lines += [f"warning: {text}" for text in warnings]
     return "\n".join(lines)
 

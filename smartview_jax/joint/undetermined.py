@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration, host_mount_from_holder
-from ..dataset import Dataset, undetermined_twists
+from ..dataset import Dataset, given_places, require_motion, undetermined_twists
 from ..engine import Direction, Prior, describe_direction
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
@@ -28,6 +28,10 @@ DETERMINED_PART = 1e-6
 NEGLIGIBLE_PART = float(np.sin(np.deg2rad(10.0)))
 """The part of a direction below which a parameter is not called undetermined, but judged where the
 direction is held: an axis within ten degrees of a coordinate's is called by its letter, too."""
+
+
+MENTIONED_PART = 5e-3
+"""The part of a direction above which a parameter that is not called undetermined is mentioned."""
 
 
 class UndeterminedMotion(NamedTuple):
@@ -42,6 +46,18 @@ class UndeterminedMotion(NamedTuple):
     names: tuple[str, ...]
     directions: Float[np.ndarray, "directions 12"]
     held: tuple[str, ...]
+
+
+def require_moving_robot(
+    data: Dataset, start: Calibration, fixed: Collection[str], priors: Mapping[str, Prior] | None
+) -> None:
+    """Raise a ValueError if the usable views' poses cannot determine a calibration.
+
+    They are all equal, or never turn while neither place is fixed or has a prior.
+    """
+    place_is_given = given_places(start.transform_names, fixed, priors or {})
+    poses = host_matrices(data.base_from_tool)[data.usable_views()]
+    require_motion(poses, start.transform_names[0], place_is_given)
 
 
 def undetermined_motion(
@@ -150,7 +166,7 @@ def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
             if name in std or name == held:
                 std[name] = freedom[name] = np.inf
         text = describe_direction(components, fit.calibration)
-        named.append(Direction(0.0, components, text))
+        named.append(Direction(0.0, components, text + _small_parts(motion.names, direction)))
     observability = fit.observability._replace(
         parameter_count=fit.observability.parameter_count + len(named),
         null_directions=(*named, *fit.observability.null_directions),
@@ -166,3 +182,22 @@ def _sparse(motion: UndeterminedMotion) -> Float[np.ndarray, "directions 12"]:
     held = [motion.names.index(name) for name in motion.held]
     directions = np.linalg.solve(motion.directions[:, held], motion.directions)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _small_parts(names: tuple[str, ...], direction: Float[np.ndarray, "12"]) -> str:
+    """Return in words which other parameters move a little along a direction.
+
+    Their own intervals hold where the direction is held.
+    """
+    largest = int(np.argmax(np.abs(direction)))
+    part = names[largest].split(".")[1]
+    shares = {
+        name: share
+        for name, share in zip(names, direction / direction[largest], strict=True)
+        if f".{part}." in name and MENTIONED_PART < abs(share) <= NEGLIGIBLE_PART
+    }
+    if not shares:
+        return ""
+    unit = "mm" if part == "translation" else "degree"
+    listed = ", ".join(f"{name} changes by {share:+.3f}" for name, share in shares.items())
+    return f" (for each {unit} of {names[largest]}, {listed})"

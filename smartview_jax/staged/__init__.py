@@ -3,10 +3,11 @@
     Step 1  each view by itself, Weng's two-step method       weng*.py (Eq. 8)
     Step 2  one camera for all views, iterated Kalman filter  kalman*.py (Eq. 9)
     Step 3  hand-eye and world transforms, `A X = X B`        hand_eye.py, frobenius.py (Eq. 17),
-                                                              closed_form.py
+                                                              closed_form.py, minimum_norm.py
 
-`fit.py` runs the three. `conventions.py` and `view_consistency.py` check the data between Steps 2
-and 3; `interpolation.py` is the comparison method of the paper's Table 1.
+`fit.py` runs the three. `two_poses.py` lets the robot choose between the two poses of a small flat
+target; `conventions.py` and `view_consistency.py` check the data between Steps 2 and 3;
+`interpolation.py` is the comparison method of the paper's Table 1.
 """
 
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS

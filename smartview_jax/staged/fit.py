@@ -314,7 +314,9 @@ def fit_staged(
     report = check_conventions(
         data.base_from_tool, common_fit.camera_from_world, data.mount, weights
     )
+    outlying = {}
     if choice is not None and choice.explained:
+        outlying = choice.outlying
         # The poses of a small target scatter by more than the check allows for.
         report = report._replace(problems=(), hypotheses=())
     if report.problems and conventions == "raise":
@@ -322,10 +324,11 @@ def fit_staged(
     say("Step 3: hand-eye and world transforms")
     # Step 3 has no outlier gate of its own: Eq. 17 is a sum of squares, which one wrong pair of
     # picture and pose can dominate.
+    agreeing = used & ~np.isin(np.arange(data.view_count), list(outlying))
     consistency = find_consistent_views(
         robot,
         common_fit.camera_from_world,
-        weights,
+        to_device(agreeing.astype(float)),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
             Calibration(common_fit.camera, camera_from_mount, holder_from_world, data.mount),
             observations,
@@ -333,7 +336,7 @@ def fit_staged(
         ),
         data.view_ids,
     )
-    consistent, reasons = consistency.consistent, consistency.reasons
+    consistent, reasons = consistency.consistent, outlying | consistency.reasons
     for view in consistency.uncertain:
         view_id = data.view_ids[view]
         say(f"view {view_id}: its points determine its pose poorly; Step 3 does without it")

@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..cameras import Camera
-from ..dataset import Observations, undetermined_twists
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, undetermined_twists
 from ..geometry import (
     host_cross_matrices,
     host_exponentials,
@@ -32,6 +32,7 @@ from ..geometry import (
 )
 from .minimum_norm import minimum_norm_transforms
 from .planar_poses import MIN_DEPTH, Sight, mirrored_poses, refined_poses
+from .view_consistency import MAX_MISFIT_RATIO, MAX_REJECTED_FRACTION
 from .weng import unprojected
 from .weng_start import coplanar, extents
 
@@ -103,12 +104,15 @@ class PoseChoice(NamedTuple):
         explained: whether one pair of transforms predicts the points of the views to a small part
             of the target's own size: robot and camera then move alike, however uncertain the poses
             of single views are.
+        outlying: by view index, why its pose in the robot's file cannot be its own; empty where too
+            many views are off for that.
         warning: a sentence if another answer explains the pictures about as well, else empty.
     """
 
     camera_from_world: SE3
     exchanged: tuple[int, ...]
     explained: bool
+    outlying: dict[int, str]
     warning: str
 
 
@@ -171,6 +175,7 @@ def choose_poses(
         SE3(numbers),  # pyright: ignore[reportArgumentType]
         tuple(int(view) for view in exchanged),
         best.scale < EXPLAINED_SHARE * _angular_size(sight),
+        {int(views[k]): text for k, text in _outlying(best, robot, sight, alpha).items()},
         _rival_warning(found, alpha),
     )
 
@@ -187,7 +192,7 @@ def _may_be_ambiguous(
     some = np.sort(np.random.default_rng(0).permutation(count)[:MAX_ASKED_POINTS])
     part = seen[:, some]
     if count > len(some) and (part.sum(axis=1) * 2 > len(some)).all():
-        # Fewer points leave less: the noise is that of their mean.
+        # Fewer points leave less, in proportion.
         sigma = sigma * float(np.sqrt(len(some) / count))
         points, seen = points[:, some], part
     return bool(_is_ambiguous(poses, points, seen, flat, sigma).any())
@@ -218,7 +223,7 @@ def _ranked(
     sigma: float,
     start: tuple[Float[np.ndarray, "4 4"] | None, Float[np.ndarray, "4 4"] | None],
 ) -> list[_Transforms]:
-    """Return different refined transforms, the best first, or those of the start first."""
+    """Return different refined transforms: the start's, if there is one, then the best first."""
     if len(undetermined_twists(robot)):
         cameras, worlds = _minimum_norm_guesses(candidates, robot)
     else:
@@ -258,8 +263,8 @@ def _minimum_norm_guesses(
 ) -> tuple[Float[np.ndarray, "many 4 4"], Float[np.ndarray, "many 4 4"]]:
     """Return transforms for a motion that leaves directions undetermined, which no triple tells.
 
-    They are those of the first poses, the second ones and of random choices, each repeated with the
-    poses that are nearer to what it predicts.
+    They come from the first poses, from the second ones and from random choices, each repeated with
+    the poses that are nearer to what it predicts.
     """
     count = len(robot)
     random = np.random.default_rng(0).integers(0, 2, (MAX_GUESSES, count))
@@ -349,7 +354,7 @@ def _pairs_of_start(
     candidates: Float[np.ndarray, "2 views 4 4"],
     robot: _Matrices,
 ) -> list[tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]]:
-    """Return pairs of transforms with those of the start, the other from each view and pose."""
+    """Return pairs of transforms: one as the start has it, the other from each view and pose."""
     camera, world = start
     if camera is not None and world is not None:
         return [(camera, world)]
@@ -478,6 +483,22 @@ def _is_same_answer(one: _Transforms, other: _Transforms) -> bool:
         _angles(first[None], second[None])[0] < SAME_ANSWER
         for first, second in ((one.camera, other.camera), (one.world, other.world))
     )
+
+
+def _outlying(best: _Transforms, robot: _Matrices, sight: Sight, alpha: float) -> dict[int, str]:
+    """Return the views whose points are not where the best transforms put them, and how far off."""
+    squares = np.minimum(_squares(best.camera[None], robot, best.world[None], sight)[0], MAX_SQUARE)
+    distance = np.sqrt(np.sum(squares, axis=1) / np.maximum(sight.seen.sum(axis=1), 1))
+    off = np.flatnonzero(distance > MAX_MISFIT_RATIO * best.scale)
+    if len(robot) < MINIMUM_RELIABLE_VIEWS or len(off) > MAX_REJECTED_FRACTION * len(robot):
+        return {}
+    return {
+        int(
+            k
+        ): f"its points lie {alpha * distance[k]:.0f} px from where the robot's pose puts them, "
+        f"{alpha * best.scale:.2g} px in the usual view: mispaired or moved?"
+        for k in off
+    }
 
 
 def _angular_size(sight: Sight) -> float:

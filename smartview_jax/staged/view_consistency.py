@@ -227,7 +227,7 @@ def _fit_transforms(
     robot, camera = host_matrices(T), host_matrices(C)
     finite = np.isfinite(robot[used]).all() and np.isfinite(camera[used]).all()
     if finite and len(undetermined_twists(robot[used])):
-        # A closed form would divide by the noise of what the motion does not determine.
+        # A closed form would divide by noise where the motion determines nothing.
         _, world = minimum_norm_transforms(robot[used], camera[used])
         holder_from_world = host_transforms(world)
     else:

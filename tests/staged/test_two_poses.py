@@ -1,6 +1,7 @@
 """Single tags: each view has two poses, and the robot's motion chooses between them."""
 
 import csv
+import dataclasses
 
 import numpy as np
 import pytest
@@ -79,6 +80,25 @@ def test_two_answers_are_said():
     seen as well."""
     scene = tag_scene("eye_in_hand", views=10, side=0.012, aside=0.0)
     assert "two answers explain the pictures about as well" in chosen(scene)[1].warning
+
+
+def test_exchanged_views_are_named():
+    scene = tag_scene("eye_in_hand")
+    order = [0, 1, 2, 7, 4, 5, 6, 3, *range(8, 14)]
+    poses = host_matrices(scene.data.base_from_tool)[order]
+    wrong = dataclasses.replace(scene.data, base_from_tool=as_se3(poses))
+    fit = fit_staged(wrong, camera=CAMERA)
+    assert {view for view, point, _ in fit.rejected if point is None} == {"3", "7"}
+    assert all("mispaired or moved?" in reason for _, _, reason in fit.rejected)
+
+
+def test_poses_in_another_convention_are_refused_as_ever():
+    scene = tag_scene("eye_in_hand")
+    inverted = dataclasses.replace(
+        scene.data, base_from_tool=as_se3(np.linalg.inv(host_matrices(scene.data.base_from_tool)))
+    )
+    with pytest.raises(ValueError, match="robot and camera do not move alike as given"):
+        fit_staged(inverted, camera=CAMERA)
 
 
 def test_a_start_decides():
