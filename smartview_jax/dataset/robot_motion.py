@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
 from ..fit_result import Rejection
 from ..geometry import host_adjoints, host_matrices
@@ -60,21 +61,14 @@ def distinct_poses(poses: Poses) -> list[int]:
 
 def first_equal_pose(poses: Poses) -> list[int]:
     """Return for each pose the index of the first that is equal to it, which may be its own."""
-    first: list[int] = []
-    # Poses are sorted into cells, so that many views need not be compared with all others.
-    cells: dict[tuple[int, ...], list[int]] = {}
-    for k, pose in enumerate(poses):
-        cell = np.floor(pose[:3, 3] / SAME_TRANSLATION).astype(int)
-        near = [
-            other
-            for step in np.ndindex(3, 3, 3)
-            for other in cells.get(tuple((cell + step - 1).tolist()), [])
-        ]
-        equal = (other for other in near if _is_same_pose(pose, poses[other]))
-        found = min(equal, default=k)
-        if found == k:
-            cells.setdefault(tuple(cell.tolist()), []).append(k)
-        first.append(found)
+    first = list(range(len(poses)))
+    finite = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    # Only near positions are compared, so that the time does not grow with the square.
+    near = KDTree(poses[finite, :3, 3]).query_pairs(2.0 * SAME_TRANSLATION, output_type="ndarray")
+    for earlier, later in sorted(map(tuple, np.sort(finite[near], axis=1).tolist())):
+        is_first = first[earlier] == earlier and first[later] == later
+        if is_first and _is_same_pose(poses[later], poses[earlier]):
+            first[later] = earlier
     return first
 
 

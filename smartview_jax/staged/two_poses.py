@@ -56,6 +56,10 @@ MAX_TRIPLES, MAX_TRIED_TRIPLES = 250, 3000
 
 If half of the views tell their poses badly, a triple of good ones is among 250 in every case."""
 
+MIN_PLAIN_VIEWS, MAX_PLAIN_TRIPLES, MAX_PLAIN_REFINED = 20, 20, 2
+"""The number of views that tell their poses apart from which these alone give the transforms, of
+their triples that are solved, and of transforms that are refined: there is nothing to choose."""
+
 MAX_GUESSES, GUESS_ROUNDS = 8, 2
 """The number of random choices of poses where triples tell nothing, and of repetitions of each."""
 
@@ -164,7 +168,15 @@ def choose_poses(
     asked = flat & _is_ambiguous(first, points, seen, flat, sigma)
     candidates = np.stack([first, np.where(asked[:, None, None], second, first)])
     known = tuple(None if pose is None else host_matrices(pose) for pose in start)
-    found = _ranked(candidates, robot, sight, sigma, (known[0], known[1]))
+    plain = np.flatnonzero(~asked)
+    searched = np.arange(len(views)) if len(plain) < MIN_PLAIN_VIEWS else _spaced(plain)
+    found = _ranked(
+        candidates[:, searched],
+        robot[searched],
+        Sight(*(part[searched] for part in sight)),
+        sigma,
+        (known[0], known[1]),
+    )
     best = found[0]
     chosen = _nearer(candidates, best.camera @ robot @ best.world)
     exchanged = views[(chosen == 1) & asked]
@@ -228,8 +240,7 @@ def _ranked(
         cameras, worlds = _minimum_norm_guesses(candidates, robot)
     else:
         cameras, worlds = _triple_transforms(candidates, robot)
-    spaced = np.linspace(0, len(robot) - 1, MAX_SCORED_VIEWS).round().astype(int)
-    some = np.unique(spaced)
+    some = _spaced(np.arange(len(robot)))
     part = Sight(sight.points[some], sight.rays[some], sight.seen[some])
     costs = np.concatenate(
         [
@@ -240,10 +251,10 @@ def _ranked(
         ]
     )
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
-    refined = [
-        _refined(cameras[k], worlds[k], robot, sight, sigma)
-        for k in _different_first(order, cameras, worlds)
-    ]
+    first = _different_first(order, cameras, worlds)
+    if _is_plain(candidates):
+        first = first[:MAX_PLAIN_REFINED]
+    refined = [_refined(cameras[k], worlds[k], robot, sight, sigma) for k in first]
     refined.sort(key=lambda one: one.deviance)
     if any(pose is not None for pose in start):
         given = [
@@ -256,6 +267,17 @@ def _ranked(
         if not any(_is_same_answer(one, other) for other in different):
             different.append(one)
     return different
+
+
+def _is_plain(candidates: Float[np.ndarray, "2 views 4 4"]) -> bool:
+    """Return whether every view tells its own pose."""
+    return np.array_equal(candidates[0], candidates[1])
+
+
+def _spaced(views: Int[np.ndarray, "views"]) -> Int[np.ndarray, "some"]:
+    """Return at most `MAX_SCORED_VIEWS` of the views, at equal distances."""
+    places = np.linspace(0, len(views) - 1, MAX_SCORED_VIEWS).round().astype(int)
+    return views[np.unique(places)]
 
 
 def _minimum_norm_guesses(
@@ -308,6 +330,8 @@ def _triple_transforms(
     """Return both transforms from well-turned triples of views, with either pose of each view."""
     triples = _triples(robot)
     signs = np.array(list(itertools.product((0, 1), repeat=3)))
+    if _is_plain(candidates):
+        triples, signs = triples[:MAX_PLAIN_TRIPLES], signs[:1]
     views = np.repeat(triples, len(signs), axis=0)
     C = candidates[np.tile(signs, (len(triples), 1)), views]
     T = robot[views]
