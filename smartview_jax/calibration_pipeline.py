@@ -260,15 +260,25 @@ def calibrate(
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
-    joint = fit_joint(
-        data,
-        merged_start(staged.calibration, start, data, camera),
-        # A start of another lens is converted; a known camera keeps its own.
-        lens=lens if camera is None and isinstance(start, Calibration) else None,
-        inliers=staged.inliers,
-        progress=progress,
-        **joint_options,
-    )
+    try:
+        joint = fit_joint(
+            data,
+            merged_start(staged.calibration, start, data, camera),
+            # A start of another lens is converted; a known camera keeps its own.
+            lens=lens if camera is None and isinstance(start, Calibration) else None,
+            inliers=staged.inliers,
+            progress=progress,
+            **joint_options,
+        )
+    except ValueError as error:
+        # Views that contradict the robot are likelier than what the fit stumbles over.
+        doubts = [
+            f"view {data.view_ids[view]}: {text}"
+            for view, text in staged.conventions.suspicious_views
+        ]
+        if not doubts:
+            raise
+        raise ValueError(f"{'; '.join(doubts)} (with them, {error})") from error
     return CalibrationFit(staged, joint)
 
 

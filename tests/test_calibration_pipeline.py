@@ -76,3 +76,16 @@ def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):
     scene = scene_of(0, 2)
     with pytest.raises(ValueError, match="a calibration needs at least 3 views"):
         calibrate(scene.data)
+
+
+def test_rows_that_were_exchanged_are_named_where_no_fit_is_left():
+    """Two of eight: the others are too few for the staged fit to tell which views are wrong."""
+    scene = scene_of(5, 8)
+    poses = np.array(scene.data.base_from_tool.wxyz_xyz)
+    poses[[2, 5]] = poses[[5, 2]]
+    data = dataclasses.replace(scene.data, base_from_tool=SE3(jnp.asarray(poses)))
+    try:
+        said = " ".join(calibrate(data, "radial").warnings)
+    except ValueError as error:
+        said = str(error)
+    assert "view 2: its rotation differs" in said or "do not belong together" in said

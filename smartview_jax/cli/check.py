@@ -1,6 +1,7 @@
 """Define `smartview check`, which looks at a data set before anything is calibrated with it."""
 
 import math
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
@@ -22,6 +23,13 @@ MIN_TURN = 30.0
 
 MIN_FILLED = 0.25
 """Smallest share of the picture that all points together should cover."""
+
+
+MAX_SIZE_RATIO = 1.05
+"""Largest ratio of the camera's motion to the robot's that is not doubted.
+
+An arm's lengths are right within half a percent; the rest is for cameras that few views calibrate.
+"""
 
 
 class DatasetFigures(NamedTuple):
@@ -64,16 +72,18 @@ def check(
             for text in (*data.notes, *_seen(figures, data), *_motion(figures)):
                 typer.echo(text)
         # As they are given: where all poses are equal, nothing is left of them here.
-        problems = _contradictions(given)
+        problems, doubts = _agreement(given, {view for view, _ in data.masked_views})
         if json:
-            print_document("check", _document(name, data, figures, problems))
+            print_document("check", _document(name, data, figures, problems, doubts))
         else:
-            for text in problems:
-                typer.echo(f"problem: {text}")
+            for kind, texts in (("problem", problems), ("doubt", doubts)):
+                for text in texts:
+                    typer.echo(f"{kind}: {text}")
         if problems:
             raise typer.Exit(1)
         if not json:
-            typer.echo("camera and robot agree: smartview calibrate can begin")
+            except_for = ", but for these doubts" if doubts else ""
+            typer.echo(f"camera and robot agree{except_for}: smartview calibrate can begin")
 
 
 def _without_repetitions(data: "Dataset") -> "Dataset":
@@ -150,7 +160,11 @@ def _motion(figures: DatasetFigures) -> list[str]:
 
 
 def _document(
-    name: str, data: "Dataset", figures: DatasetFigures, problems: tuple[str, ...]
+    name: str,
+    data: "Dataset",
+    figures: DatasetFigures,
+    problems: tuple[str, ...],
+    doubts: tuple[str, ...],
 ) -> dict[str, Any]:
     """Return the same for programs."""
     least, greatest, median = figures.points
@@ -168,17 +182,48 @@ def _document(
         "turns_about_one_axis": figures.one_axis,
         "notes": list(data.notes),
         "problems": list(problems),
+        "doubts": list(doubts),
         # What the exit code says too.
         "can_be_calibrated": not problems,
     }
 
 
-def _contradictions(data: "Dataset") -> tuple[str, ...]:
-    """Return why pictures and poses cannot belong together; empty if they do."""
+class Agreement(NamedTuple):
+    """What pictures and poses say of each other.
+
+    Attributes:
+        problems: why they cannot belong together.
+        doubts: what does not fit although most of it does.
+    """
+
+    problems: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def _agreement(data: "Dataset", told: Collection[str]) -> Agreement:
+    """Compare pictures and poses by the staged fit.
+
+    Args:
+        data: the data set.
+        told: views that were masked before, of which nothing needs to be said again.
+    """
     from ..staged import fit_staged
 
     try:
         fit = fit_staged(data, "opencv4", conventions="report")
     except ValueError as error:
-        return (str(error),)
-    return fit.conventions.problems
+        return Agreement((str(error),), ())
+    reasons = {data.view_ids[view]: text for view, text in fit.conventions.suspicious_views}
+    reasons |= {
+        view: f"calibrate leaves it out: {reason}"
+        for view, point, reason in fit.rejected
+        if point is None
+    }
+    doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in told]
+    ratio = fit.conventions.length_ratio
+    if not fit.conventions.problems and not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+        doubts.append(
+            f"the camera moves {ratio:.3g} times as far as the robot says: is the target "
+            f"{1.0 / ratio:.3g} times as large as stated? measure it"
+        )
+    return Agreement(fit.conventions.problems, (*doubts, *fit.warnings))

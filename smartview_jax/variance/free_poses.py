@@ -88,6 +88,8 @@ def _shape_step(
         variance: of a pixel's u and v, px^2.
     """
     linearised = views.linearise(z)
+    if not np.isfinite(linearised.matrix.shared).all():
+        return np.full(len(views.shape_names), np.nan), np.ones(len(views.shape_names))
     names, camera = len(views.shape_names), views.problem.parameters.layout.camera.stop
     # The chain is held, the camera and the poses are free: of the shared parameters only the
     # camera's and the shape's remain.
@@ -113,7 +115,9 @@ def _without_poses(
     border, free = matrix.border[:, :, kept], linearised.per_view_free
     # A number that is held has an empty row; the one keeps its equation solvable.
     per_view = matrix.per_view + np.eye(6)[None] * np.where(free, 0.0, 1.0)[:, None]
-    seen = np.linalg.matrix_rank(per_view, hermitian=True) == 6
+    finite = np.isfinite(per_view).all(axis=(1, 2)) & np.isfinite(border).all(axis=(1, 2))
+    seen = np.flatnonzero(finite)
+    seen = seen[np.linalg.matrix_rank(per_view[seen], hermitian=True) == 6]
     gains = np.linalg.solve(per_view[seen], border[seen])
     return (
         matrix.shared[np.ix_(kept, kept)] - np.einsum("vki,vkj->ij", border[seen], gains),

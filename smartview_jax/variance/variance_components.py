@@ -202,6 +202,9 @@ def _target_shape_estimate(
     if shape is None:
         return None
     covariance = np.asarray(marginalise(average.views, sigmas).shared_covariance)
+    if not np.isfinite(covariance).all():
+        # Poses and pictures do not belong together: the fit says so, and the shape stays as stated.
+        return None
     columns = covariance[:, -len(shape.coefficients) :]
     own = columns[-len(shape.coefficients) :]
     # The covariance can be singular to rounding where the standard deviations are at their floor.

@@ -1,5 +1,7 @@
 """What `smartview check` says of data that can be calibrated; `test_every_verb` has the others."""
 
+import re
+
 import pytest
 from board_scene import board_folder, run
 
@@ -42,3 +44,21 @@ def test_equal_poses_are_a_problem(folder):
     ended = run("check", folder)
     assert ended.exit_code == 1
     assert "problem: all 8 robot poses are equal: the pose was not read again" in ended.output
+
+
+def test_two_rows_that_were_exchanged_are_doubted(folder):
+    repeat_rows(folder, [0, 1, 5, 3, 4, 2, 6, 7])
+    ended = run("check", folder)
+    assert ended.exit_code == 0, ended.output
+    assert "doubt: view 2: its rotation differs from the robot's by " in ended.output
+    assert "doubt: view 5: its rotation differs from the robot's by " in ended.output
+    assert "camera and robot agree, but for these doubts: " in ended.output
+
+
+def test_a_target_of_twice_its_size_is_doubted(folder):
+    described = (folder / "dataset.yaml").read_text()
+    assert "0.004" in described
+    (folder / "dataset.yaml").write_text(described.replace("0.004", "0.008"))
+    ended = run("check", folder)
+    assert ended.exit_code == 0, ended.output
+    assert re.search(r"is the target 0\.(49|50?)\d* times as large as stated\?", ended.output)
