@@ -189,7 +189,7 @@ def _document(
 
 
 class Agreement(NamedTuple):
-    """What pictures and poses say of each other.
+    """The agreement of pictures and poses.
 
     Attributes:
         problems: why they cannot belong together.
