@@ -110,6 +110,11 @@ def mutations() -> list[Mutation]:
     return found
 
 
+def applies(mutation: Mutation, path: Path) -> bool:
+    """Return whether the old text of a mutation is in a file, and once only."""
+    return path.is_file() and path.read_text(encoding="utf-8").count(mutation.old) == 1
+
+
 class Copy:
     """A copy of the checkout in which one file at a time is changed."""
 
@@ -133,9 +138,9 @@ class Copy:
     def put(self, mutation: Mutation) -> bool:
         """Put a mutation into its file; return False where its old text is not there once."""
         path = self.folder / "smartview_jax" / mutation.file
-        text = path.read_text(encoding="utf-8") if path.is_file() else ""
-        if text.count(mutation.old) != 1:
+        if not applies(mutation, path):
             return False
+        text = path.read_text(encoding="utf-8")
         path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
         # Compiled files of Python, and programs that were kept, tell versions by seconds and size.
         stamp = os.stat(self._original(mutation)).st_mtime + 1 + int(mutation.digest[:4], 16)
@@ -326,7 +331,12 @@ def run(
     print(f"{len(found) - len(missed)} of {len(found)} mutations killed, {seconds:.0f} s")
     for mutation, outcome in missed:
         print(f"{outcome.state}: {mutation.name} ({mutation.file}): {mutation.wrong}")
-    return bool(found) and not missed
+    # A change of the package leaves mutations behind that nobody tries until all of them are run.
+    package = ROOT / "smartview_jax"
+    stale = [one for one in mutations() if not applies(one, package / one.file)] if smoke else []
+    for mutation in stale:
+        print(f"no longer applies: {mutation.name} ({mutation.file})")
+    return bool(found) and not missed and not stale
 
 
 if __name__ == "__main__":
