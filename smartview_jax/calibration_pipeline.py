@@ -348,7 +348,7 @@ def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
         )
     if joint.calibration.robot_error is not None:
         uncorrected_rms = rms(
-            # The points of the problem are those of the true shape already.
+            # The problem's points are displaced by the target's shape already.
             chain_residuals(
                 dataclasses.replace(joint.calibration.uncorrected, target_shape=None),
                 joint.problem.observations,

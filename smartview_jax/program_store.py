@@ -10,7 +10,7 @@ only the first is made anew, unless the text has changed, too. What is left to J
 - arrays on several devices, or on another device than the first CPU;
 - programs that call Python while they run;
 - JAX that was told to check, or to compute otherwise than it does by itself. How strictly it
-  promotes types and ranks is part of what a program is known by.
+  promotes types and ranks is part of a program's key.
 
 The files are in the folder of JAX's cache and under the same settings (`compilation_cache`).
 Only what its owner wrote is in it: a program that is read is run, here as in JAX's own cache.
@@ -56,9 +56,9 @@ _PLAIN_SETTINGS = {
 """Settings that a context of the user may change within a process, and what they must be."""
 
 _PROMOTION_SETTINGS = ("jax_numpy_rank_promotion", "jax_numpy_dtype_promotion")
-"""Settings, likewise of a context, that refuse a function while it is traced, or change its types.
+"""Settings of a context that refuse a function while it is traced, or change its types.
 
-What was traced under one of them is kept for that one.
+A trace is kept for the settings under which it was made.
 """
 
 

@@ -205,7 +205,7 @@ def _agreement(data: "Dataset", told: Collection[str]) -> Agreement:
 
     Args:
         data: the data set.
-        told: views that were masked before, of which nothing needs to be said again.
+        told: names of the views whose mask is reported already.
     """
     from ..staged import fit_staged
 

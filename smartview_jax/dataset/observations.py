@@ -38,8 +38,14 @@ class Observations(eqx.Module):
         """The commands reported by the robot, with joint readings if they are known."""
         return Command(self.base_from_tool, self.joints)
 
-    def of_shape(self, shape: TargetShape) -> "Observations":
-        """Return the observations of a target whose points are displaced from where stated."""
+    def of_shape(self, shape: TargetShape | None) -> "Observations":
+        """Return the observations of a target whose points are displaced from where stated.
+
+        Args:
+            shape: shape of the target; None displaces nothing.
+        """
+        if shape is None:
+            return self
         return eqx.tree_at(lambda o: o.points, self, shape.displaced(self.points))
 
     def padded(self) -> "Observations":
@@ -98,9 +104,12 @@ def chain_residuals(
     predicted.
     """
     poses = calibration.camera_from_world_matrices(observations.command)
-    if calibration.target_shape is not None:
-        observations = observations.of_shape(calibration.target_shape)
-    return view_residuals(calibration.camera, calibration.target_scale, poses, observations)
+    return view_residuals(
+        calibration.camera,
+        calibration.target_scale,
+        poses,
+        observations.of_shape(calibration.target_shape),
+    )
 
 
 def view_residuals(

@@ -29,6 +29,10 @@ VIEW_AXIS = "views"
 """The name of the mesh axis along which views are distributed over devices."""
 
 
+_TWIST = slice(-6, None)
+"""Rows of a view's normal equations that belong to the twist of its pose."""
+
+
 class NormalEquations(eqx.Module):
     """The cost, its gradient and the Gauss-Newton matrix at a step.
 
@@ -195,56 +199,19 @@ class JointProblem(eqx.Module):
         """Return the normal equations at a step; robust losses by iterative reweighting."""
         return self._with_priors(self.unscaled_step(z), self.normal_equations_without_priors(z))
 
-    def normal_equations_without_priors(self, z: Step) -> NormalEquations:
-        """Return the normal equations of the observations alone, without priors."""
-        pose_jacobians = self._linearise_poses(z)
-        views = self._view_normal_equations(pose_jacobians)
-        return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
-
-    def normal_equations_with_shape(self, z: Step, shape: TargetShape) -> NormalEquations:
-        """Return the normal equations of the observations, with the target's shape as parameters.
-
-        The coefficients of the shape come after the free shared parameters.
+    def normal_equations_without_priors(
+        self, z: Step, shape: TargetShape | None = None
+    ) -> NormalEquations:
+        """Return the normal equations of the observations alone, without priors.
 
         Args:
             z: step from the start.
-            shape: shape of the target; the observations' points are displaced by it already.
+            shape: shape of the target, by which the observations' points are displaced already; its
+                coefficients become parameters after the free shared ones. None holds it.
         """
         pose_jacobians = self._linearise_poses(z)
-        calibration = pose_jacobians.calibration
-        views = linearise_views(
-            calibration.camera,
-            pose_jacobians.camera_from_world,
-            self.observations,
-            calibration.target_scale,
-            self.pixel_sigma,
-            self.loss,
-            shape,
-        )
-        # S_v and O_v as in `_apply_chain_rule`, with an identity for the shape between the
-        # camera's rows and the twist's, and a column for each coefficient at the end.
-        n, size = self.parameters.layout.camera.stop, len(shape.coefficients)
-        without_shape = self._shared_jacobian(pose_jacobians)
-        count, _, free = without_shape.shape
-        rows = jnp.broadcast_to(jnp.eye(size, free + size, free)[None], (count, size, free + size))
-        columns = jnp.pad(without_shape, ((0, 0), (0, 0), (0, size)))
-        shared = jnp.concatenate([columns[:, :n], rows, columns[:, n:]], axis=1)
-        per_view = self._per_view_jacobian(pose_jacobians)
-        corrected, twist = slice(len(per_view)), slice(n + size, None)
-        matrix_shared = views.matrix @ shared
-        per_view_transposed = jnp.swapaxes(per_view, 1, 2)
-        return NormalEquations(
-            jnp.sum(views.cost),
-            Step(
-                jnp.einsum("vki,vk->i", shared, views.gradient),
-                jnp.einsum("vki,vk->vi", per_view, views.gradient[corrected, twist]),
-            ),
-            BlockArrow(
-                jnp.einsum("vki,vkj->ij", shared, matrix_shared),
-                per_view_transposed @ matrix_shared[corrected, twist],
-                per_view_transposed @ views.matrix[corrected, twist, twist] @ per_view,
-            ),
-        )
+        views = self._view_normal_equations(pose_jacobians, shape)
+        return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
 
     def _linearise_poses(self, z: Step) -> PoseJacobians:
         """Return the pose of the camera in every view at a scaled step, with its derivatives."""
@@ -255,13 +222,15 @@ class JointProblem(eqx.Module):
             self.prepared_poses,
         )
 
-    def _view_normal_equations(self, pose_jacobians: PoseJacobians) -> ViewNormalEquations:
+    def _view_normal_equations(
+        self, pose_jacobians: PoseJacobians, shape: TargetShape | None = None
+    ) -> ViewNormalEquations:
         """Return every view's normal equations, each computed on the device that holds the view."""
 
         def linearise_local_views(camera, poses, observations, target_scale, pixel_sigma):
             """Linearise the views of one device."""
             return linearise_views(
-                camera, poses, observations, target_scale, pixel_sigma, self.loss
+                camera, poses, observations, target_scale, pixel_sigma, self.loss, shape
             )
 
         if self.mesh is not None:
@@ -293,16 +262,17 @@ class JointProblem(eqx.Module):
         # per_view_block_v = O_v^T G_v O_v,
         # gradient = sum_v S_v^T g_v,     per_view_gradient_v = O_v^T g_v,
         # where G_v and g_v are a view's matrix and gradient by (camera, twist), S_v = shared is the
-        # derivative of these by the shared parameters, and O_v = per_view that of the twist (rows
-        # after the camera's) by the view's own.
+        # derivative of these by the shared parameters, and O_v = per_view the derivative of the
+        # twist (the last rows) by the view's own.
         shared = self._shared_jacobian(pose_jacobians)
+        shared = self._with_shape(shared, views.matrix.shape[-1] - shared.shape[1])
         matrix_shared = views.matrix @ shared
         matrix = jnp.einsum("vki,vkj->ij", shared, matrix_shared)
         gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
         per_view, border, per_view_block = self._per_view_blocks(
             pose_jacobians, views, matrix_shared
         )
-        twist_gradient = views.gradient[: len(per_view), self.parameters.layout.camera.stop :]
+        twist_gradient = views.gradient[: len(per_view), _TWIST]
         per_view_gradient = jnp.einsum("vki,vk->vi", per_view, twist_gradient)
         return Step(gradient, per_view_gradient), BlockArrow(matrix, border, per_view_block)
 
@@ -320,14 +290,13 @@ class JointProblem(eqx.Module):
 
         Without a noise model no view has a correction, and all three are empty.
         """
-        n = self.parameters.layout.camera.stop
         per_view = self._per_view_jacobian(pose_jacobians)
         corrected_views = slice(len(views.cost) if len(per_view) else 0)
         per_view_transposed = jnp.swapaxes(per_view, 1, 2)
         return (
             per_view,
-            per_view_transposed @ matrix_shared[corrected_views, n:],
-            per_view_transposed @ views.matrix[corrected_views, n:, n:] @ per_view,
+            per_view_transposed @ matrix_shared[corrected_views, _TWIST],
+            per_view_transposed @ views.matrix[corrected_views, _TWIST, _TWIST] @ per_view,
         )
 
     def _shared_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "views columns free"]:
@@ -341,6 +310,25 @@ class JointProblem(eqx.Module):
         twist = jnp.pad(pose_jacobians.shared_jacobian, ((0, 0), (0, 0), (n, 0)))
         shared = self._take_free(jnp.concatenate([camera, twist], axis=1))
         return shared * self.scale.shared[None, None]
+
+    def _with_shape(
+        self, shared: Float[Array, "views rows free"], count: int
+    ) -> Float[Array, "views more_rows more_free"]:
+        """Return the derivative with rows and columns for coefficients of the target's shape.
+
+        Args:
+            shared: derivative of camera and twist by the shared parameters.
+            count: number of coefficients, whose rows come between camera and twist.
+        """
+        if not count:
+            return shared
+        views, _, free = shared.shape
+        rows = jnp.broadcast_to(
+            jnp.eye(count, free + count, free)[None], (views, count, free + count)
+        )
+        columns = jnp.pad(shared, ((0, 0), (0, 0), (0, count)))
+        n = self.parameters.layout.camera.stop
+        return jnp.concatenate([columns[:, :n], rows, columns[:, n:]], axis=1)
 
     def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
         """Return the entries of the free shared parameters; those of padding are zero."""

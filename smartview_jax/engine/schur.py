@@ -60,7 +60,7 @@ class BlockArrow(lx.AbstractLinearOperator):
         """Return the dense matrix, the shared parameters first."""
         n, views = len(self.shared), len(self.per_view)
         border = self.border.reshape(6 * views, n)
-        # Block k of the diagonal is that of view k: zero where row and column are of two views.
+        # Views are not coupled: blocks whose row and column belong to different views are zero.
         same_view = jnp.eye(views)[:, None, :, None]
         per_view = (same_view * self.per_view[:, :, None, :]).reshape(6 * views, 6 * views)
         return jnp.block([[self.shared, border.T], [border, per_view]])

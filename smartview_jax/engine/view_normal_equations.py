@@ -46,8 +46,8 @@ Chunks with few points are grouped, because every iteration of a compiled loop c
 class ViewNormalEquations(eqx.Module):
     """The normal equations of every view in the camera's parameters and a twist of its pose.
 
-    The columns are the camera's parameters in the order of its leaves, those of the target's shape
-    where it is in question, and the twist `(v, w)` of
+    The columns are the camera's parameters in the order of its leaves, the coefficients of the
+    target's shape where it is a parameter, and the twist `(v, w)` of
     `camera_from_world -> exp((v, w)) @ camera_from_world`.
 
     Attributes:

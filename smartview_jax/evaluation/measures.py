@@ -9,7 +9,7 @@ from ..array_namespace import AnyArray
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..compilation import compiled
-from ..dataset import Dataset, chain_residuals
+from ..dataset import Dataset, view_residuals
 from ..robots import CommandLike
 
 
@@ -95,7 +95,12 @@ def reprojection_errors(predictor: Predictor, data: Dataset) -> ReprojectionErro
 def _chain_reprojection_errors(calibration: Calibration, data: Dataset) -> ReprojectionErrors:
     """Return the reprojection errors of a calibration, by the programs that every fit uses."""
     poses = np.asarray(calibration.camera_from_world_matrices(data.command))
-    residuals = chain_residuals(calibration, data.observations)
+    residuals = view_residuals(
+        calibration.camera,
+        calibration.target_scale,
+        poses,
+        data.observations.of_shape(calibration.target_shape),
+    )
     # Residuals are infinite where a point that was seen cannot be predicted.
     px = np.where(np.asarray(data.visible), np.linalg.norm(residuals, axis=-1), np.nan)
     points = np.asarray(calibration.true_points(data.points))

@@ -45,7 +45,7 @@ RICHER_LENS = "opencv4"
 """Lens that is tried where a camera without any distortion was held."""
 
 PINHOLE_COUNT = 4
-"""Number of parameters of a camera before those of its lens."""
+"""Number of a camera's parameters without its lens, which come first."""
 
 
 class _Refit(NamedTuple):
@@ -55,7 +55,7 @@ class _Refit(NamedTuple):
         calibration: its calibration.
         difference: difference of every free shared parameter from the fit in question, by name.
         std: standard deviations of these parameters.
-        cost: half the sum of squared whitened residuals, those of the priors included.
+        cost: half the sum of squared whitened residuals, with the residuals of the priors.
         rms: RMS residual, px.
         freedom: number of residuals minus number of parameters.
     """

@@ -127,9 +127,8 @@ def display_unit(name: str, prismatic_offsets: Collection[str] = frozenset()) ->
         name: name of the parameter.
         prismatic_offsets: names of joint offsets that are lengths.
     """
-    if name.startswith("target_shape."):
-        return 1e3, "mm"
-    if ".translation." in name or ".link_length." in name or name in prismatic_offsets:
+    is_length = ".translation." in name or ".link_length." in name or name in prismatic_offsets
+    if is_length or name.startswith("target_shape."):
         return 1e3, "mm"
     if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
         return float(np.rad2deg(1.0)), "deg"

@@ -84,7 +84,7 @@ class RobotPrior:
         target_bow_median: median displacement of a flat target's edge out of its plane, in parts
             of half its longer side; zero, as for the next, for a target that is exactly flat.
         target_print_median: median displacement of its edge within its plane, by a different
-            stretch of both axes and by shear, likewise.
+            stretch of both axes and by shear, in the same unit.
         target_geometric_std: exp of the standard deviation of the logarithms of both.
     """
 

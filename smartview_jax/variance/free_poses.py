@@ -58,9 +58,8 @@ def fit_free_poses(
         shape: shape of the target to begin with; None holds it as stated.
         start: step at which the fit begins; by default zero.
     """
-    fits = 0
+    views, fits = ViewStatistics(built, usable_views, 0.0, shape=shape), 0
     while True:
-        views = ViewStatistics(built, usable_views, 0.0, shape=shape)
         problem = with_free_poses(views.problem)
         solution, equations = solve(problem, start=start)
         sum_of_squares, fits = 2.0 * float(equations.cost), fits + 1
@@ -73,7 +72,7 @@ def fit_free_poses(
         if not np.isfinite(change).all() or (np.abs(change) <= SHAPE_TOLERANCE * std).all():
             return fit
         shape = shape.with_coefficients(np.asarray(shape.coefficients) + change)
-        start = solution.z
+        views, start = views.with_shape(shape), solution.z
 
 
 def _shape_step(

@@ -77,7 +77,7 @@ SHAPE_GROUPS = ("target_bow", "target_print")
 """Groups of the parameters of the target's shape: out of its plane, and within it."""
 
 TARGET_GROUPS = (*SHAPE_GROUPS, TARGET_SCALE)
-"""Groups of parameters of the target, which come after those of the robot's error."""
+"""Groups of the target's parameters; they come after the groups of the robot's error."""
 
 MIN_WEAK_ROBOT_EXCESS = 2.0
 """Standard deviations of the good robot's prior above its median from which a robot may be weak."""

@@ -104,7 +104,7 @@ class NoiseEstimate(NamedTuple):
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
         between_models_covariance: covariance of the shared parameters between the models, about
-            those of the averaged model.
+            the fit of the averaged model.
         robot_prior: prior of the robot's errors.
         noise_corrections: twists at the tool that correct the reported poses for noise; the robot
             error field is evaluated at the corrected poses. None evaluates it at the reported ones.

@@ -109,11 +109,10 @@ class ViewStatistics:
             self.problem, observations=self._stated_observations.of_shape(shape)
         )
 
-    def with_shape(self, shape: TargetShape | None) -> "ViewStatistics":
-        """Return the statistics for a target of another shape."""
+    def with_shape(self, shape: TargetShape) -> "ViewStatistics":
+        """Return the statistics for a target of another shape, where they have one already."""
         views = copy.copy(self)
-        if shape is not None:
-            views._set_shape(shape)
+        views._set_shape(shape)
         return views
 
     def moved(self, z: Step, step: Step) -> tuple["ViewStatistics", Step]:
@@ -135,11 +134,10 @@ class ViewStatistics:
     def linearise(self, z: Step) -> LinearisedViews:
         """Linearise the problem at a step, by another pass over the pixels."""
         problem = padded(self.problem)
-        if self.shape is not None:
-            equations = _equations_with_shape(problem, padded_step(z, problem), self.shape)
-            return self._with_equations(self._without_padding(equations), z)
-        equations = _equations_without_priors(problem, padded_step(z, problem))
-        return self._with_equations(equations_without_padding(equations, self.problem), z)
+        equations = _equations_without_priors(problem, padded_step(z, problem), self.shape)
+        if self.shape is None:
+            return self._with_equations(equations_without_padding(equations, self.problem), z)
+        return self._with_equations(self._without_padding(equations), z)
 
     def linearised_at_fit(
         self, fitted: JointProblem, z: Step, equations: NormalEquations
@@ -275,15 +273,11 @@ def _chain_at(problem: JointProblem, z: Step) -> FittedChain:
 
 
 @compiled
-def _equations_without_priors(problem: JointProblem, z: Step) -> NormalEquations:
-    """Return the normal equations of the observations alone at a step."""
-    return problem.normal_equations_without_priors(z)
-
-
-@compiled
-def _equations_with_shape(problem: JointProblem, z: Step, shape: TargetShape) -> NormalEquations:
-    """Return the normal equations of the observations by the target's shape, too."""
-    return problem.normal_equations_with_shape(z, shape)
+def _equations_without_priors(
+    problem: JointProblem, z: Step, shape: TargetShape | None
+) -> NormalEquations:
+    """Return the normal equations of the observations alone at a step; the shape is free."""
+    return problem.normal_equations_without_priors(z, shape)
 
 
 def shape_parameter_names() -> tuple[str, ...]:

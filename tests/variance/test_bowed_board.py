@@ -116,7 +116,9 @@ def test_equations_with_the_shape_are_those_of_automatic_differentiation():
     jacobian, r = jax.jit(jax.jacfwd(residuals, has_aux=True))(jnp.zeros(count + own + 5))
     dense, gradient = np.asarray(jacobian.T @ jacobian), np.asarray(jacobian.T @ r)
     order = np.r_[:count, count + own : count + own + 5]
-    found = jax.jit(lambda p, s: p.normal_equations_with_shape(p.zero_step(), s))(problem, shape)
+    found = jax.jit(lambda p, s: p.normal_equations_without_priors(p.zero_step(), s))(
+        problem, shape
+    )
     scale = np.sqrt(np.diagonal(dense))
     np.testing.assert_allclose(
         found.matrix.shared / np.outer(scale[order], scale[order]),
