@@ -15,7 +15,12 @@ from jax.core import Tracer
 
 from .compilation_cache import keep_compiled_programs
 from .double_precision import require_double_precision
-from .program_store import ProgramStore
+
+try:
+    from .program_store import ProgramStore
+except ImportError:
+    # That room can be deleted whole, and rests on parts of JAX that may change.
+    ProgramStore = None
 
 MIN_OPTIMISED_ELEMENTS = 30_000
 """Smallest number of array elements in the arguments for which a program is compiled optimised.
@@ -106,7 +111,7 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
         # In parts, LLVM would compile in threads; splitting costs more time than they save.
         "xla_cpu_parallel_codegen_split_count": 1,
     }
-    store = ProgramStore(function, options)
+    store = ProgramStore and ProgramStore(function, options)
     top_level = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
     nested = eqx.filter_jit(function)
@@ -117,9 +122,10 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
             return nested(*args, **kwargs)
         require_double_precision()
         keep_compiled_programs()
-        program, arrays = store.find(args, kwargs)
-        if program is not None:
-            return program(arrays)
+        if store is not None:
+            program, arrays = store.find(args, kwargs)
+            if program is not None:
+                return program(arrays)
         return top_level(*args, **kwargs)
 
     return call

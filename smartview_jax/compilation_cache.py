@@ -9,8 +9,12 @@ the command, a script and a notebook alike. Only settings that the user left alo
   JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS or JAX's own configuration says otherwise: a fit has
   many programs that compile in less than JAX's default of one second.
 
-What `program_store` keeps besides, so that programs need not even be traced again, is in the same
-folder and under the same settings.
+What `program_store` keeps, so that programs need not even be traced again, is in the same folder
+and under the same settings.
+
+Whoever can write a compiled program there runs it as the user. The default folder is used only if
+it belongs to the user and nobody else can write it, or exchange a folder above it; in a folder that
+the user names, `program_store` keeps nothing otherwise. A warning says so once.
 
 JAX_ENABLE_COMPILATION_CACHE=0, or `jax.config.update("jax_enable_compilation_cache", False)` before
 the first fit, turns it off. Programs of other libraries in the same process are kept, too.
@@ -18,7 +22,9 @@ the first fit, turns it off. Programs of other libraries in the same process are
 
 import functools
 import os
+import stat
 import tempfile
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
@@ -52,6 +58,11 @@ def keep_compiled_programs() -> None:
     if not folder:
         return
     writable = _is_writable(folder)
+    # Storage on a network has owners of its own kind.
+    if "://" not in folder and Path(folder).is_dir() and not is_safe_folder(folder):
+        warnings.warn(_why_unsafe(folder), stacklevel=2)
+        if chosen is None:
+            return
     if chosen is None:
         if not Path(folder).is_dir():
             return
@@ -86,6 +97,48 @@ def _is_writable(folder: str) -> bool:
             return True
     except OSError:
         return False
+
+
+def is_safe_folder(folder: str | os.PathLike[str]) -> bool:
+    """Return whether a folder exists where nobody but the user, or root, can put a program."""
+    try:
+        path = Path(folder).resolve(strict=True)
+        return (
+            path.is_dir()
+            and only_user_can_write(path)
+            and not any(_can_be_exchanged_in(parent.stat()) for parent in path.parents)
+        )
+    except OSError:
+        return False
+
+
+def only_user_can_write(path: Path) -> bool:
+    """Return whether a file or folder belongs to the user or root, and nobody else may write it."""
+    if not hasattr(os, "geteuid"):
+        return True  # Windows keeps what is in a user's profile from others.
+    status = path.stat()
+    by_others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return status.st_uid in (0, os.geteuid()) and not by_others
+
+
+def _can_be_exchanged_in(parent: os.stat_result) -> bool:
+    """Return whether another user could put something else in the place of what a folder holds."""
+    if not hasattr(os, "geteuid"):
+        return False
+    is_others = parent.st_uid not in (0, os.geteuid())
+    # In a sticky folder, such as /tmp, only the owner of an entry may rename it.
+    is_open = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
+    return bool(is_others or is_open)
+
+
+def _why_unsafe(folder: str) -> str:
+    """Return what is wrong with a folder, and what ends it."""
+    return (
+        f"compiled programs are not kept in {folder}: another user could write there what would "
+        "then run as you. Expected a folder that belongs to you, which nobody else can write, "
+        "within folders that nobody else can rename: chmod go-w it, or name another one by "
+        "JAX_COMPILATION_CACHE_DIR"
+    )
 
 
 def _remove_least_recently_used(folder: Path, max_bytes: int) -> None:

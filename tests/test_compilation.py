@@ -14,7 +14,7 @@ from smartview_jax.compilation import compiled, compiled_optimised
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
-AS_XLA_DOES = {"compilation.py", "program_store.py", "commands.py"}
+AS_XLA_DOES = {"compilation.py", "store.py", "commands.py"}
 """The last predicts a million viewpoints a second, where the fusion emitters pay."""
 
 

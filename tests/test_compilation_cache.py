@@ -4,6 +4,7 @@ What a second process then reads is in test_program_store.py.
 """
 
 import os
+import types
 import warnings
 
 import jax
@@ -96,6 +97,42 @@ def test_a_read_only_folder_is_read(settings, tmp_path, monkeypatch):
 
     monkeypatch.setattr("tempfile.TemporaryFile", refused)
     assert settings() == (str(tmp_path / "smartview_jax"), float("inf"))
+
+
+UNSAFE = {
+    "open": lambda folder: folder.chmod(0o777),
+    "open to its group": lambda folder: folder.chmod(0o775),
+    "in an open folder": lambda folder: folder.parent.chmod(0o777),
+}
+
+
+@pytest.mark.parametrize("make_unsafe", UNSAFE.values(), ids=UNSAFE)
+@pytest.mark.parametrize("chosen", [False, True])
+def test_a_folder_that_others_can_write_is_refused(settings, tmp_path, chosen, make_unsafe):
+    folder = tmp_path / "smartview_jax"
+    folder.mkdir(mode=0o755)
+    assert compilation_cache.is_safe_folder(folder)
+    make_unsafe(folder)
+    with pytest.warns(UserWarning, match="another user could write there"):
+        found, _ = settings(jax_compilation_cache_dir=str(folder) if chosen else None)
+    # What the user names for JAX is JAX's; this library's own programs are not kept there.
+    assert found == (str(folder) if chosen else None)
+    assert not compilation_cache.is_safe_folder(folder)
+
+
+def test_a_folder_of_another_user_is_refused(tmp_path, monkeypatch):
+    """By root, too, who may write anywhere; what root made is safe for everybody."""
+
+    def owned_by(uid):
+        return types.SimpleNamespace(st_uid=uid, st_mode=0o40755)
+
+    def is_safe(owner, user):
+        monkeypatch.setattr("os.geteuid", lambda: user)
+        monkeypatch.setattr("pathlib.Path.stat", lambda *_, **__: owned_by(owner))
+        return compilation_cache.only_user_can_write(tmp_path)
+
+    assert [is_safe(1000, 0), is_safe(1000, 1001)] == [False, False]
+    assert [is_safe(0, 1000), is_safe(1000, 1000), is_safe(0, 0)] == [True, True, True]
 
 
 def test_what_was_not_read_for_longest_is_removed(settings, tmp_path, monkeypatch):

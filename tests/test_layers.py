@@ -21,13 +21,13 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # From the ground floor up; `argument_checks` refuses what is of a wrong kind, `array_namespace`
 # tells NumPy from JAX, `padding` which sizes programs are compiled for, `blas_threads` says on how
 # many cores NumPy computes, `double_precision` what JAX counts in, `compilation`,
-# `compilation_cache`, `program_identity` and `program_store` how programs are compiled and kept,
+# `compilation_cache` and `program_store` how programs are compiled and kept,
 # `extras` how optional packages are imported, `files` only how files are read and written,
 # `fit_result` how any fit ended, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a
 # run.
 FLOORS = """
     argument_checks double_precision array_namespace padding blas_threads version files
-    compilation_cache program_identity program_store compilation extras fit_result
+    compilation_cache program_store compilation extras fit_result
     schemas geometry cameras targets robots robot_errors calibration dataset detection staged engine
     variance joint arm_identification
     calibration_pipeline time_offset evaluation viewpoints features modeling io simulation

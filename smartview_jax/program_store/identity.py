@@ -69,24 +69,8 @@ def pickled_if_known(tree: Any) -> bytes | None:
     return None
 
 
-class _Unpickler(pickle.Unpickler):
-    """Reads only what is of classes of known libraries, so that nothing is called."""
-
-    def find_class(self, module_name: str, global_name: str) -> Any:
-        """Return a class; refuse every function, and what a user defined."""
-        found = super().find_class(module_name, global_name)
-        if not isinstance(found, type) or known_name(found) is None:
-            raise _UnknownSourceError(f"{module_name}.{global_name} is no class that is known")
-        return found
-
-
-def unpickled(content: bytes) -> Any:
-    """Return a tree that `pickled_if_known` wrote, if it is of known classes; raise otherwise."""
-    return _Unpickler(io.BytesIO(content)).load()
-
-
 def compiler() -> bytes:
-    """Return what decides, beside its text, how a program is compiled."""
+    """Return what decides, apart from its text, how a program is compiled."""
     irrelevant = ("cache", "log", "traceback")
     values = jax.config.values.items()
     settings = {k: v for k, v in values if not any(word in k for word in irrelevant)}
@@ -112,7 +96,7 @@ def _processor() -> str:
 @functools.cache
 def sources() -> bytes:
     """Return path, time and size of every source of the package, as Python itself tells changes."""
-    return repr(sorted(_stamps(Path(__file__).parent))).encode()
+    return repr(sorted(_stamps(Path(__file__).parents[1]))).encode()
 
 
 def _stamps(folder: Path) -> Iterator[tuple[str, int, int]]:

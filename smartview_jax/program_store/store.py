@@ -1,20 +1,4 @@
-"""Keep compiled programs with what tracing found out, so that no later process traces them again.
-
-JAX's own cache on disk knows a program by its text. To make the text, a function is traced and
-lowered, which takes three times as long as reading the compiled program. Here two files are kept: a
-trace, known by all that decides the text (`program_identity`), which says how the result is put
-together and what the text was; and the program, known by its text. After a change of the sources
-only the first is made anew, unless the text has changed, too. What is left to JAX alone:
-
-- arguments that hold a class or a function of a user;
-- arrays on several devices, or on another device than the first CPU;
-- programs that call Python while they run;
-- JAX that was told to check, or to compute otherwise than it does by itself. How strictly it
-  promotes types and ranks is part of a program's key.
-
-The files are in the folder of JAX's cache and under the same settings (`compilation_cache`).
-Only what its owner wrote is in it: a program that is read is run, here as in JAX's own cache.
-"""
+"""The programs of a function: those in memory, and through them those on disk."""
 
 import functools
 import hashlib
@@ -29,18 +13,13 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jax._src.config import persistent_cache_min_compile_time_secs as jaxs_shortest_time
+from jax.experimental.serialize_executable import serialize
 
-from .compilation_cache import PROGRAM_SUFFIX, TRACE_SUFFIX
-from .files import write_atomically
-from .program_identity import (
-    compiler,
-    constants,
-    known_name,
-    pickled_if_known,
-    sources,
-    unpickled,
-)
+from ..compilation_cache import PROGRAM_SUFFIX, TRACE_SUFFIX, is_safe_folder, only_user_can_write
+from ..files import write_atomically
+from .identity import compiler, constants, known_name, pickled_if_known, sources
+from .safe_pickle import pickled_trace, unpickled_program, unpickled_trace
 
 READ_EVENT = "/smartview_jax/program_read"
 """The event, with its duration, that `jax.monitoring` reports for a program that was read."""
@@ -158,26 +137,28 @@ class ProgramStore:
             return None
         decided_by = hashlib.sha256(compiler() + sources() + description).hexdigest()
         path = folder / f"{self._function.__name__}-{decided_by}{TRACE_SUFFIX}"
-        return _read(path, len(arrays)) or self._traced_anew(path, arguments, arrays)
+        return _read(path, len(arrays)) or self._newly_traced(path, arguments, arrays)
 
-    def _traced_anew(self, path: Path, arguments: Any, arrays: list[Any]) -> Program:
+    def _newly_traced(self, path: Path, arguments: Any, arrays: list[Any]) -> Program:
         """Trace the function, read or compile its program, and keep what took long enough."""
         began = time.perf_counter()
         lowered, (structure, leaves) = _lowered(self._function, arguments, arrays)
         # The text does not tell of arguments that have no effect.
         described = repr((self._options, lowered.in_avals)) + lowered.as_text()
-        digest = hashlib.sha256(compiler() + described.encode()).hexdigest()
-        program_path = path.with_name(f"{self._function.__name__}-{digest}{PROGRAM_SUFFIX}")
-        run = _read_program(program_path, len(arrays), len([x for x in leaves if _is_kind(x)]))
+        text_digest = hashlib.sha256(compiler() + described.encode()).hexdigest()
+        program_path = path.with_name(f"{self._function.__name__}-{text_digest}{PROGRAM_SUFFIX}")
+        content = _content(program_path)
+        run = _executable(content, len(arrays), sum(map(_is_kind, leaves)))
         # JAX's settings say what is worth a file; where none can be written, that is nothing.
         shortest = jax.config.values["jax_persistent_cache_min_compile_time_secs"]
         if run is None:
-            run, is_new = _compiled(lowered, self._options)
-            # JAX cannot write a program that it has read.
-            if is_new and time.perf_counter() - began >= shortest:
-                _write_program(program_path, run)
-        if program_path.exists() and time.perf_counter() - began >= shortest:
-            _write_trace(path, structure.unflatten(leaves), program_path.name)
+            # JAX need not write what is written here.
+            with jaxs_shortest_time(float("inf")):
+                run = lowered.compile(compiler_options=self._options)
+            is_worth_a_file = time.perf_counter() - began >= shortest
+            content = _write_program(program_path, run) if is_worth_a_file else None
+        if content is not None and time.perf_counter() - began >= shortest:
+            _write_trace(path, structure.unflatten(leaves), program_path.name, content)
         return Program(run, structure, leaves)
 
 
@@ -211,12 +192,12 @@ def _are_on_first_cpu(arguments: Any) -> bool:
 
 
 def _folder() -> Path | None:
-    """Return the folder of JAX's cache; None where it is off, or not on a disk."""
+    """Return the folder of JAX's cache; None where it is off, or not safe."""
     settings = jax.config.values
     folder = settings["jax_compilation_cache_dir"]
     if not settings["jax_enable_compilation_cache"] or not folder or "://" in folder:
         return None
-    return Path(folder) if Path(folder).is_dir() else None
+    return Path(folder) if is_safe_folder(folder) else None
 
 
 def _lowered(
@@ -241,7 +222,7 @@ def _lowered(
         return [x for x, kind in zip(outputs, kinds, strict=True) if _is_kind(kind)]
 
     # JAX names the program, in its profiles and in its cache, as the function.
-    on_arrays.__name__ = f"{function.__name__}_stored"
+    on_arrays.__name__ = f"{function.__name__}_kept"
     lowered = jax.jit(on_arrays).lower(*arrays)
     return lowered, (result[0], result[1])
 
@@ -252,42 +233,21 @@ def _kind_of_result(leaf: Any) -> Any:
     return ArrayKind(leaf.shape, leaf.dtype.name) if is_array else leaf
 
 
-_reads = threading.local()
-"""The programs that JAX read from its own cache, by thread: `_reads.count`."""
-
-
-@functools.cache
-def _count_reads() -> None:
-    """Have JAX report the programs that it reads from its own cache."""
-
-    def count(event: str, **_: Any) -> None:
-        if event == "/jax/compilation_cache/cache_hits":
-            _reads.count = getattr(_reads, "count", 0) + 1
-
-    jax.monitoring.register_event_listener(count)
-
-
-def _compiled(
-    lowered: jax.stages.Lowered, options: dict[str, Any]
-) -> tuple[jax.stages.Compiled, bool]:
-    """Compile a function; also return whether that was done, instead of reading JAX's cache."""
-    _count_reads()
-    before = getattr(_reads, "count", 0)
-    run = lowered.compile(compiler_options=options)
-    return run, getattr(_reads, "count", 0) == before
-
-
-def _write_program(path: Path, run: jax.stages.Compiled) -> None:
-    """Write a program, unless it is one that lives only in this process."""
+def _write_program(path: Path, run: jax.stages.Compiled) -> bytes | None:
+    """Write a program, and return the bytes; None for one that lives only in this process."""
     # A program that calls Python cannot be written, and says so by one exception or another; and
     # a full disk is no reason to end a fit.
     with suppress(Exception):
-        write_atomically(path, zlib.compress(serialize(run)[0], 1))
+        content = zlib.compress(serialize(run)[0], 1)
+        write_atomically(path, content)
+        return content
+    return None
 
 
-def _write_trace(path: Path, result: Any, program: str) -> None:
-    """Write how a result is put together, and the name of the file with the program."""
-    content = pickled_if_known((constants(), result, program))
+def _write_trace(path: Path, result: Any, program_name: str, program: bytes) -> None:
+    """Write how a result is put together, and the name and digest of the file with the program."""
+    digest = hashlib.sha256(program).hexdigest()
+    content = pickled_trace((constants(), result, program_name, digest))
     if content is not None:
         with suppress(OSError):
             write_atomically(path, content)
@@ -295,30 +255,40 @@ def _write_trace(path: Path, result: Any, program: str) -> None:
 
 def _read(path: Path, array_count: int) -> Program | None:
     """Return the program of a trace; None where there is none that this process can run."""
-    # A file that is broken, or of a library that has changed since, is written anew.
+    content = _content(path)
+    if content is None:
+        return None
+    # A file that is broken, or of a library that has changed since, is written again.
     with suppress(Exception):
-        then, result, name = unpickled(path.read_bytes())
+        then, result, name, digest = unpickled_trace(content)
         if any(then.get(module, now) != now for module, now in constants().items()):
             return None
+        program = _content(path.with_name(Path(name).name))
+        if program is None or hashlib.sha256(program).hexdigest() != digest:
+            return None
         leaves, structure = jax.tree.flatten(result, is_leaf=_is_kind)
-        outputs = len([x for x in leaves if _is_kind(x)])
-        run = _read_program(path.with_name(name), array_count, outputs)
+        run = _executable(program, array_count, sum(map(_is_kind, leaves)))
         return None if run is None else Program(run, structure, leaves)
     return None
 
 
-def _read_program(path: Path, array_count: int, output_count: int) -> jax.stages.Compiled | None:
-    """Return a program from its file, with the numbers of its arrays; None where there is none."""
+def _content(path: Path) -> bytes | None:
+    """Return what a file holds; None where there is none, or others could have written it."""
+    with suppress(OSError):
+        return path.read_bytes() if only_user_can_write(path) else None
+    return None
+
+
+def _executable(
+    content: bytes | None, array_count: int, output_count: int
+) -> jax.stages.Compiled | None:
+    """Return the program in a file's content; None where there is none that can be read."""
+    if content is None:
+        return None
     began = time.perf_counter()
     with suppress(Exception):
-        content = zlib.decompress(path.read_bytes())
         _prepare_lapack()
-        run = deserialize_and_load(
-            content,
-            jax.tree.structure((tuple(range(array_count)), {})),
-            jax.tree.structure(list(range(output_count))),
-            execution_devices=jax.devices()[:1],
-        )
+        run = unpickled_program(zlib.decompress(content), array_count, output_count)
         jax.monitoring.record_event_duration_secs(READ_EVENT, time.perf_counter() - began)
         return run
     return None

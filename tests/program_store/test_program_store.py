@@ -5,6 +5,8 @@ import os
 import pickle
 import subprocess
 import sys
+import zlib
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -12,10 +14,11 @@ import pytest
 from main_job import user_environment
 from once_a_run import made_once
 
-from smartview_jax import program_store
 from smartview_jax.cameras import Camera, Pinhole, radial
-from smartview_jax.program_identity import constants, known_name, pickled_if_known, unpickled
 from smartview_jax.program_store import ProgramStore
+from smartview_jax.program_store import store as store_module
+from smartview_jax.program_store.identity import constants, known_name, pickled_if_known
+from smartview_jax.program_store.safe_pickle import unpickled_program, unpickled_trace
 
 PROCESS = """
 import json
@@ -127,6 +130,26 @@ def test_a_function_of_a_script_is_in_jaxs_own_cache(processes):
     assert not stderr
 
 
+def test_without_this_room_jaxs_own_cache_is_used(tmp_path):
+    """The room can be deleted: what it saves is time."""
+    is_deleted = "import sys; sys.modules['smartview_jax.program_store'] = None"
+    for hits in (0, 1):
+        done = subprocess.run(
+            [sys.executable, "-c", is_deleted + PROCESS.format(before="")],
+            env=user_environment(XDG_CACHE_HOME=str(tmp_path)),
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        said = json.loads(done.stdout)
+        np.testing.assert_allclose(said["known"][0], RESULTS["known"], rtol=1e-12)
+        assert said["known"][3] == hits
+    assert {path.name[-6:] for path in (tmp_path / "smartview_jax").iterdir()} <= {
+        "-cache",
+        "-atime",
+    }
+
+
 class Calls:
     """Calls a function when it is read."""
 
@@ -137,13 +160,38 @@ class Calls:
         return self.call
 
 
-@pytest.mark.parametrize(
-    "content",
-    [Calls(os.getcwd), Calls(eval, "1"), Calls(known_name, Camera), Calls(subprocess.Popen)],
-)
-def test_what_a_trace_would_call_is_not_called(content):
-    with pytest.raises(Exception, match="is no class that is known"):
-        unpickled(pickle.dumps(content))
+CALLS = [
+    Calls(os.getcwd),
+    Calls(eval, "1"),
+    Calls(known_name, Camera),
+    Calls(subprocess.Popen),
+    Calls(np.memmap, "planted", np.uint8, "w+", 0, (1,)),
+    Calls(Path, "planted"),
+]
+
+
+@pytest.mark.parametrize("content", CALLS)
+def test_what_a_file_would_call_is_not_called(content, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pickle.UnpicklingError, match="may not be in a trace"):
+        unpickled_trace(pickle.dumps(content))
+    with pytest.raises(pickle.UnpicklingError, match="may not be in a program"):
+        unpickled_program(pickle.dumps(content), 1, 1)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["cameras.camera\nnp.memmap", "cameras.camera\neqx.Module"])
+def test_what_a_module_imported_cannot_be_reached_through_it(name):
+    with pytest.raises(pickle.UnpicklingError, match="may not be in a trace"):
+        unpickled_trace(f"csmartview_jax.{name}\n.".encode())
+
+
+def test_a_module_that_is_on_no_list_is_not_even_imported(tmp_path, monkeypatch):
+    (tmp_path / "planted.py").write_text("raise SystemExit('imported')")
+    monkeypatch.syspath_prepend(tmp_path)
+    for read in (unpickled_trace, lambda content: unpickled_program(content, 1, 1)):
+        with pytest.raises(pickle.UnpicklingError, match="planted"):
+            read(b"cplanted\nThing\n.")
 
 
 @pytest.fixture
@@ -264,6 +312,63 @@ def test_a_broken_file_is_no_error(store, tmp_path, suffix):
         file.write_bytes(file.read_bytes()[:100])
 
 
+def test_a_planted_program_is_not_run(store, tmp_path):
+    """A trace knows its program's digest, and without a trace the list of classes stands."""
+
+    def doubled(x):
+        return 2.0 * x
+
+    store(doubled).find((np.ones(2),), {})
+    (program,) = tmp_path.glob("*-program")
+    for without_trace in (False, True):
+        planted = Calls(os.mkdir, str(tmp_path / "planted"))
+        program.write_bytes(zlib.compress(pickle.dumps(planted)))
+        if without_trace:
+            next(tmp_path.glob("*-trace")).unlink()
+        run, arrays = store(doubled).find((np.ones(2),), {})
+        np.testing.assert_array_equal(run(arrays), [2.0, 2.0])
+        assert not (tmp_path / "planted").exists()
+
+
+def test_another_functions_program_is_not_taken_for_its_own(store, tmp_path):
+    def doubled(x):
+        return 2.0 * x
+
+    def tripled(x):
+        return 3.0 * x
+
+    for function in (doubled, tripled):
+        store(function).find((np.ones(2),), {})
+    (program,) = tmp_path.glob("doubled*-program")
+    (other,) = tmp_path.glob("tripled*-program")
+    program.write_bytes(other.read_bytes())
+    (before,) = (path.read_bytes() for path in tmp_path.glob("doubled*-trace"))
+    assert store_module._read(next(tmp_path.glob("doubled*-trace")), 1) is None
+    assert before
+
+
+@pytest.mark.parametrize("mode", [0o722, 0o777])
+def test_in_a_folder_that_others_can_write_nothing_is_kept_or_read(store, tmp_path, mode):
+    def doubled(x):
+        return 2.0 * x
+
+    assert store(doubled).find((np.ones(2),), {})[0] is not None
+    tmp_path.chmod(mode)
+    assert store(doubled).find((np.ones(2),), {})[0] is None
+
+
+@pytest.mark.parametrize("suffix", ["-trace", "-program"])
+def test_a_file_that_others_can_write_is_not_read(store, tmp_path, suffix):
+    def doubled(x):
+        return 2.0 * x
+
+    store(doubled).find((np.ones(2),), {})
+    (file,) = tmp_path.glob(f"*{suffix}")
+    assert store_module._content(file) is not None
+    file.chmod(0o666)
+    assert store_module._content(file) is None
+
+
 def test_equal_things_are_written_alike():
     words = "".join(["cam", "era"]), "".join(["cam", "era"])
     assert pickled_if_known(words) == pickled_if_known((words[0], words[0]))
@@ -273,10 +378,10 @@ def test_equal_things_are_written_alike():
 
 
 def test_a_changed_constant_or_function_changes_its_modules_checksum(monkeypatch):
-    name, before = program_store.__name__, constants()
-    monkeypatch.setattr(program_store, "TRACE_SUFFIX", "-other")
+    name, before = store_module.__name__, constants()
+    monkeypatch.setattr(store_module, "TRACE_SUFFIX", "-other")
     assert {k for k, v in constants().items() if before[k] != v} == {name}
     monkeypatch.undo()
     assert constants() == before
-    monkeypatch.setattr(program_store, "_read", lambda *_: None)
+    monkeypatch.setattr(store_module, "_read", lambda *_: None)
     assert constants()[name] != before[name]
