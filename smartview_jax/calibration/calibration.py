@@ -10,6 +10,7 @@ true tool pose, not the reported one.
 """
 
 import dataclasses
+import math
 import os
 import pathlib
 from collections.abc import Mapping, Sequence
@@ -32,13 +33,16 @@ from ..geometry import (
     transform_points,
     transform_text,
 )
-from ..padding import over_padded_views
+from ..padding import over_padded_views, padded_counts, repeat_last, without_padding
 from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
 from .file_content import check_content, content_of, parts_of
 from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
 from .target_shape import TargetShape
+
+_MIN_PROJECTED = 16, 128
+"""Smallest numbers of views and of points of the programs that project; any fewer share one."""
 
 
 class Calibration(eqx.Module):
@@ -328,7 +332,19 @@ class Calibration(eqx.Module):
         Returns:
             pixels `(*views, N, 2)`, NaN where `valid` `(*views, N)` is False.
         """
-        return _project(self, as_command(base_from_tool), as_float_array(points), corrected)
+        reported, points = as_command(base_from_tool), as_float_array(points)
+        if is_traced(self, reported, points) or points.ndim < 2:
+            return _project(self, reported, points, corrected)
+        shape, count = reported.base_from_tool.get_batch_axes(), points.shape[-2]
+        padded_views, padded_points = padded_counts(
+            max(math.prod(shape), _MIN_PROJECTED[0]), max(count, _MIN_PROJECTED[1])
+        )
+        padded = repeat_last(points, padded_points, axis=-2)
+        if len(shape) == 1:
+            reported = repeat_last(reported, padded_views)
+            padded = repeat_last(padded, padded_views) if points.shape[:-2] == shape else padded
+        projected = _project(self, reported, padded, corrected)
+        return without_padding(projected, *np.broadcast_shapes(shape, points.shape[:-2]), count)
 
     def to_dict(
         self,

@@ -22,8 +22,8 @@ EXACTLY_FLAT = RobotPrior(target_bow_median=0.0, target_print_median=0.0)
 
 def board(bow=0.0):
     """A board of 60 x 40 mm, whose corners are higher than its middle."""
-    y, x = np.indices((5, 7)).reshape(2, -1)
-    points = np.stack([0.01 * x, 0.01 * y, np.zeros(x.size)], axis=1)
+    y, x = np.indices((4, 4)).reshape(2, -1)
+    points = np.stack([0.02 * x, 0.04 / 3 * y, np.zeros(x.size)], axis=1)
     square = np.sum((points[:, :2] - points[:, :2].mean(axis=0)) ** 2, axis=1)
     points[:, 2] = bow * (square - square.mean()) / np.ptp(square)
     return points

@@ -5,17 +5,16 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import MANY_VIEWS as VIEWS
+from fit_scenes import POINTS
 from jaxlie import SE3
 from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.engine import FittedChain, Parameters, Step, build_problem, host_retract
 from smartview_jax.robot_errors import LinearInPosition, RobotPrior
-from smartview_jax.simulation import paper_points, random_scene
+from smartview_jax.simulation import random_scene
 from smartview_jax.variance.possible_models import is_possible, motion_ratio
-
-VIEWS = 20
-POINTS = paper_points((0.0, 0.02))[::3]
 
 
 def weak_robot_scene(seed, millimetres, degrees):

@@ -4,6 +4,13 @@ import numpy as np
 import pytest
 
 from smartview_jax.evaluation import lens_misfit
+from smartview_jax.simulation import paper_points, random_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """An exact robot, 0.15 px of noise, and points enough to show a pattern."""
+    return random_scene(0, 16, paper_points((0.0, 0.02))[::4])
 
 
 def everything(data):
