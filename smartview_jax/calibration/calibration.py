@@ -335,7 +335,7 @@ class Calibration(eqx.Module):
         reported, points = as_command(base_from_tool), as_float_array(points)
         if is_traced(self, reported, points) or points.ndim < 2:
             return _project(self, reported, points, corrected)
-        shape, count = reported.base_from_tool.get_batch_axes(), points.shape[-2]
+        shape, count = reported.base_from_tool.wxyz_xyz.shape[:-1], points.shape[-2]
         padded_views, padded_points = padded_counts(
             max(math.prod(shape), _MIN_PROJECTED[0]), max(count, _MIN_PROJECTED[1])
         )
