@@ -41,8 +41,21 @@ MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """The probability of another target size from which a warning mentions it, and from which only it
 is an answer."""
 
+MAX_NAMED_PARAMETERS = 3
+"""The number of parameters that a warning lists."""
+
+RICHER_LENSES = {
+    "pinhole": "opencv4",
+    "radial": "opencv4",
+    "weng": "opencv5",
+    "opencv4": "opencv5",
+    "opencv5": "opencv8",
+}
+"""The lens to try next, by the kind of the one that was fitted."""
+
 OWN_VARIANCE_SHARE = 0.5
-"""The share of a mount's variance below which most of it is the last joint's."""
+"""The share of a variance above which most of it has that cause: the last joint's zero, or a lens
+that the model does not know."""
 
 
 def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
@@ -53,6 +66,7 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     """
     warnings = [] if fit.result.converged else [fit.result.message]
     warnings += _residual_warnings(fit)
+    warnings += _lens_warnings(fit)
     warnings += _target_warnings(fit)
     warnings += _robot_warnings(fit)
     warnings += _mount_warnings(fit)
@@ -115,6 +129,34 @@ def _residual_warnings(fit: JointFit) -> list[str]:
             f"within a view: the lens, or the target's points, are not as modelled"
         )
     return warnings
+
+
+def _lens_warnings(fit: JointFit) -> list[str]:
+    """Return a warning where most of a parameter's variance is due to what the lens model lacks."""
+    estimate = fit.noise_estimate
+    if estimate is None or estimate.lens is None:
+        return []
+    calibration, lens = fit.calibration, estimate.lens
+    # A term that the model lacks is always at odds with the terms that it has.
+    names = ("camera.alpha", "camera.u0", "camera.v0", f"{calibration.transform_names[0]}.")
+    shares = {
+        name: variance / fit.std[name] ** 2
+        for name, variance in zip(
+            estimate.parameter_names, np.diagonal(lens.covariance), strict=True
+        )
+        if name.startswith(names) and fit.std.get(name, 0.0) > 0.0
+    }
+    most = [name for name, share in shares.items() if share > OWN_VARIANCE_SHARE]
+    if lens.probability < MAX_SCALE_PROBABILITY or not most:
+        return []
+    kind = type(calibration.camera.lens).__name__.lower()
+    richer = RICHER_LENSES.get(kind)
+    advice = f"compare lens='{richer}', and look" if richer else "look"
+    return [
+        f"the pictures are bent by {lens.rms:.2g} px RMS in a way that no {kind} lens is, which is "
+        f"most of the uncertainty of {', '.join(most[:MAX_NAMED_PARAMETERS])}: {advice} at the "
+        "target and the detections"
+    ]
 
 
 def _target_warnings(fit: JointFit) -> list[str]:

@@ -86,6 +86,7 @@ class RobotPrior:
         target_print_median: median displacement of its edge within its plane, by a different
             stretch of both axes and by shear, in the same unit.
         target_geometric_std: exp of the standard deviation of the logarithms of both.
+        wrong_lens_probability: probability that the lens bends otherwise than its model describes.
     """
 
     translation_median: float = 5e-5
@@ -103,6 +104,7 @@ class RobotPrior:
     target_bow_median: float = 5e-4
     target_print_median: float = 2e-4
     target_geometric_std: float = float(np.exp(1.2))
+    wrong_lens_probability: float = 0.5
 
     def __post_init__(self) -> None:
         positive = (
@@ -127,7 +129,11 @@ class RobotPrior:
             value = getattr(self, name)
             if not 1.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a factor above 1, found {value}")
-        for name in ("weak_robot_probability", "wrong_target_probability"):
+        for name in (
+            "weak_robot_probability",
+            "wrong_target_probability",
+            "wrong_lens_probability",
+        ):
             value = getattr(self, name)
             if not 0.0 <= value < 1.0:
                 raise ValueError(

@@ -11,6 +11,7 @@ from ..calibration import Calibration, TargetShape
 from ..engine import Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
+from .lens_terms import LensEvidence
 from .model_selection import TARGET_SCALE, ModelName
 
 
@@ -108,6 +109,7 @@ class NoiseEstimate(NamedTuple):
         robot_prior: prior of the robot's errors.
         noise_corrections: twists at the tool that correct the reported poses for noise; the robot
             error field is evaluated at the corrected poses. None evaluates it at the reported ones.
+        lens: evidence that the lens bends otherwise than its model describes.
     """
 
     name: str
@@ -127,6 +129,7 @@ class NoiseEstimate(NamedTuple):
     between_models_covariance: Float[np.ndarray, "shared shared"]
     robot_prior: RobotPrior
     noise_corrections: Float[np.ndarray, "views 6"] | None = None
+    lens: LensEvidence | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -146,10 +149,13 @@ class NoiseEstimate(NamedTuple):
     def covariance_of_choices(self, names: Sequence[str]) -> Float[np.ndarray, "subset subset"]:
         """Return the covariance of some parameters that a fit of the averaged model lacks.
 
-        It is due to the disagreement between the models, and to the target's uncertain shape.
+        It is due to the disagreement between the models, to a lens that may bend otherwise than its
+        model, and to the target's uncertain shape.
         """
         indices = self._indices(names)
         covariance = self.between_models_covariance[np.ix_(indices, indices)]
+        if self.lens is not None:
+            covariance = covariance + self.lens.covariance[np.ix_(indices, indices)]
         if self.target_shape is None:
             return covariance
         by_shape = self.target_shape.by_shape[indices]

@@ -23,6 +23,7 @@ from ..engine import (
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior, checked_field_choice
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
 from .kenward_roger import small_sample_correction
+from .lens_terms import lens_evidence
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
     LinearisedViews,
@@ -150,6 +151,14 @@ def estimate_noise(
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)
     field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
+    lens = lens_evidence(
+        views.at(average.shape, average.noise_corrections),
+        average.z,
+        linearised,
+        maximum.sigmas,
+        chain,
+        prior.wrong_lens_probability,
+    )
     target_scale, scale_std = first.target_scale, None
     if scale_is_group:
         target_scale = target_scale_evidence(
@@ -183,6 +192,7 @@ def estimate_noise(
         ),
         prior,
         average.noise_corrections,
+        lens,
     )
 
 

@@ -115,6 +115,13 @@ class ViewStatistics:
         views._set_shape(shape)
         return views
 
+    def at(
+        self, shape: TargetShape | None, corrections: Float[np.ndarray, "views 6"]
+    ) -> "ViewStatistics":
+        """Return the statistics at a fit: for its target's shape and its poses less their noise."""
+        views = self.with_noise_corrections(corrections)
+        return views if shape is None else views.with_shape(shape)
+
     def moved(self, z: Step, step: Step) -> tuple["ViewStatistics", Step]:
         """Return the statistics and the step of the problem after a step of all parameters.
 

@@ -1,0 +1,181 @@
+"""Ask of the pictures whether the lens bends in a way that its model does not know.
+
+Radial terms of higher order than most lens models have are added to the linearised fit, in pixels
+at the farthest point that was seen. Whatever camera, poses
+and target can make up for is left to them. A lens that the model describes needs none of the terms;
+otherwise they have a normal prior about zero whose standard deviation may be anything between a
+hardly measurable error and a gross one. The more probable it is that the terms are needed, the more
+the stated covariance covers what they would change.
+"""
+
+import copy
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from ..array_namespace import to_device
+from ..dataset import view_residuals
+from ..engine import FittedChain, Step
+from .likelihood import LinearisedViews, StandardDeviations, marginalise
+from .view_statistics import ViewStatistics
+
+STANDARD_DEVIATIONS = np.geomspace(0.03, 30.0, 16)
+"""Equally probable standard deviations of the terms, px at the farthest point: from what detection
+blurs to what no model of a lens leaves."""
+
+RADIAL_POWERS = (2, 3, 4)
+"""Powers of the squared distance from the picture's centre by which the radial terms grow.
+
+Decentring is left out: a turn of the camera makes up for it so well that pictures do not tell, and
+the makers of lenses see to it.
+"""
+
+
+class LensEvidence(NamedTuple):
+    """The evidence of the pictures that the lens bends otherwise than its model describes.
+
+    Attributes:
+        probability: probability that it does.
+        rms: RMS over the points of what the model lacks, px; what other parameters make up for does
+            not count.
+        covariance: what it adds to the covariance of the shared parameters.
+    """
+
+    probability: float
+    rms: float
+    covariance: Float[np.ndarray, "shared shared"]
+
+
+def lens_evidence(
+    views: ViewStatistics,
+    z: Step,
+    linearised: LinearisedViews,
+    sigmas: StandardDeviations,
+    chain: FittedChain,
+    wrong_lens_probability: float,
+) -> LensEvidence | None:
+    """Return the evidence on the lens; None where no point is away from the picture's centre.
+
+    Args:
+        views: statistics of the views.
+        z: step at the linearisation.
+        linearised: the views linearised there.
+        sigmas: standard deviations of all errors.
+        chain: the chain of transforms there.
+        wrong_lens_probability: prior probability that the terms are needed.
+    """
+    terms = _terms(views, chain) if wrong_lens_probability else None
+    if terms is None:
+        return None
+    extended = _with_terms(views, z, linearised, terms)
+    marginal = marginalise(extended, sigmas)
+    count = len(terms)
+    covariance, step = np.asarray(marginal.shared_covariance), np.asarray(marginal.step.shared)
+    if not (np.isfinite(covariance).all() and np.isfinite(step).all()):
+        return None
+    own = covariance[-count:, -count:]
+    by_terms = covariance[:-count, -count:] @ np.linalg.inv(own)
+    # Without the widest prior: information matrix S and its product with the best step, S e = h.
+    precision = np.linalg.inv(own)
+    information = precision - np.eye(count) / STANDARD_DEVIATIONS[-1] ** 2
+    values, axes = np.linalg.eigh(0.5 * (information + information.T))
+    values = np.maximum(values, 0.0)
+    pull = axes.T @ (precision @ step[-count:])
+    # With a prior of standard deviation t, the Bayes factor against no terms at all is
+    #     2 log B = h^T (S + t^-2)^-1 h - log det(1 + t^2 S).
+    variances = STANDARD_DEVIATIONS[:, None] ** 2
+    posterior = variances / (1.0 + variances * values)
+    log_factors = 0.5 * (posterior * pull**2 - np.log1p(variances * values)).sum(axis=1)
+    log_odds = logsumexp(log_factors) - np.log(len(log_factors))
+    log_odds += np.log(wrong_lens_probability) - np.log1p(-wrong_lens_probability)
+    probability = float(1.0 / (1.0 + np.exp(-log_odds)))
+    weights = np.exp(log_factors - logsumexp(log_factors))
+    means = posterior * pull
+    seen = int(np.asarray(views.problem.observations.visible).sum())
+    explained = weights @ (means * pull).sum(axis=1) * float(sigmas.pixel) ** 2
+    # The second moment of what the terms are, about none of them.
+    moment = np.einsum("t,ti,tj->ij", weights, means, means) + np.diag(weights @ posterior)
+    towards = by_terms @ axes
+    return LensEvidence(
+        probability,
+        float(np.sqrt(max(explained, 0.0) / max(seen, 1))),
+        probability * (towards @ moment @ towards.T),
+    )
+
+
+def _terms(
+    views: ViewStatistics, chain: FittedChain
+) -> Float[np.ndarray, "terms views points 2"] | None:
+    """Return how each term moves the predicted pixels, for one pixel at the farthest point.
+
+    None where no point is away from the picture's centre, or one cannot be projected.
+    """
+    observations, camera = views.problem.observations, chain.calibration.camera
+    visible = np.asarray(observations.visible)[..., None]
+    residuals = view_residuals(
+        camera, chain.calibration.target_scale, chain.camera_from_world, observations
+    )
+    # Functions of measured pixels would go together with these pixels' noise.
+    predicted = np.asarray(observations.pixels) - np.asarray(residuals)
+    centre = np.array([float(camera.u0), float(camera.v0)])
+    away = np.where(visible, predicted - centre, 0.0)
+    farthest = float(np.sqrt((away**2).sum(axis=-1).max(initial=0.0)))
+    if not 0.0 < farthest < np.inf:
+        return None
+    place = away / farthest
+    square = (place**2).sum(axis=-1, keepdims=True)
+    return np.stack([place * square**power for power in RADIAL_POWERS])
+
+
+def _with_terms(
+    views: ViewStatistics,
+    z: Step,
+    linearised: LinearisedViews,
+    terms: Float[np.ndarray, "terms views points 2"],
+) -> LinearisedViews:
+    """Return the linearised views with the terms as shared parameters after all others."""
+    # Where the pixels move by a term b, the gradient -J^T r becomes -J^T (r + b), and half the sum
+    # of squares |r|^2 / 2 grows by b^T r + |b|^2 / 2: the compiled program of the linearisation
+    # tells how the terms go together with all other parameters.
+    products = np.einsum("ivpk,jvpk->ij", terms, terms)
+    by_shared, by_view, by_residual = [], [], []
+    for term, square in zip(terms, np.diagonal(products), strict=True):
+        moved = _with_moved_pixels(views, term).linearise(z)
+        by_shared.append(linearised.gradient.shared - moved.gradient.shared)
+        by_view.append(linearised.gradient.per_view - moved.gradient.per_view)
+        growth = moved.residual_sum_of_squares - linearised.residual_sum_of_squares
+        by_residual.append(0.5 * (float(growth) - square))
+    border = np.stack(by_shared, axis=1)
+    matrix, gradient, offset = linearised.matrix, linearised.gradient, linearised.offset_from_prior
+    count = len(terms)
+    return dataclasses.replace(
+        linearised,
+        matrix=eqx.tree_at(
+            lambda m: (m.shared, m.border),
+            matrix,
+            (
+                np.block([[np.asarray(matrix.shared), border], [border.T, products]]),
+                np.concatenate([matrix.border, np.stack(by_view, axis=-1)], axis=-1),
+            ),
+        ),
+        gradient=gradient._replace(shared=np.append(gradient.shared, -np.array(by_residual))),
+        offset_from_prior=offset._replace(shared=np.append(offset.shared, np.zeros(count))),
+        known_weight=np.append(
+            linearised.known_weight, np.full(count, 1.0 / STANDARD_DEVIATIONS[-1])
+        ),
+        group_index=np.append(linearised.group_index, np.full(count, -1)),
+    )
+
+
+def _with_moved_pixels(
+    views: ViewStatistics, change: Float[np.ndarray, "views points 2"]
+) -> ViewStatistics:
+    """Return the statistics with other pixels."""
+    moved = copy.copy(views)
+    pixels = to_device(np.asarray(views.problem.observations.pixels) + change)
+    moved.problem = eqx.tree_at(lambda p: p.observations.pixels, views.problem, pixels)
+    return moved
