@@ -6,17 +6,23 @@ tests' time.
 """
 
 import ast
+import functools
 import hashlib
 import marshal
 import os
 import sys
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder, SourceFileLoader
 from pathlib import Path
 from types import CodeType
+
+import jax
+import numpy as np
+from beartype import beartype
+from jaxtyping import jaxtyped
 
 PACKAGE = Path(__file__).parent.parent / "smartview_jax"
 
@@ -25,8 +31,41 @@ CHECKED = PACKAGE.parent / ".pytest_cache" / "checked_modules"
 
 _OWN_SOURCE = Path(__file__).read_bytes()
 
-_IMPORTS = ast.parse("import beartype as _beartype\nimport jaxtyping as _jaxtyping").body
-_CHECK = ast.parse("_jaxtyping.jaxtyped(typechecker=_beartype.beartype)", mode="eval").body
+_IMPORTS = ast.parse("import public_signatures as _public_signatures").body
+_CHECK_FUNCTION = ast.parse("_public_signatures.checked", mode="eval").body
+_CHECK_CLASS = ast.parse("_public_signatures.checked_class", mode="eval").body
+
+checked_class = jaxtyped(typechecker=beartype)
+
+
+def checked(function: Callable) -> Callable:
+    """Check the types and shapes of a function's arguments and result.
+
+    A call with arguments of the same types and shapes as an earlier one is not checked again: to do
+    so takes a tenth of the tests' time.
+    """
+    checks = jaxtyped(typechecker=beartype)(function)
+    known = set()
+
+    @functools.wraps(function)
+    def call(*args, **kwargs):
+        kinds = (*map(_kind, args), *((name, _kind(value)) for name, value in kwargs.items()))
+        if kinds in known:
+            return function(*args, **kwargs)
+        result = checks(*args, **kwargs)
+        known.add(kinds)
+        return result
+
+    return call
+
+
+def _kind(argument: object) -> object:
+    """What a check of an argument depends on."""
+    if isinstance(argument, np.ndarray | jax.Array):
+        return type(argument), argument.shape, argument.dtype
+    if isinstance(argument, tuple | list):
+        return type(argument), *map(_kind, argument)
+    return type(argument)
 
 
 def shown_names(package: Path = PACKAGE) -> dict[str, set[str]]:
@@ -51,12 +90,12 @@ class _AddChecks(ast.NodeTransformer):
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
         if node.name in self._public:
             # Innermost, because other decorators, such as `jax.custom_jvp`, need their own methods.
-            node.decorator_list.append(_CHECK)
+            node.decorator_list.append(_CHECK_FUNCTION)
         return node
 
     def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
         if node.name in self._public:
-            node.decorator_list.insert(0, _CHECK)
+            node.decorator_list.insert(0, _CHECK_CLASS)
             methods = _AddChecks({part.name for part in node.body if _is_public_method(part)})
             node.body = [methods.visit(part) for part in node.body]
         return node
