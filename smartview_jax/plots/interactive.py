@@ -43,7 +43,7 @@ class InteractiveScene:
         """
         script = files("smartview_jax.plots").joinpath(_SCRIPT).read_text(encoding="utf-8")
         # `</` would end the script early; JSON reads `<\/` as the same text.
-        description = json.dumps([self.traces, self.layout], allow_nan=False).replace("</", "<\\/")
+        description = json.dumps([self.traces, self.layout], allow_nan=False).replace("<", "\\u003c")
         return (
             f'<div id="{element_id}" style="width:100%;height:{SCENE_HEIGHT}px"></div>\n'
             f"<script>{script}</script>\n"

@@ -2,6 +2,7 @@
 
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
@@ -12,6 +13,12 @@ SUPPORTED_VERSIONS = (1, 2)
 
 END_MARK = "smartview_calibration"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
+
+ROUNDING = 1e-9
+"""Largest negative eigenvalue of a correlation matrix for each parameter, by rounding alone.
+
+Covariances are written with all digits; the solver's own rounding is below the symmetry's 1e-9.
+"""
 
 _FocalLength = Annotated[
     float,
@@ -206,6 +213,19 @@ class UncertaintyEntry(Entry):
                 scale = (self.covariance[i][i] * self.covariance[j][j]) ** 0.5
                 if abs(self.covariance[i][j] - self.covariance[j][i]) > 1e-9 * scale:
                     raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
+        if len(set(self.parameters)) != count:
+            twice = next(name for name in self.parameters if self.parameters.count(name) > 1)
+            raise ValueError(f"parameters: {twice} comes twice")
+        # As correlations, because variances in m and px differ by many powers of ten.
+        matrix = np.array(self.covariance, float).reshape(count, count)
+        sigmas = np.sqrt(np.diag(matrix))
+        smallest = np.linalg.eigvalsh(matrix / sigmas / sigmas[:, None]).min(initial=0.0)
+        # Eigenvalues of a computed covariance are wrong by rounding in the size of the largest.
+        if smallest < -ROUNDING * count:
+            raise ValueError(
+                "covariance: not positive semidefinite: some combination of the parameters has a "
+                "negative variance"
+            )
         return self
 
 

@@ -47,7 +47,7 @@ def test_the_page_needs_the_token(client):
 
 def test_pictures_need_the_token(client):
     assert client.get("/picture/v1").status_code == 403
-    client.cookies.set("smartview_editor", TOKEN)
+    client.cookies.set(f"smartview_editor_{PORT}", TOKEN)
     assert client.get("/picture/v1").content.startswith(b"\xff\xd8")
     assert client.get("/picture/v9").status_code == 404
     assert client.get("/picture/..%2Fserver.py").status_code == 404
@@ -63,7 +63,7 @@ def test_the_socket_needs_the_token_and_the_pages_origin(client):
     host = {"host": f"{HOST}:{PORT}"}
     good = {"origin": ORIGIN, **host}
     refused(client, headers=good)
-    client.cookies.set("smartview_editor", TOKEN)
+    client.cookies.set(f"smartview_editor_{PORT}", TOKEN)
     refused(client, headers=host)
     refused(client, headers={"origin": "http://evil.example", **host})
     refused(client, headers={"origin": f"http://{HOST}:{PORT + 1}", **host})
