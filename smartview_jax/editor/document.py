@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..argument_checks import MAX_NAME_LENGTH
 from .drawn_parts import DrawnConstraint as DrawnConstraint
 from .drawn_parts import DrawnFace as DrawnFace
 from .drawn_parts import PlacedGrasp as PlacedGrasp
@@ -19,9 +20,6 @@ Clicks = Mapping[str, tuple[float, float]]
 
 KINDS = ("points", "edges", "faces", "grasps", "constraints")
 """The parts of a document that have ids, by which they are deleted."""
-
-MAX_NAME_LENGTH = 200
-"""Largest number of characters of a name, as in the schema of object models."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
-from .entry import Entry, Expected, FiniteNumber, Name
+from .entry import Entry, Expected, FiniteNumber, FocalLength, Name, check_pixel_shape
 
 SUPPORTED_VERSIONS = (1, 2)
 """Versions of the format that can be read; version 2 has an end mark."""
@@ -20,11 +20,6 @@ ROUNDING = 1e-9
 Covariances are written with all digits; the solver's own rounding is below the symmetry's 1e-9.
 """
 
-_FocalLength = Annotated[
-    float,
-    Field(gt=0.0, le=1e7),
-    Expected("a focal length over pixel pitch in px, above 0 up to 1e7"),
-]
 _PrincipalPoint = Annotated[
     float, Field(ge=-1e6, le=1e6), Expected("a principal point in px, from -1e6 to 1e6")
 ]
@@ -92,10 +87,16 @@ class LensEntry(Entry):
 class PinholeEntry(Entry):
     """A camera's four pinhole numbers."""
 
-    alpha_u: _FocalLength
-    alpha_v: _FocalLength
+    alpha_u: FocalLength
+    alpha_v: FocalLength
     u0: _PrincipalPoint
     v0: _PrincipalPoint
+
+    @model_validator(mode="after")
+    def _check_pixels(self) -> "PinholeEntry":
+        """Raise a ValueError for pixels of an impossible shape."""
+        check_pixel_shape(self.alpha_u, self.alpha_v)
+        return self
 
 
 class CameraEntry(PinholeEntry):
