@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from smartview_jax.argument_checks import require_readable
+from smartview_jax.argument_checks import require_instance, require_names, require_readable
 
 CASES = {
     "fit(priors={'camera.u0': 3.0})": "priors['camera.u0']: expected Prior, found 3.0 (float)",
