@@ -37,6 +37,33 @@ def require_distinct(name: str, values: Sequence[str]) -> None:
         raise ValueError(f"{name}: {', '.join(repeated)} given more than once")
 
 
+MAX_NAME_LENGTH = 200
+"""Largest number of characters of a name, as in the schemas of files."""
+
+
+def require_readable(name: str, values: Sequence[str]) -> None:
+    """Raise a ValueError for a name that no file could hold so that it is read back equal.
+
+    Args:
+        name: of the argument.
+        values: names that tables, YAML files and file names are made with.
+    """
+    for value in values:
+        reason = None
+        if not 0 < len(value) <= MAX_NAME_LENGTH:
+            reason = f"a name has 1 to {MAX_NAME_LENGTH} characters, not {len(value)}"
+        elif not value.isprintable():
+            reason = "it has a tab, a line end or another character that is not printable"
+        elif value != value.strip():
+            reason = "it begins or ends with a space"
+        elif value.startswith("#"):
+            reason = "a row that begins with # is a comment"
+        elif ".." in value.replace("\\", "/").split("/"):
+            reason = "as a file name it would lead out of its folder"
+        if reason is not None:
+            raise ValueError(f"{name}: {value[:60]!r} is no name: {reason}")
+
+
 def _described(value: object) -> str:
     """Return the kind of a value, and the value itself where that is short."""
     text = repr(value)

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from smartview_jax.argument_checks import require_instance, require_names
+from smartview_jax.argument_checks import require_instance, require_names, require_readable
 
 CASES = {
     "fit(priors={'camera.u0': 3.0})": "priors['camera.u0']: expected Prior, found 3.0 (float)",
@@ -68,3 +68,15 @@ def test_what_is_right_passes():
 def test_long_values_are_not_printed():
     with pytest.raises(TypeError, match=r"^data: expected dict, found one of type list$"):
         require_instance("data", list(range(100)), dict)
+
+
+@pytest.mark.parametrize(
+    "odd", ["", "a\tb", "a\xa0b", "x" * 201, "#c", "../../y", "a\nb", " a", "a ", "..\\y"]
+)
+def test_names_that_no_file_reads_back_are_refused(odd):
+    with pytest.raises(ValueError, match=r"^views: .* is no name: "):
+        require_readable("views", ["v1", odd])
+
+
+def test_names_that_files_read_back_are_accepted():
+    require_readable("views", ["v1", "left/0001", "a, b", "it's", '"q"', "<!--<script>", "x" * 200])

@@ -6,7 +6,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..argument_checks import require_distinct
+from ..argument_checks import require_distinct, require_readable
 from ..compilation import compiled
 from ..geometry import PoseLike, host_matrices
 from ..robots import SerialArm
@@ -106,6 +106,7 @@ def checked_view_ids(view_ids: Sequence[str | int] | None, view_count: int) -> t
         raise ValueError(f"view_ids: expected {view_count}, found {len(ids)}")
     # Poses and pictures are paired by id, so a duplicate would pair them wrongly.
     require_distinct("view_ids", ids)
+    require_readable("view_ids", ids)
     return ids
 
 

@@ -52,10 +52,10 @@ class Conversation:
                 found = command(self, **content)
             else:
                 found = self._changed(content)
-        # A page of another version may send other arguments (TypeError), and a disk may be full
-        # (OSError): neither ends the conversation.
-        except (ValueError, TypeError, OSError) as error:
-            found = {"type": "error", "text": str(error)}
+        # What a page sends is unchecked, and a disk may be full: no exception of any kind ends the
+        # conversation, because the session keeps a change only after everything was tried.
+        except Exception as error:
+            found = {"type": "error", "text": str(error) or type(error).__name__}
         return {**found, "reply_to": number}
 
     def _changed(self, change: Message) -> Message:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..argument_checks import MAX_NAME_LENGTH
 from .drawn_parts import DrawnConstraint as DrawnConstraint
 from .drawn_parts import DrawnFace as DrawnFace
 from .drawn_parts import PlacedGrasp as PlacedGrasp
@@ -83,6 +84,9 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
     # A missing or misspelt argument; Python's message names it after the function's name.
     except TypeError as error:
         raise ValueError(f"{name}: {str(error).split('() ')[-1]}") from None
+    # A list where a mapping is expected, infinity as an id, changes nested without end.
+    except (AttributeError, LookupError, OverflowError, RecursionError) as error:
+        raise ValueError(f"{name}: not a change that can be made: {error}") from None
 
 
 def _pixel(pixel: Any) -> tuple[float, float]:
@@ -157,12 +161,8 @@ def _add_face(
 ) -> Document:
     """Add a face around three or more points, and the edges around it that are missing."""
     points = tuple(int(point) for point in loop)
-    for point in points:
-        document.existing("points", point)
-    if len(set(points)) != len(points) or len(points) < 3:
-        raise ValueError(f"a face goes around 3 or more different points; found {list(points)}")
     # The face comes first, so that its id is the one that was next before the change.
-    document = document._added("faces", DrawnFace(points, name, graspable))
+    document = document._added("faces", _checked_face(document, DrawnFace(points, name, graspable)))
     drawn = {frozenset(edge) for edge in document.edges.values()}
     for a, b in zip(points, points[1:] + points[:1], strict=True):
         if frozenset((a, b)) not in drawn:
@@ -174,10 +174,21 @@ def _change_face(document: Document, id: int, **values: Any) -> Document:
     """Change the name of a face, whether it is graspable, or its loop."""
     # JSON has lists only; a face's loop is compared and hashed as a tuple.
     if "loop" in values:
-        values["loop"] = tuple(values["loop"])
-    return document._changed(
-        "faces", id, dataclasses.replace(document.existing("faces", id), **values)
-    )
+        values["loop"] = tuple(int(point) for point in values["loop"])
+    face = dataclasses.replace(document.existing("faces", id), **values)
+    return document._changed("faces", id, _checked_face(document, face))
+
+
+def _checked_face(document: Document, face: DrawnFace) -> DrawnFace:
+    """Return a face whose points exist and whose values can be saved and read."""
+    for point in face.loop:
+        document.existing("points", point)
+    if len(set(face.loop)) != len(face.loop) or len(face.loop) < 3:
+        raise ValueError(f"a face goes around 3 or more different points; found {list(face.loop)}")
+    _check_name(face.name)
+    if face.graspable not in (True, False, None):
+        raise ValueError(f"a face is graspable, not, or left open; found {face.graspable!r}")
+    return face
 
 
 def _add_grasp(document: Document, face: int, **values: Any) -> Document:
@@ -188,7 +199,9 @@ def _add_grasp(document: Document, face: int, **values: Any) -> Document:
 
 def _change_grasp(document: Document, id: int, **values: Any) -> Document:
     """Move, turn, open or rename a grasp."""
-    return document._changed("grasps", id, _checked_grasp(document.existing("grasps", id), values))
+    changed = _checked_grasp(document.existing("grasps", id), values)
+    document.existing("faces", changed.face)
+    return document._changed("grasps", id, changed)
 
 
 def _checked_grasp(grasp: PlacedGrasp, values: dict[str, Any]) -> PlacedGrasp:
@@ -198,7 +211,11 @@ def _checked_grasp(grasp: PlacedGrasp, values: dict[str, Any]) -> PlacedGrasp:
     numbers = [values.get(name) for name in ("angle", "opening", "depth")]
     if any(number is not None and not math.isfinite(number) for number in numbers):
         raise ValueError("a grasp's angle, opening and depth are finite numbers")
-    return dataclasses.replace(grasp, **values)
+    changed = dataclasses.replace(grasp, **values)
+    if changed.angle is None or changed.depth is None:
+        raise ValueError("a grasp's angle and depth are finite numbers")
+    _check_name(changed.name)
+    return changed
 
 
 def _add_constraint(
@@ -216,14 +233,23 @@ def _add_constraint(
             document.existing("points", point)
     if value is not None and not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"a known length is above 0 m; found {value}")
+    if sigma is not None and not (math.isfinite(sigma) and sigma > 0.0):
+        raise ValueError(f"the standard deviation of a fact is above 0; found {sigma}")
+    if not isinstance(kind, str):
+        raise ValueError(f"the kind of a fact is a name; found {kind!r}")
     return document._added("constraints", DrawnConstraint(kind, groups, value, sigma))
 
 
 def _rename(document: Document, name: str) -> Document:
     """Give the object a name."""
-    if not isinstance(name, str) or len(name) > 200 or not name.isprintable():
-        raise ValueError("a name has up to 200 printable characters")
+    _check_name(name)
     return dataclasses.replace(document, name=name)
+
+
+def _check_name(name: Any) -> None:
+    """Raise a ValueError for a name that the model's file could not be read with."""
+    if not isinstance(name, str) or len(name) > MAX_NAME_LENGTH or not name.isprintable():
+        raise ValueError(f"a name has up to {MAX_NAME_LENGTH} printable characters; found {name!r}")
 
 
 def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> Document:

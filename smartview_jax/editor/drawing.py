@@ -50,8 +50,16 @@ class AbstractDrawing(abc.ABC):
         # Clicks first: the document knows neither the views nor the size of their pictures.
         check_clicks(change, self.names, self.picture_size)
         changed = apply_change(self.document, change)
-        # Everything that can fail is tried before the journal has the change.
-        self.estimates(changed)
+        # Everything that a page shows is tried on the copy before the journal has the change: what
+        # fails only afterwards would fail again whenever the file is opened.
+        try:
+            problems_of(changed, self.estimates(changed))
+        except ValueError:
+            raise
+        except Exception as error:
+            raise ValueError(
+                f"{change.get('do')}: the geometry cannot be computed: {error}"
+            ) from error
         self._journal.change(change, changed)
 
     def checked_pixel(self, view: Any, pixel: Any) -> tuple[float, float]:

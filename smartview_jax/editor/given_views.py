@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..argument_checks import require_distinct
+from ..argument_checks import require_distinct, require_readable
 from ..detection import read_picture
 
 MIN_VIEWS = 2
@@ -21,6 +21,7 @@ def checked_names(names: Sequence[str] | None, count: int) -> list[str]:
     if len(given) != count:
         raise ValueError(f"expected a name for each of {count} pictures, found {len(given)}")
     require_distinct("names", given)
+    require_readable("names", given)
     return given
 
 

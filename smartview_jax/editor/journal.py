@@ -46,17 +46,31 @@ class Journal:
         if lines:
             self._check_header(lines[0], json.loads(json.dumps(first)))
             self.entries = lines[1:]
-        self._file = open(path, "ab")  # noqa: SIM115 (it stays open until `close`)
+        # Unbuffered: bytes that a full disk refused must not come out with the next change.
+        self._file = open(path, "ab", buffering=0)  # noqa: SIM115 (it stays open until `close`)
         if not lines:
             self.append(first)
             _sync_folder(path.parent)
 
     def append(self, entry: Mapping[str, Any]) -> None:
-        """Write an entry, and return when it is on the disk."""
-        self._file.write(json.dumps(entry, allow_nan=False).encode() + b"\n")
-        # Python's buffer, then the system's: after `fsync` a power cut loses nothing either.
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        """Write an entry, and return when it is on the disk.
+
+        Raises:
+            OSError: the disk is full or failed; the file has its earlier entries only.
+        """
+        data = memoryview(json.dumps(entry, allow_nan=False).encode() + b"\n")
+        descriptor = self._file.fileno()
+        size = os.fstat(descriptor).st_size
+        try:
+            # A disk that is nearly full takes a part of the bytes, and refuses at the next call.
+            while data:
+                data = data[os.write(descriptor, data) :]
+            # After `fsync` a power cut loses nothing either.
+            os.fsync(descriptor)
+        except BaseException:
+            # A part of a line would make one broken line with the next entry.
+            os.ftruncate(descriptor, size)
+            raise
 
     def close(self) -> None:
         """Close the file; nothing is left to be written."""

@@ -39,10 +39,15 @@ class OwnerLock:
         """Create the file with the name of this process, or raise a FileExistsError."""
         # O_EXCL: exactly one of several processes makes the file.
         descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
-        with os.fdopen(descriptor, "w") as file:
-            json.dump(_this_process(), file)
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with os.fdopen(descriptor, "w") as file:
+                json.dump(_this_process(), file)
+                file.flush()
+                os.fsync(file.fileno())
+        except BaseException:
+            # A full disk: half a name would be a lock that nobody is known to hold.
+            self.path.unlink(missing_ok=True)
+            raise
 
     def _read(self) -> dict[str, Any]:
         """Return what the lock says about its owner; empty if it says nothing readable."""

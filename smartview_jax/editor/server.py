@@ -6,6 +6,7 @@ this machine's, are refused.
 """
 
 import asyncio
+import contextlib
 import secrets
 import threading
 from collections.abc import Callable
@@ -25,9 +26,6 @@ HOST = "127.0.0.1"
 
 JPEG_QUALITY = 93
 """The quality of the pictures sent to the page; clicks snap to the features of the originals."""
-
-_COOKIE = "smartview_editor"
-"""The name of the cookie with the token, for the requests that the page makes by itself."""
 
 PAGE = Path(__file__).parent / "page"
 """The folder of the page's files."""
@@ -52,7 +50,9 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     from starlette.staticfiles import StaticFiles
 
     # A browser calls this machine by either name.
-    editor = _Editor(session, token, {f"http://{name}:{port}" for name in (HOST, "localhost")})
+    origins = {f"http://{name}:{port}" for name in (HOST, "localhost")}
+    # Cookies are shared by all ports of a machine: without it, two editors would exchange tokens.
+    editor = _Editor(session, token, origins, cookie=f"smartview_editor_{port}")
     return Starlette(
         routes=[
             Route("/", editor.page),
@@ -68,8 +68,10 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
 class _Editor:
     """The session that all requests of one server share, and who may ask for it."""
 
-    def __init__(self, session: ModelSession, token: str, origins: set[str]):
+    def __init__(self, session: ModelSession, token: str, origins: set[str], cookie: str):
         self._session, self._token, self._origins = session, token, origins
+        # It has the token for the requests that the page makes by itself.
+        self._cookie = cookie
         self._pages: dict[Any, Conversation] = {}
         # Answers are computed in a thread, so that pictures load meanwhile; one after another,
         # because they change the session.
@@ -86,7 +88,7 @@ class _Editor:
             )
         response = FileResponse(PAGE / "index.html")
         # Pictures and the socket are asked for without the address's token.
-        response.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
+        response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
         return response
 
     async def picture(self, request: Any) -> Any:
@@ -95,7 +97,7 @@ class _Editor:
 
         view = request.path_params["view"]
         # The pictures are the user's; the page's own files are public.
-        if not self._has_token(request.cookies.get(_COOKIE, "")):
+        if not self._has_token(request.cookies.get(self._cookie, "")):
             return PlainTextResponse("no token", 403)
         if view not in self._session.pictures:
             return PlainTextResponse(f"there is no view {view!r}", 404)
@@ -111,7 +113,7 @@ class _Editor:
         from starlette.websockets import WebSocketDisconnect
 
         cookie = SimpleCookie(socket.headers.get("cookie", ""))
-        token = cookie[_COOKIE].value if _COOKIE in cookie else ""
+        token = cookie[self._cookie].value if self._cookie in cookie else ""
         # A browser lets any page open a socket here; it always says which page it was.
         if socket.headers.get("origin") not in self._origins or not self._has_token(token):
             await socket.close(1008)
@@ -131,11 +133,13 @@ class _Editor:
                 document = self._session.document
                 async with self._turn:
                     answer = await asyncio.to_thread(conversation.answer, message)
-                await socket.send_json(answer)
+                # Others are told of a change even if the page that made it has left.
+                await _send(socket, answer)
                 if self._session.document is not document:
                     await self._tell_others(socket)
-        except (WebSocketDisconnect, ValueError, TypeError):
-            # A message that is no mapping in JSON is not from the page: its socket ends here.
+        except (WebSocketDisconnect, RuntimeError, ValueError, TypeError):
+            # The page has left (starlette raises a RuntimeError where a send noticed it first), or
+            # a message is no mapping in JSON and so not from the page: this socket ends here.
             pass
         finally:
             for task in slow:
@@ -146,19 +150,30 @@ class _Editor:
         """Answer a message that changes nothing and may take long."""
         answer = await asyncio.to_thread(conversation.answer, message)
         if socket in self._pages:
-            await socket.send_json(answer)
+            await _send(socket, answer)
 
     async def _tell_others(self, changer: Any) -> None:
         """Send what has changed to all pages but the one that changed it."""
         for socket, conversation in list(self._pages.items()):
-            if socket is not changer:
+            # Others may have left while this one's update was computed.
+            if socket is not changer and socket in self._pages:
                 async with self._turn:
                     update = await asyncio.to_thread(conversation.update)
-                await socket.send_json(update)
+                await _send(socket, update)
 
     def _has_token(self, given: str) -> bool:
         """Return whether a token is the right one, in a time that does not tell how nearly."""
         return secrets.compare_digest(given.encode(), self._token.encode())
+
+
+async def _send(socket: Any, message: dict[str, Any]) -> None:
+    """Send a message to a page that may have left; its own loop sees that it did, and ends."""
+    from starlette.websockets import WebSocketDisconnect
+
+    # The error of one page's socket must not end the loop of another page. Starlette raises a
+    # RuntimeError for a socket that was closed by this side.
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):
+        await socket.send_json(message)
 
 
 def encoded_picture(picture: np.ndarray) -> bytes:

@@ -194,6 +194,13 @@ def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"
         raise ValueError("the mesh has no triangles")
     if not np.isfinite(vertices).all():
         raise ValueError("the mesh has coordinates that are not finite")
+    # A negative index would silently count from the end.
+    wrong = triangles[((triangles < 0) | (triangles >= len(vertices))).any(axis=1)]
+    if len(wrong):
+        raise ValueError(
+            f"a triangle has the vertices {wrong[0].tolist()}, but the mesh has {len(vertices)}, "
+            "numbered from 0"
+        )
     radius = WELD_DISTANCE * float(np.ptp(vertices, axis=0).max())
     # The first of each cluster stands for all of it.
     # Joined by distance, not by rounding, which would part neighbours at its steps.

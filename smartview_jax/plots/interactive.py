@@ -42,8 +42,10 @@ class InteractiveScene:
             element_id: id of the element in the page; each scene of a page has its own.
         """
         script = files("smartview_jax.plots").joinpath(_SCRIPT).read_text(encoding="utf-8")
-        # `</` would end the script early; JSON reads `<\/` as the same text.
-        description = json.dumps([self.traces, self.layout], allow_nan=False).replace("</", "<\\/")
+        # In a name, `</script>` would end the script and `<!--<script>` would swallow the rest of
+        # the page; JSON reads the escape as the same text.
+        description = json.dumps([self.traces, self.layout], allow_nan=False)
+        description = description.replace("<", "\\u003c")
         return (
             f'<div id="{element_id}" style="width:100%;height:{SCENE_HEIGHT}px"></div>\n'
             f"<script>{script}</script>\n"

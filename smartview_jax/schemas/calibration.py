@@ -2,10 +2,11 @@
 
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
-from .entry import Entry, Expected, FiniteNumber, Name
+from .entry import Entry, Expected, FiniteNumber, FocalLength, Name, check_pixel_shape
 
 SUPPORTED_VERSIONS = (1, 2)
 """Versions of the format that can be read; version 2 has an end mark."""
@@ -13,11 +14,12 @@ SUPPORTED_VERSIONS = (1, 2)
 END_MARK = "smartview_calibration"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
 
-_FocalLength = Annotated[
-    float,
-    Field(gt=0.0, le=1e7),
-    Expected("a focal length over pixel pitch in px, above 0 up to 1e7"),
-]
+ROUNDING = 1e-9
+"""Largest negative eigenvalue of a correlation matrix for each parameter, by rounding alone.
+
+Covariances are written with all digits; the solver's own rounding is below the symmetry's 1e-9.
+"""
+
 _PrincipalPoint = Annotated[
     float, Field(ge=-1e6, le=1e6), Expected("a principal point in px, from -1e6 to 1e6")
 ]
@@ -85,10 +87,16 @@ class LensEntry(Entry):
 class PinholeEntry(Entry):
     """A camera's four pinhole numbers."""
 
-    alpha_u: _FocalLength
-    alpha_v: _FocalLength
+    alpha_u: FocalLength
+    alpha_v: FocalLength
     u0: _PrincipalPoint
     v0: _PrincipalPoint
+
+    @model_validator(mode="after")
+    def _check_pixels(self) -> "PinholeEntry":
+        """Raise a ValueError for pixels of an impossible shape."""
+        check_pixel_shape(self.alpha_u, self.alpha_v)
+        return self
 
 
 class CameraEntry(PinholeEntry):
@@ -206,6 +214,19 @@ class UncertaintyEntry(Entry):
                 scale = (self.covariance[i][i] * self.covariance[j][j]) ** 0.5
                 if abs(self.covariance[i][j] - self.covariance[j][i]) > 1e-9 * scale:
                     raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
+        if len(set(self.parameters)) != count:
+            twice = next(name for name in self.parameters if self.parameters.count(name) > 1)
+            raise ValueError(f"parameters: {twice} comes twice")
+        # As correlations, because variances in m and px differ by many powers of ten.
+        matrix = np.array(self.covariance, float).reshape(count, count)
+        sigmas = np.sqrt(np.diag(matrix))
+        smallest = np.linalg.eigvalsh(matrix / sigmas / sigmas[:, None]).min(initial=0.0)
+        # Eigenvalues of a computed covariance are wrong by rounding in the size of the largest.
+        if smallest < -ROUNDING * count:
+            raise ValueError(
+                "covariance: not positive semidefinite: some combination of the parameters has a "
+                "negative variance"
+            )
         return self
 
 

@@ -113,3 +113,21 @@ Name = Annotated[
     AfterValidator(_check_printable),
     Expected("a name of 1 to 200 printable characters"),
 ]
+FocalLength = Annotated[
+    float,
+    Field(ge=1.0, le=1e7),
+    Expected("a focal length over pixel pitch in px, from 1 to 1e7"),
+]
+
+MAX_PIXEL_RATIO = 10.0
+"""Largest ratio of a pixel's sides: sensors have up to 2, every other line left out doubles it."""
+
+
+def check_pixel_shape(alpha_u: float, alpha_v: float) -> None:
+    """Raise a ValueError for focal lengths in px whose pixels are of no sensor's shape."""
+    ratio = max(alpha_u / alpha_v, alpha_v / alpha_u)
+    if ratio > MAX_PIXEL_RATIO:
+        raise ValueError(
+            f"focal lengths {alpha_u:g} and {alpha_v:g} px: pixels {ratio:.3g} times as long as "
+            f"wide; at most {MAX_PIXEL_RATIO:g} is a sensor's"
+        )

@@ -5,7 +5,16 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, TypeAdapter, model_validator
 
 from .dataset import CodecName
-from .entry import Angle, Coordinate, Entry, Expected, FiniteNumber, Name
+from .entry import (
+    Angle,
+    Coordinate,
+    Entry,
+    Expected,
+    FiniteNumber,
+    FocalLength,
+    Name,
+    check_pixel_shape,
+)
 
 QuaternionComponent = Annotated[
     float, Field(ge=-1.01, le=1.01), Expected("a number of a unit quaternion")
@@ -131,9 +140,11 @@ class OpenCVCameraFile(ForeignEntry):
     distortion_coefficients: OpenCVMatrix
 
 
-class VispPoseFile(ForeignEntry):
-    """ViSP's pose vector: m, and axis times angle in rad."""
+class VispPoseFile(Entry):
+    """ViSP's pose vector: m, and axis times angle in rad; ViSP writes no other entries."""
 
+    rows: Annotated[Literal[6], Expected("6, the rows of a pose vector")] = 6
+    cols: Annotated[Literal[1], Expected("1, the columns of a pose vector")] = 1
     data: Annotated[
         list[
             Annotated[
@@ -153,10 +164,16 @@ class VispCameraEntry(ForeignEntry):
 
     image_width: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
     image_height: Annotated[int, Field(ge=1, le=100_000), Expected("px: a whole number to 100000")]
-    px: Annotated[float, Field(gt=0.0, le=1e7), Expected("px, above 0 up to 1e7")]
-    py: Annotated[float, Field(gt=0.0, le=1e7), Expected("px, above 0 up to 1e7")]
+    px: FocalLength
+    py: FocalLength
     u0: Annotated[float, Field(ge=-1e6, le=1e6), Expected("px, from -1e6 to 1e6")]
     v0: Annotated[float, Field(ge=-1e6, le=1e6), Expected("px, from -1e6 to 1e6")]
+
+    @model_validator(mode="after")
+    def _check_pixels(self) -> "VispCameraEntry":
+        """Raise a ValueError for pixels of an impossible shape."""
+        check_pixel_shape(self.px, self.py)
+        return self
 
 
 _XyzOat = Annotated[

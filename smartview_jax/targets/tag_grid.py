@@ -21,7 +21,8 @@ class TagGrid(AbstractTarget):
     Attributes:
         rows, columns: number of tags down and across.
         size: side of a tag's black square, m.
-        gap: distance between the black squares of neighbouring tags, m.
+        gap: distance between the black squares of neighbouring tags, m; needed
+            for more than one tag.
         dictionary: name of an OpenCV dictionary, such as `"DICT_APRILTAG_36h11"`.
         first_id: number of the first tag; the others follow row by row from the left.
         border_bits: width of a tag's black border in cells of its code.
@@ -48,6 +49,11 @@ class TagGrid(AbstractTarget):
         require_count(0, first_id=self.first_id)
         require_positive(size=self.size)
         if self.rows * self.columns > 1:
+            if self.gap == 0.0:
+                raise ValueError(
+                    "gap: 0 is for a single tag; a grid needs the distance between the black "
+                    "squares of neighbouring tags, in metres, because touching tags are not found"
+                )
             require_positive(gap=self.gap)
         if self.rows_from not in ("top", "bottom"):
             raise ValueError(f"rows_from: expected top or bottom, found {self.rows_from!r}")

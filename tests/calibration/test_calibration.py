@@ -198,7 +198,7 @@ def test_a_lens_of_ones_own_is_saved_and_loaded(tmp_path, eye_in_hand):
         ("quaternion_wxyz: [", "quaternion_wxyz: [1.0, ", "camera_from_tool.quaternion_wxyz: exp"),
         ("translation: [", "translation: [1000.0, ", "camera_from_tool.translation: exp.* 3 numb"),
         ("alpha_u: 800.0", "alpha_w: 800.0", "camera: .*'alpha_w'; did you mean 'alpha_[uv]'"),
-        ("alpha_u: 800.0", "alpha_u: .nan", "camera.alpha_u: expected .* px, above 0.* found nan"),
+        ("alpha_u: 800.0", "alpha_u: .nan", "camera.alpha_u: expected .* px, from 1.* found nan"),
         ("alpha_u: 800.0", "alpha_u: -1", "camera.alpha_u: expected .* found -1"),
         ("alpha_u: 800.0", "alpha_u: 1\n  alpha_u: 2", "key 'alpha_u' comes twice"),
         ("length: m", "length: mm", "units.length: expected m, found 'mm'"),

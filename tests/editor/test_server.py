@@ -1,5 +1,6 @@
 """Who is let in: this machine, with the token, from the page itself."""
 
+import asyncio
 import threading
 import time
 
@@ -47,7 +48,7 @@ def test_the_page_needs_the_token(client):
 
 def test_pictures_need_the_token(client):
     assert client.get("/picture/v1").status_code == 403
-    client.cookies.set("smartview_editor", TOKEN)
+    client.cookies.set(f"smartview_editor_{PORT}", TOKEN)
     assert client.get("/picture/v1").content.startswith(b"\xff\xd8")
     assert client.get("/picture/v9").status_code == 404
     assert client.get("/picture/..%2Fserver.py").status_code == 404
@@ -63,7 +64,7 @@ def test_the_socket_needs_the_token_and_the_pages_origin(client):
     host = {"host": f"{HOST}:{PORT}"}
     good = {"origin": ORIGIN, **host}
     refused(client, headers=good)
-    client.cookies.set("smartview_editor", TOKEN)
+    client.cookies.set(f"smartview_editor_{PORT}", TOKEN)
     refused(client, headers=host)
     refused(client, headers={"origin": "http://evil.example", **host})
     refused(client, headers={"origin": f"http://{HOST}:{PORT + 1}", **host})
@@ -127,3 +128,35 @@ def test_everything_that_the_page_loads_is_in_the_package():
     )
     assert "https://" not in text
     assert "MIT" in (PAGE / "vendor" / "three.LICENSE").read_text()
+
+
+def test_a_page_that_leaves_takes_no_other_with_it(session):
+    """A send to a page that has left fails; the page whose change was sent goes on."""
+    gone = websockets.WebSocketDisconnect(1006)
+
+    class Leaver:
+        async def send_json(self, message):
+            raise gone
+
+    from smartview_jax.editor import server
+
+    editor = server._Editor(session, TOKEN, {ORIGIN}, f"smartview_editor_{PORT}")
+    told = []
+
+    class Stayer:
+        async def send_json(self, message):
+            told.append(message["type"])
+
+    for page in (Leaver(), Stayer()):
+        editor._pages[page] = server.Conversation(session)
+    asyncio.run(editor._tell_others(None))
+    assert told == ["update"]
+
+
+def test_two_editors_of_one_browser_have_a_cookie_each(session):
+    names = set()
+    for port in (PORT, PORT + 1):
+        app = editor_app(session, TOKEN, port)
+        page = testclient.TestClient(app, base_url=f"http://{HOST}:{port}").get(f"/?token={TOKEN}")
+        names.add(page.headers["set-cookie"].partition("=")[0])
+    assert len(names) == 2

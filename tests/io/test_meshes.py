@@ -124,3 +124,12 @@ def test_the_real_cubes_cad_comes_back(tmp_path, kind):
     found = read_mesh(write_mesh(model, tmp_path / f"cube.{kind}"))
     assert (len(found.vertices), len(found.edges), len(found.faces)) == (8, 12, 6)
     assert signed_volume(found.vertices, found.faces) == pytest.approx(0.084**3, rel=1e-5)
+
+
+@pytest.mark.parametrize("index", [-1, 8, 10**6])
+def test_a_triangle_of_a_vertex_that_does_not_exist_is_named(index):
+    solid = to_trimesh(box())
+    triangles = np.array(solid.faces)
+    triangles[3, 1] = index
+    with pytest.raises(ValueError, match=rf"a triangle has the vertices .*{index}.* has 8"):
+        model_from_triangles(np.array(solid.vertices), triangles)

@@ -36,6 +36,12 @@ def test_the_page_needs_no_network_and_no_name_ends_its_script(scene):
     named = dataclasses.replace(scene.data, view_ids=("</script>", *map(str, range(1, VIEWS))))
     html = plots.interactive_cameras(named, scene.calibration).html("here")
     assert html.count("</script>") == 2
+    # An HTML comment with a script inside would swallow the end of this one.
+    swallowing = dataclasses.replace(
+        scene.data, view_ids=("<!--<script>", *map(str, range(1, VIEWS)))
+    )
+    page = plots.interactive_cameras(swallowing, scene.calibration).html("here")
+    assert "<!--<script>" not in page.rpartition("...")[2]
     description = html.rpartition("...")[2].partition(", {responsive")[0]
     traces, layout = json.loads(description)
     assert "</script>" in {text for t in traces for text in t.get("text", [])}

@@ -1,0 +1,52 @@
+"""Test that values that no camera, covariance or pose file can have are refused with words."""
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from smartview_jax.schemas.calibration import PinholeEntry, UncertaintyEntry
+from smartview_jax.schemas.external_formats import VISP_CAMERA_SCHEMA, VISP_POSE_SCHEMA
+from smartview_jax.targets import TagGrid
+
+VISP = {"image_width": 640, "image_height": 480, "u0": 320.0, "v0": 240.0}
+REST = {"pixel_sigma": 0.1, "smallest_singular_value": 1.0}
+
+
+def uncertainty(matrix, names=("a", "b", "c")):
+    content = {"parameters": list(names), "covariance": matrix, **REST}
+    return TypeAdapter(UncertaintyEntry).validate_python(content)
+
+
+def test_a_covariance_with_a_negative_direction_is_refused():
+    """Each pair of parameters is possible (correlation -0.9), all three together are not."""
+    r = -0.9
+    with pytest.raises(ValidationError, match="not positive semidefinite"):
+        uncertainty([[1.0, r, r], [r, 1.0, r], [r, r, 1.0]])
+    assert uncertainty([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1e-12]])
+
+
+def test_a_parameter_that_comes_twice_is_named():
+    with pytest.raises(ValidationError, match="b comes twice"):
+        uncertainty([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], ("a", "b", "b"))
+
+
+def test_pixels_have_a_sensors_shape():
+    with pytest.raises(ValidationError, match="at most 10 is a sensor's"):
+        VISP_CAMERA_SCHEMA.validate_python({**VISP, "px": 600.0, "py": 0.6e6})
+    with pytest.raises(ValidationError, match="at most 10 is a sensor's"):
+        TypeAdapter(PinholeEntry).validate_python(
+            {"alpha_u": 6e5, "alpha_v": 600.0, "u0": 320.0, "v0": 240.0}
+        )
+    with pytest.raises(ValidationError, match="from 1 to 1e7"):
+        VISP_CAMERA_SCHEMA.validate_python({**VISP, "px": 5e-324, "py": 600.0})
+
+
+def test_unknown_entries_of_a_visp_pose_are_refused():
+    data = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
+    assert VISP_POSE_SCHEMA.validate_python({"rows": 6, "cols": 1, "data": data}).data == data
+    with pytest.raises(ValidationError, match="no entry is called"):
+        VISP_POSE_SCHEMA.validate_python({"data": data, "unit": "mm"})
+
+
+def test_the_gap_of_a_single_tag_is_explained_to_a_grid():
+    with pytest.raises(ValueError, match="0 is for a single tag"):
+        TagGrid(2, 3, 0.04)
