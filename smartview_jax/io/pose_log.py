@@ -73,7 +73,7 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     if not table:
         raise ValueError(f"{path}: no poses")
     form = table_format(path, table, content)
-    table = read_table(path, ("time", *form.columns))
+    table = read_table(path, ("time", *form.columns), ("s", *form.units))
     labels = [f"row {k}" for k in range(1, 1 + len(table))]
     numbers = np.stack(
         [

@@ -61,7 +61,7 @@ def read_poses(
         raise ValueError(f"{path}: no poses")
     # The header may say the format, so that the table is read twice.
     form = table_format(path, table, content)
-    table, codec = read_table(path, ("view", *form.columns)), form.codec
+    table, codec = read_table(path, ("view", *form.columns), form.units), form.codec
     # NaN passes here: `bad_views` decides below whether it is an error or a masked view.
     rows = np.stack([parse_numbers(path, row, form.columns, row["view"], False) for row in table])
     positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[form.length_unit]

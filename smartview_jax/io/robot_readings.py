@@ -37,6 +37,15 @@ class RobotReadings(NamedTuple):
         """The reported poses with the joint readings, where they are known."""
         return Command(self.poses, None if self.joints is None else to_device(self.joints))
 
+    def without_suffix(self, suffix: str) -> "RobotReadings":
+        """Return the readings with names of views that do not end in a suffix."""
+        return self._replace(
+            view_ids=[view.removesuffix(suffix) for view in self.view_ids],
+            masked_views={
+                view.removesuffix(suffix): reason for view, reason in self.masked_views.items()
+            },
+        )
+
     def with_joints(self, data: Dataset) -> Dataset:
         """Return the data set with the joint readings added, if there are any."""
         return data if self.arm is None else data.with_joints(self.joints, self.arm)
