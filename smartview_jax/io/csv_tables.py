@@ -3,7 +3,6 @@
 import csv
 import io
 import re
-from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from ..files import write_atomically
 from ..schemas.messages import shortened_repr
+from .table_text import duplicates as duplicates
 from .table_text import named_unit, read_table_text
 
 MAX_COORDINATE = 100.0
@@ -195,8 +195,3 @@ def write_table(
     writer.writerows([repr(float(x)) if isinstance(x, float) else x for x in row] for row in rows)
     text.writelines(f"# {comment}\n" for comment in comments)
     write_atomically(path, text.getvalue())
-
-
-def duplicates(ids: Sequence[str]) -> list[str]:
-    """Return the ids that occur more than once, sorted."""
-    return sorted(name for name, count in Counter(ids).items() if count > 1)

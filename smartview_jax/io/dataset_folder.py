@@ -82,18 +82,11 @@ def load_dataset_folder(
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error
     readings = read_robot_readings(folder, content, description_path, bad_views)
-    table_path = table_of_views(folder, content)
-    board_heights = (
-        read_board_heights(table_path, target, readings.view_ids) if "pictures" in content else None
-    )
-    table_remarks = table_notes(*_tables(folder, content))
-    if suffix := suffix_in_names(folder, content, readings.view_ids):
-        readings = readings.without_suffix(suffix)
-        board_heights = board_heights and {
-            view.removesuffix(suffix): height for view, height in board_heights.items()
-        }
-        table_remarks = (*table_remarks, f"names of views in {table_path.name} end in {suffix}")
     if "pictures" in content:
+        table_path = table_of_views(folder, content)
+        board_heights = read_board_heights(
+            table_path, target, readings.view_ids, readings.name_suffix
+        )
         files = picture_files(
             folder,
             content["pictures"],
@@ -117,7 +110,7 @@ def load_dataset_folder(
             board_heights,
             detection_limits,
         )
-        return _with_joints(readings, data, description_path, table_remarks)
+        return _with_joints(readings, data, description_path)
     if not (folder / DETECTIONS_FILE).is_file():
         raise ValueError(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
@@ -151,53 +144,20 @@ def load_dataset_folder(
         # Messages of `read_detections` name the file already; those of `Dataset` do not.
         prefix = "" if str(folder) in str(error) else f"{folder / DETECTIONS_FILE}: "
         raise ValueError(f"{prefix}{error}") from error
-    table_remarks = (*table_remarks, *table_notes(folder / DETECTIONS_FILE))
-    return _with_joints(readings, data, description_path, table_remarks)
+    data = dataclasses.replace(data, notes=(*data.notes, *table_notes(folder / DETECTIONS_FILE)))
+    return _with_joints(readings, data, description_path)
 
 
-def suffix_in_names(folder: Path, content: Mapping[str, Any], view_ids: Sequence[str]) -> str:
-    """Return the suffix of pictures that all views' names have, while the pattern adds it again.
-
-    Args:
-        folder: of the data set.
-        content: of its description.
-        view_ids: names of the views as the table has them.
-
-    Returns:
-        A suffix such as `".png"`; empty where the names have none, or are those of pictures.
-    """
-    pattern = (content.get("pictures") or {}).get("pattern", "")
-    suffix = Path(pattern).suffix
-    if not suffix or not view_ids or not all(view.endswith(suffix) for view in view_ids):
-        return ""
-    try:
-        as_named = [folder / pattern.format(view=view, height=0) for view in view_ids]
-    except (KeyError, IndexError, ValueError):
-        return ""
-    stripped = {view.removesuffix(suffix) for view in view_ids}
-    unambiguous = len(stripped) == len(view_ids) and "" not in stripped
-    return suffix if unambiguous and not any(path.exists() for path in as_named) else ""
-
-
-def _tables(folder: Path, content: Mapping[str, Any]) -> list[Path]:
-    """Return the tables of the robot's readings that a description names."""
-    poses, joints = content.get("poses") or {}, content.get("joints") or {}
-    names = (poses.get("file"), poses.get("picture_times"), joints.get("file"))
-    return [folder / name for name in names if name and not name.endswith(".json")]
-
-
-def _with_joints(
-    readings: RobotReadings, data: Dataset, description_path: Path, table_remarks: Sequence[str]
-) -> Dataset:
-    """Return the data set with the joint readings and with remarks on its tables.
+def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path) -> Dataset:
+    """Return the data set with the joint readings, and with the notes on the robot's tables.
 
     An error names the description file.
     """
     try:
         data = readings.with_joints(data)
-        return dataclasses.replace(data, notes=(*data.notes, *table_remarks))
     except ValueError as error:
         raise ValueError(f"{description_path}: joints: {error}") from error
+    return dataclasses.replace(data, notes=(*readings.notes, *data.notes))
 
 
 def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix") -> None:

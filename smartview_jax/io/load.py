@@ -9,9 +9,10 @@ from ..dataset import Dataset
 from ..detection import DetectionLimits
 from ..files import read_yaml
 from ..geometry import PoseLike
-from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder, suffix_in_names
+from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
+from .robot_readings import suffix_in_names
 
 _log = logging.getLogger(__name__)
 

@@ -8,6 +8,7 @@ that the user is told; where two readings are possible, the table is refused wit
 import codecs
 import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -100,6 +101,8 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
         seen.append(f"{len(table) - 1 - len(rows)} rows without a value left out")
     while header and not header[-1]:
         header = header[:-1]
+    if repeated := duplicates(header):
+        raise ValueError(f"{path}: column {', '.join(repeated)} comes twice")
     # A row that ends in a separator has one more field, which is empty.
     trimmed = [_without_empty_end(row, len(header)) for row in rows]
     if trimmed != rows or len(header) < len(table[0]):
@@ -197,3 +200,8 @@ def _has_decimal_commas(path: Path, header: Sequence[str], rows: Sequence[Sequen
             f"thousands: {cure}"
         )
     return True
+
+
+def duplicates(names: Sequence[str]) -> list[str]:
+    """Return the names that occur more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)

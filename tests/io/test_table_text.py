@@ -116,7 +116,7 @@ def test_tables_of_a_data_set_are_named_once_in_its_notes(saved):
 
 
 def test_names_of_views_may_be_those_of_pictures(tmp_path):
-    from smartview_jax.io.dataset_folder import suffix_in_names
+    from smartview_jax.io.robot_readings import suffix_in_names
 
     content = {"pictures": {"pattern": "images/{view}.png"}}
     assert suffix_in_names(tmp_path, content, ["00.png", "01.png"]) == ".png"
