@@ -53,7 +53,8 @@ PoseFormatOption = Annotated[
     typer.Option(
         "--format",
         help="How the robot's maker writes poses: val_oat, kawasaki_oat, kuka_abc, ur, "
-        "fanuc_wpr, abb, quaternion_xyzw, ...; .val files have VAL's.",
+        "fanuc_wpr, abb, staubli_val3, yaskawa, ..., or euler_XYZ_fixed to euler_ZYZ_moving; "
+        ".val files have VAL's.",
     ),
 ]
 ArmOption = Annotated[

@@ -8,6 +8,8 @@ from .camera_poses import viewing_direction as viewing_direction
 from .conics import circle_dual_conic as circle_dual_conic
 from .conics import conic_centre as conic_centre
 from .conics import region_centroid as region_centroid
+from .euler import EULER_CONVENTIONS as EULER_CONVENTIONS
+from .euler import EulerConvention as EulerConvention
 from .euler import rotation_from_ypr as rotation_from_ypr
 from .euler import ypr_from_rotation as ypr_from_rotation
 from .host import host_adjoints as host_adjoints
@@ -21,6 +23,7 @@ from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
 from .oat import xyzoat as xyzoat
 from .pose_codecs import ANGLE_UNITS as ANGLE_UNITS
+from .pose_codecs import EULER_CODECS as EULER_CODECS
 from .pose_codecs import LENGTH_UNITS as LENGTH_UNITS
 from .pose_codecs import POSE_CODECS as POSE_CODECS
 from .pose_codecs import PoseCodec as PoseCodec

@@ -1,4 +1,4 @@
-"""Convert rotations to and from yaw, pitch, roll (Eq. 16) and the z-y-z angles of robots.
+"""Convert rotations to and from three angles: yaw, pitch, roll (Eq. 16) and every other convention.
 
 Each inverse reads two angles from the matrix, undoes the first rotation, and reads the last angle
 from the product. The two entries that give the last angle form a vector of length 1 in every pose.
@@ -6,9 +6,13 @@ Near gimbal lock, where the first angle is ill determined, the last angle theref
 it: the rotation is recovered to rounding error, although the single angles are not.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
+import numpy as np
 from jaxlie import SO3
 from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
 
 from ..compilation import one_program
 
@@ -56,35 +60,71 @@ def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
     return jnp.stack([yaw, pitch, jnp.where(gimbal, 0.0, roll)], axis=-1)
 
 
-def rotation_from_zyz(angles: Float[Array, "*batch 3"]) -> SO3:
-    """Return the rotation `Rz(first) Ry(second) Rz(third)` of angles in rad.
+class EulerConvention(NamedTuple):
+    """How three angles describe a rotation: about which axes, fixed ones or those that move along.
 
-    Kawasaki calls these angles O, A, T.
+    Attributes:
+        axes: in the order of the angles, such as `"ZYX"`.
+        moving: whether each rotation is about the axes that the ones before have turned.
     """
-    first, second, third = angles[..., 0], angles[..., 1], angles[..., 2]
-    return SO3.from_z_radians(first) @ SO3.from_y_radians(second) @ SO3.from_z_radians(third)
+
+    axes: str
+    moving: bool
+
+    def to_rotation(self, angles: Float[np.ndarray, "rows 3"]) -> Rotation:
+        """Return the rotations of angles in rad."""
+        # SciPy writes moving axes in capitals.
+        return Rotation.from_euler(self.axes if self.moving else self.axes.lower(), angles)
+
+    def from_rotation(self, rotation: Rotation) -> Float[np.ndarray, "rows 3"]:
+        """Return the angles of rotations, rad.
+
+        The second angle is within +-90 degrees, or in [0, 180] degrees if the outer axes are the
+        same. Where it is at an end of this range, only a sum or difference of the outer angles is
+        defined: the first angle is zero if the outer axes are the same, or else the third; for
+        fixed axes, whose angles are the moving ones in reverse order, the other of the two.
+        """
+        matrices = rotation.as_matrix()
+        if self.moving:
+            return _moving_angles(matrices, self.axes)
+        return _moving_angles(matrices, self.axes[::-1])[:, ::-1]
 
 
-@one_program
-def zyz_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
-    """Return the z-y-z angles of a rotation, in rad.
+EULER_CONVENTIONS = {
+    f"euler_{axes}_{'moving' if moving else 'fixed'}": EulerConvention(axes, moving)
+    for axes in ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "XYX", "XZX", "YXY", "YZY", "ZXZ", "ZYZ")
+    for moving in (False, True)
+}
+"""All conventions of three angles, by name."""
 
-    The second angle is in [0, 180] degrees. At 0 and 180 degrees, where only the sum or the
-    difference of the outer angles is defined, the first angle is zero.
-    """
-    # R = Rz(first) Ry(second) Rz(third) has the last column
-    #   (cos first sin second, sin first sin second, cos second).
-    R = rotation.as_matrix()
-    sine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
-    gimbal = sine < GIMBAL_LOCK_TOLERANCE
-    second = jnp.arctan2(sine, R[..., 2, 2])
-    # The inner `where` keeps the derivative of the unused branch finite: JAX differentiates both.
-    first = jnp.arctan2(R[..., 1, 2], jnp.where(gimbal, 1.0, R[..., 0, 2]))
-    first = jnp.where(gimbal, 0.0, first)
-    # The second row of Rz(-first) R = Ry(second) Rz(third) is (sin third, cos third, 0).
-    s, c = jnp.sin(first), jnp.cos(first)
-    third = jnp.arctan2(
-        c * R[..., 1, 0] - s * R[..., 0, 0],
-        c * R[..., 1, 1] - s * R[..., 0, 1],
-    )
-    return jnp.stack([first, second, third], axis=-1)
+
+def _moving_angles(R: Float[np.ndarray, "rows 3 3"], axes: str) -> Float[np.ndarray, "rows 3"]:
+    """Return the angles of rotations about moving axes, rad."""
+    # R = Ri(a) Rj(b) Rk(c); l is the axis that is neither i nor j, and ei x ej = sign el.
+    i, j, k = ("XYZ".index(axis) for axis in axes)
+    l = 3 - i - j
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    proper = i == k
+    # v = R ek = Ri(a) Rj(b) ek has no c:
+    #   i = k:  cos b ei + sin b (sin a ej - sign cos a el)
+    #   l = k:  sign sin b ei + cos b (cos a el - sign sin a ej)
+    v = R[:, :, k]
+    across = np.hypot(v[:, j], v[:, l])
+    gimbal = across < GIMBAL_LOCK_TOLERANCE
+    if proper:
+        second = np.arctan2(across, v[:, i])
+        first = np.where(gimbal, 0.0, np.arctan2(v[:, j], -sign * v[:, l]))
+    else:
+        second = np.arctan2(sign * v[:, i], across)
+        # With c = 0, R ej = cos a ej + sign sin a el.
+        first = np.where(
+            gimbal,
+            np.arctan2(sign * R[:, l, j], R[:, j, j]),
+            np.arctan2(-sign * v[:, j], v[:, l]),
+        )
+    # Row j of Ri(-a) R = Rj(b) Rk(c) is cos c ej + sin c (sign ei), or (-sign el) if i = k.
+    row = np.cos(first)[:, None] * R[:, j] + sign * np.sin(first)[:, None] * R[:, l]
+    third = np.arctan2(-sign * row[:, l] if proper else sign * row[:, i], row[:, j])
+    if not proper:
+        third = np.where(gimbal, 0.0, third)
+    return np.stack([first, second, third], axis=1)

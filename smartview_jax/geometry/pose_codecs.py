@@ -17,9 +17,22 @@ The formats, and the units that the vendors' own programs use, are
 | `ur` | axis times angle | rx, ry, rz | m, rad in programs; mm, rad on the pendant |
 | `fanuc_wpr` | Rz(R) Ry(P) Rx(W) | W, P, R | mm, deg |
 | `abb` | unit quaternion, real part first | q1, q2, q3, q4 | mm |
+| `staubli_val3` | Rx(rx) Ry(ry) Rz(rz) [2, 3] | rx, ry, rz | mm, deg |
+| `doosan` | Rz(A) Ry(B) Rz(C) [2, 4] | A, B, C | mm, deg |
+| `comau` | Rz(A) Ry(E) Rz(R) [2] | A, E, R | mm, deg |
+| `xarm` | Rz(yaw) Ry(pitch) Rx(roll) [5] | roll, pitch, yaw | mm, deg |
+| `yaskawa` | Rz(rz) Ry(ry) Rx(rx) [1, 2, 4] | rx, ry, rz | mm, deg |
+| `denso`, `techman` | Rz(rz) Ry(ry) Rx(rx) [2] | rx, ry, rz | mm, deg |
+| `mitsubishi` | Rz(C) Ry(B) Rx(A) [2] | A, B, C | mm, deg |
+| `epson` | Rz(U) Ry(V) Rx(W) [2] | U, V, W | mm, deg |
+| `euler_XYZ_fixed` ... `euler_ZYZ_moving` | any (`euler.py`) | angle1, angle2, angle3 | |
 
-Reference: the vendors' pose formats as collected in the manual of Basler's rc_visard, chapter
-"Pose formats"; VAL's in `oat.py`.
+References: [1] the vendors' pose formats as collected in the manual of Basler's rc_visard, chapter
+"Pose formats", for all without a number too; VAL's in `oat.py`. [2] Mech-Mind, "Euler angles:
+definition and convention", docs.mech-mind.net, whose sxyz is XYZ fixed and rzyx ZYX moving, with
+MELFA for Mitsubishi and TM for Techman. [3] COMPAS II, lecture 2, "Robot TCP orientations", ETH
+Zurich. [4] Vathos, "Rotations", docs.vathos.net. [5] UFACTORY, xArm user
+manual, "Motion characteristics": R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
 import dataclasses
@@ -32,7 +45,7 @@ from scipy.spatial.transform import Rotation
 
 from ..array_namespace import to_device
 from ..compilation import one_program
-from .euler import ypr_from_rotation, zyz_from_rotation
+from .euler import EULER_CONVENTIONS
 from .host import host_matrices, host_transforms
 from .oat import oat_from_rotation
 from .rigid_transforms import check_rigid
@@ -273,9 +286,23 @@ def _position_and_rotation(
     return np.concatenate([numbers[..., 4:], np.asarray(rotations)], axis=-1)
 
 
-def _from_euler(axes: str) -> Callable[[np.ndarray], Rotation]:
-    """Return the conversion of three angles (rad) about moving axes ("ZYX") to rotations."""
-    return lambda angles: Rotation.from_euler(axes, angles)
+def _euler_codec(
+    name: str,
+    convention: str,
+    columns: tuple[str, str, str] = ("angle1", "angle2", "angle3"),
+    units: tuple[str, str] = _SI,
+) -> PoseCodec:
+    """Return a codec of x, y, z and the angles of one of `EULER_CONVENTIONS`."""
+    euler = EULER_CONVENTIONS[convention]
+
+    def angles(rotation: SO3) -> Float[np.ndarray, "*batch 3"]:
+        """Return the angles of JAX's rotations on the host."""
+        numbers = np.asarray(rotation.wxyz)
+        # SciPy's quaternions have the real part last.
+        rows = Rotation.from_quat(numbers.reshape(-1, 4)[:, [1, 2, 3, 0]])
+        return euler.from_rotation(rows).reshape(*numbers.shape[:-1], 3)
+
+    return _angle_codec(name, columns, euler.to_rotation, angles, units)
 
 
 def _from_oat(oat: np.ndarray) -> Rotation:
@@ -287,7 +314,7 @@ def _from_oat(oat: np.ndarray) -> Rotation:
 
 _rotation_vector = one_program(SO3.log)
 
-_RXYZ, _OAT = ("rx", "ry", "rz"), ("O", "A", "T")
+_RXYZ, _OAT, _ABC = ("rx", "ry", "rz"), ("O", "A", "T"), ("A", "B", "C")
 
 POSE_CODECS: dict[str, PoseCodec] = {
     codec.name: codec
@@ -296,25 +323,28 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _quaternion_codec("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
         _quaternion_codec("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
         _angle_codec("rotation_vector", _RXYZ, Rotation.from_rotvec, _rotation_vector),
-        _angle_codec(
-            "yaw_pitch_roll", ("yaw", "pitch", "roll"), _from_euler("ZYX"), ypr_from_rotation
-        ),
+        _euler_codec("yaw_pitch_roll", "euler_ZYX_moving", ("yaw", "pitch", "roll")),
         _angle_codec("val_oat", _OAT, _from_oat, oat_from_rotation, _MM_DEG),
-        _angle_codec("kawasaki_oat", _OAT, _from_euler("ZYZ"), zyz_from_rotation, _MM_DEG),
-        _angle_codec("kuka_abc", ("A", "B", "C"), _from_euler("ZYX"), ypr_from_rotation, _MM_DEG),
+        _euler_codec("kawasaki_oat", "euler_ZYZ_moving", _OAT, _MM_DEG),
+        _euler_codec("kuka_abc", "euler_ZYX_moving", _ABC, _MM_DEG),
         _angle_codec("ur", _RXYZ, Rotation.from_rotvec, _rotation_vector),
-        _angle_codec(
-            "fanuc_wpr",
-            ("W", "P", "R"),
-            # First about the fixed x axis, then y and z.
-            lambda wpr: Rotation.from_euler("xyz", wpr),
-            lambda rotation: ypr_from_rotation(rotation)[..., ::-1],
-            _MM_DEG,
-        ),
+        _euler_codec("fanuc_wpr", "euler_XYZ_fixed", ("W", "P", "R"), _MM_DEG),
         _quaternion_codec("abb", ("q1", "q2", "q3", "q4"), (0, 1, 2, 3), ("mm", "rad")),
+        _euler_codec("staubli_val3", "euler_XYZ_moving", _RXYZ, _MM_DEG),
+        _euler_codec("doosan", "euler_ZYZ_moving", _ABC, _MM_DEG),
+        _euler_codec("comau", "euler_ZYZ_moving", ("A", "E", "R"), _MM_DEG),
+        _euler_codec("xarm", "euler_XYZ_fixed", ("roll", "pitch", "yaw"), _MM_DEG),
+        _euler_codec("yaskawa", "euler_XYZ_fixed", _RXYZ, _MM_DEG),
+        _euler_codec("denso", "euler_XYZ_fixed", _RXYZ, _MM_DEG),
+        _euler_codec("techman", "euler_XYZ_fixed", _RXYZ, _MM_DEG),
+        _euler_codec("mitsubishi", "euler_XYZ_fixed", _ABC, _MM_DEG),
+        _euler_codec("epson", "euler_ZYX_moving", ("U", "V", "W"), _MM_DEG),
     )
 }
-"""Codec of every known pose format, by name."""
+"""Codec of every pose format with a name of its own."""
+
+EULER_CODECS = {name: _euler_codec(name, name) for name in EULER_CONVENTIONS}
+"""Codec of every convention of three angles, by name: for robots that are not named here."""
 
 
 def pose_codec(name: str) -> PoseCodec:
@@ -323,6 +353,9 @@ def pose_codec(name: str) -> PoseCodec:
     Raises:
         ValueError: an unknown name; the message lists the known ones.
     """
-    if name not in POSE_CODECS:
-        raise ValueError(f"pose format is one of {', '.join(POSE_CODECS)}; found {name!r}")
-    return POSE_CODECS[name]
+    if name not in POSE_CODECS and name not in EULER_CODECS:
+        raise ValueError(
+            f"pose format is one of {', '.join(POSE_CODECS)}, or euler_XYZ_fixed, "
+            f"euler_XYZ_moving and so on to euler_ZYZ_moving; found {name!r}"
+        )
+    return POSE_CODECS.get(name) or EULER_CODECS[name]

@@ -21,7 +21,7 @@ HEIGHT_COLUMN = "height"
 
 
 def read_board_heights(
-    table: Path, target: AbstractTarget, view_ids: Sequence[str]
+    table: Path, target: AbstractTarget, view_ids: Sequence[str], suffix: str = ""
 ) -> dict[str, int] | None:
     """Return the index of the board's height by view; None if a view has a picture of each height.
 
@@ -29,6 +29,7 @@ def read_board_heights(
         table: file of the poses or of the joint readings.
         target: only a `StackedTarget` has several heights.
         view_ids: ids of all views, which are the table's.
+        suffix: with which the table's names end beyond those ids.
 
     Raises:
         ValueError: a row whose height is no index of the target's heights, with file and view.
@@ -37,7 +38,7 @@ def read_board_heights(
     if not isinstance(target, StackedTarget) or table.suffix != ".csv":
         return None
     # Read again, because what reads the poses need not know the target.
-    rows = {row["view"]: row for row in read_table(table, ("view",))}
+    rows = {row["view"].removesuffix(suffix): row for row in read_table(table, ("view",))}
     if HEIGHT_COLUMN not in next(iter(rows.values())):
         return None
     indices = [str(k) for k in range(len(target.heights))]

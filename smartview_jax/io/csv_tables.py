@@ -3,14 +3,15 @@
 import csv
 import io
 import re
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..files import read_text, write_atomically
+from ..files import write_atomically
 from ..schemas.messages import shortened_repr
+from .table_text import duplicates as duplicates
+from .table_text import named_unit, read_table_text
 
 MAX_COORDINATE = 100.0
 """Largest coordinate of a pose, m: a larger one was given in another unit, such as mm."""
@@ -23,39 +24,93 @@ _NUMBER = re.compile(
 )
 
 
-def read_table(path: Path, required: Sequence[str]) -> list[dict[str, str]]:
+def read_table(
+    path: Path, required: Sequence[str], units: Collection[str] = ("s",)
+) -> list[dict[str, str]]:
     """Read the rows of a CSV file as mappings from its header.
+
+    Separator, decimal sign and encoding are recognised (see `table_text`). A column that is written
+    as `X [mm]` or `A (°)` is `x_mm`, `a_deg`; one that differs from a required column by its case,
+    or by a unit among `units`, is this column.
+
+    Args:
+        path: of the file.
+        required: names of columns that the table must have.
+        units: in which the caller takes required columns whose names have no unit.
 
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: it is not a CSV text, a required column is missing, a column occurs twice, a
-            row has another number of fields than the header, or a view's name is empty or too long.
+            row has another number of fields than the header, a view's name is empty or too long,
+            or numbers have two readings.
     """
-    # Empty lines are ignored, and comments, which begin with "#".
-    lines = (line for line in read_text(path).splitlines() if line.strip() and line[0] != "#")
-    try:
-        table = [[field.strip() for field in fields] for fields in csv.reader(lines)]
-    except csv.Error as error:
-        raise ValueError(f"{path}: not readable as a table: {error}") from error
-    header, rows = table[0] if table else [], table[1:]
-    missing = [name for name in required if name not in header]
+    table = read_table_text(path, lambda header: _named(header, required, units)[1] == [])
+    header, missing = _named(table.header, required, units)
     if missing:
         raise ValueError(
             f"{path}: expected the columns {', '.join(required)}; missing {', '.join(missing)}"
+            + _other_units(table.header, missing)
         )
     if repeated := duplicates(header):
         raise ValueError(f"{path}: column {', '.join(repeated)} comes twice")
-    for number, fields in enumerate(rows, start=1):
-        if len(fields) != len(header):
-            raise ValueError(
-                f"{path}: row {number} has {len(fields)} fields, the header {len(header)}"
-            )
-    records = [dict(zip(header, fields, strict=True)) for fields in rows]
+    records = [dict(zip(header, fields, strict=True)) for fields in table.rows]
     for number, row in enumerate(records, start=1):
         if not 0 < len(row.get("view", "?")) <= MAX_NAME_LENGTH:
             problem = "too long a name of a" if row["view"] else "an empty"
             raise ValueError(f"{path}: row {number} has {problem} view")
     return records
+
+
+def table_notes(*paths: Path) -> tuple[str, ...]:
+    """Return what was recognised in the text of each table; nothing of one as this package writes.
+
+    Args:
+        paths: of tables that were read already.
+    """
+    notes = []
+    for path in paths:
+        table = read_table_text(path, lambda header: True)
+        header = _named(table.header, (), ())[0]
+        changed = [
+            f"{old!r} as {new}" for old, new in zip(table.header, header, strict=True) if old != new
+        ]
+        seen = (*table.seen, *((f"columns {', '.join(changed)}",) if changed else ()))
+        if seen:
+            notes.append(f"{path.name} was read {'; '.join(seen)}")
+    return tuple(notes)
+
+
+def _named(
+    header: Sequence[str], required: Sequence[str], units: Collection[str]
+) -> tuple[list[str], list[str]]:
+    """Return the header in the package's names, and the required columns that it lacks."""
+    named = []
+    for column in header:
+        found = named_unit(column)
+        named.append(column if found is None else "_".join(filter(None, found)).lower())
+    missing = []
+    for name in required:
+        if name in named:
+            continue
+        # Without regard to case; a unit is allowed where it is the caller's own.
+        wanted = {name.lower(), *(f"{name}_{unit}".lower() for unit in units)}
+        fitting = [k for k, column in enumerate(named) if column.lower() in wanted]
+        if len(fitting) == 1:
+            named[fitting[0]] = name
+        else:
+            missing.append(name)
+    return named, missing
+
+
+def _other_units(header: Sequence[str], missing: Sequence[str]) -> str:
+    """Return the columns with a missing name in another unit, as a clause; empty without any."""
+    names = {name.lower() for name in missing}
+    other = [
+        repr(column)
+        for column in header
+        if (found := named_unit(column)) is not None and found[0].lower() in names
+    ]
+    return f" (found {', '.join(other)}: a unit that is not expected here)" if other else ""
 
 
 def refuse_truncated(path: Path, rows: Sequence[object], stated_rows: int | None) -> None:
@@ -140,8 +195,3 @@ def write_table(
     writer.writerows([repr(float(x)) if isinstance(x, float) else x for x in row] for row in rows)
     text.writelines(f"# {comment}\n" for comment in comments)
     write_atomically(path, text.getvalue())
-
-
-def duplicates(ids: Sequence[str]) -> list[str]:
-    """Return the ids that occur more than once, sorted."""
-    return sorted(name for name, count in Counter(ids).items() if count > 1)

@@ -24,6 +24,7 @@ A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes
 A file written by hand needs neither.
 """
 
+import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -38,6 +39,7 @@ from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
+from .csv_tables import table_notes
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import write_joints
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
@@ -82,7 +84,9 @@ def load_dataset_folder(
     readings = read_robot_readings(folder, content, description_path, bad_views)
     if "pictures" in content:
         table_path = table_of_views(folder, content)
-        board_heights = read_board_heights(table_path, target, readings.view_ids)
+        board_heights = read_board_heights(
+            table_path, target, readings.view_ids, readings.name_suffix
+        )
         files = picture_files(
             folder,
             content["pictures"],
@@ -140,15 +144,20 @@ def load_dataset_folder(
         # Messages of `read_detections` name the file already; those of `Dataset` do not.
         prefix = "" if str(folder) in str(error) else f"{folder / DETECTIONS_FILE}: "
         raise ValueError(f"{prefix}{error}") from error
+    data = dataclasses.replace(data, notes=(*data.notes, *table_notes(folder / DETECTIONS_FILE)))
     return _with_joints(readings, data, description_path)
 
 
 def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path) -> Dataset:
-    """Return the data set with the joint readings; an error names the description file."""
+    """Return the data set with the joint readings, and with the notes on the robot's tables.
+
+    An error names the description file.
+    """
     try:
-        return readings.with_joints(data)
+        data = readings.with_joints(data)
     except ValueError as error:
         raise ValueError(f"{description_path}: joints: {error}") from error
+    return dataclasses.replace(data, notes=(*readings.notes, *data.notes))
 
 
 def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix") -> None:

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..detection import Detection
-from ..files import read_text
 from ..schemas.messages import shortened_repr
 from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
+from .table_text import decoded_lines
 
 DETECTIONS_FILE = "detections.csv"
 """The name of the file of detections in a data-set folder."""
@@ -108,7 +108,7 @@ def read_detections(
         ValueError: a view without a pose, a point that the target does not have or that a view
             has twice, a pixel that is not a number, or rows are missing.
     """
-    table = read_table(path, _COLUMNS)
+    table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table, stated_rows)
     return _pixels_from_table(path, table, view_ids, point_count)
 
@@ -130,7 +130,7 @@ def read_kept_detections(
         return {}
     wanted = set(view_ids)
     rows: dict[str, list[dict[str, str]]] = {}
-    for row in read_table(path, _COLUMNS):
+    for row in read_table(path, _COLUMNS, ()):
         if row["view"] in wanted and row.get(_KEY_COLUMN):
             rows.setdefault(row["view"], []).append(row)
     notes = _read_notes(path)
@@ -166,7 +166,7 @@ def read_kept_detections(
 def _read_notes(path: Path) -> dict[str, dict[str, Any]]:
     """Return the notes in the file's comments by view id; what is no such note is ignored."""
     notes = {}
-    for line in read_text(path).splitlines():
+    for line in decoded_lines(path)[0]:
         if line.startswith("# {"):
             try:
                 note = json.loads(line[2:])

@@ -43,7 +43,8 @@ def read_joints(
     """
     arm = _arm_from_entry(content.get("arm"), description_path)
     path, columns = folder / content["file"], _joint_columns(arm)
-    rows = read_table(path, ("view", *columns))
+    stated_units = (content["angle_unit"], content["length_unit"])
+    rows = read_table(path, ("view", *columns), stated_units)
     refuse_truncated(path, rows, content.get("rows"))
     table = {row["view"]: row for row in rows}
     if repeated := duplicates([row["view"] for row in rows]):

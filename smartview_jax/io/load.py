@@ -12,6 +12,7 @@ from ..geometry import PoseLike
 from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
+from .robot_readings import suffix_in_names
 
 _log = logging.getLogger(__name__)
 
@@ -85,4 +86,6 @@ def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:
     entry = validate_content(content, DATASET_SCHEMA, path).poses
     if entry is None or entry.picture_times is None:
         return None
-    return read_pose_log(Path(folder), content["poses"])
+    log = read_pose_log(Path(folder), content["poses"])
+    suffix = suffix_in_names(Path(folder), content, log.view_ids)
+    return log._replace(view_ids=tuple(view.removesuffix(suffix) for view in log.view_ids))

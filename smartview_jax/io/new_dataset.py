@@ -26,12 +26,21 @@ class RobotFormat(NamedTuple):
 
 ROBOTS = {
     "abb": RobotFormat("abb", "the robtarget: pos and orient"),
+    "comau": RobotFormat("comau", "the pendant: X Y Z A E R"),
+    "denso": RobotFormat("denso", "CurPos: X Y Z RX RY RZ"),
+    "doosan": RobotFormat("doosan", "get_current_posx(): x y z A B C"),
+    "epson": RobotFormat("epson", "Here: X Y Z U V W"),
     "fanuc": RobotFormat("fanuc_wpr", "the position screen: X Y Z W P R"),
     "kawasaki": RobotFormat("kawasaki_oat", "the pendant: X Y Z O A T"),
     "kuka": RobotFormat("kuka_abc", "$POS_ACT: X Y Z A B C"),
+    "mitsubishi": RobotFormat("mitsubishi", "P_Curr: X Y Z A B C"),
     "puma": RobotFormat("val_oat", "VAL's WHERE: X Y Z O A T"),
     "ros": RobotFormat("quaternion_xyzw", "tf2_echo base tool: translation, rotation"),
+    "staubli": RobotFormat("staubli_val3", "here() in VAL 3: x y z rx ry rz"),
+    "techman": RobotFormat("techman", "the pendant, robot base: X Y Z RX RY RZ"),
     "ur": RobotFormat("ur", "get_actual_tcp_pose(): x y z rx ry rz"),
+    "xarm": RobotFormat("xarm", "get_position(): x y z roll pitch yaw"),
+    "yaskawa": RobotFormat("yaskawa", "the current position: X Y Z Rx Ry Rz"),
     "matrix": RobotFormat("matrix", "4 x 4 matrices, row by row"),
 }
 """The makers whose formats are known, by the name that a user gives."""

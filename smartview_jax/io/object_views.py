@@ -73,6 +73,7 @@ def load_object_views(folder: str | Path) -> ObjectViews:
     content = read_yaml(path)
     description = validate_content(content, OBJECT_VIEWS_SCHEMA, path)
     readings = read_robot_readings(folder, content, path, "raise")
+    readings.refuse_masked(path)
     width, height = description.camera.image_size
     pattern = description.pictures.pattern
     # By the name of the view, so that a picture too many or too few shifts nothing.

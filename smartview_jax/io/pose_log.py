@@ -17,7 +17,7 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..geometry import LENGTH_UNITS, as_se3
-from ..robots import Trajectory
+from ..robots import Trajectory, times_in_gaps
 from .csv_tables import (
     duplicates,
     parse_numbers,
@@ -26,6 +26,9 @@ from .csv_tables import (
     refuse_truncated,
 )
 from .pose_format import decoded_poses, table_format
+
+_TIME_ZONE_STEP = 900.0
+"""By a multiple of this the world's time zones differ, s."""
 
 
 class PoseLog(NamedTuple):
@@ -36,12 +39,16 @@ class PoseLog(NamedTuple):
         view_ids: names of the views.
         picture_times: a time for each view, s.
         time_offset: stated difference of the clocks, robot's minus camera's, s.
+        times_path: the table of the pictures' times, for messages.
+        notes: sentences on what was mended in the log.
     """
 
     trajectory: Trajectory
     view_ids: tuple[str, ...]
     picture_times: Float[np.ndarray, "views"]
     time_offset: float
+    times_path: Path
+    notes: tuple[str, ...] = ()
 
     def poses(self) -> SE3:
         """Return where the robot was when the pictures were taken.
@@ -51,13 +58,30 @@ class PoseLog(NamedTuple):
         """
         times = self.picture_times + self.time_offset
         outside = self.trajectory.outside(times)
+        logged = self.trajectory.times
+        if outside.all():
+            raise ValueError(f"{self.times_path}: {_apart(times, logged)}")
         if outside.any():
-            k, logged = int(np.argmax(outside)), self.trajectory.times
+            k = int(np.argmax(outside))
             raise ValueError(
-                f"view {self.view_ids[k]}: its time, {times[k]:.9g} s, is not within those of the "
-                f"robot's log, {logged[0]:.9g} to {logged[-1]:.9g} s"
+                f"{self.times_path}: view {self.view_ids[k]}: its time, "
+                f"{times[k] - logged[0]:.6g} s after the first of the robot's log, is not within "
+                f"the log, which has {logged[-1] - logged[0]:.6g} s"
             )
         return as_se3(self.trajectory.at(times))
+
+    def views_in_gaps(self) -> dict[str, str]:
+        """Return the views taken while the robot's pose was not logged, with the reason."""
+        times, logged = self.picture_times + self.time_offset, self.trajectory.times
+        reasons = {}
+        for k in np.flatnonzero(times_in_gaps(self.trajectory, times)):
+            after = int(np.searchsorted(logged, times[k]))
+            begin, end = logged[after - 1 : after + 1] - logged[0]
+            reasons[self.view_ids[k]] = (
+                f"taken {times[k] - logged[0]:.6g} s after the first of the robot's log, which has "
+                f"no pose from {begin:.6g} to {end:.6g} s: a pose in between would be invented"
+            )
+        return reasons
 
 
 def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
@@ -73,7 +97,7 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     if not table:
         raise ValueError(f"{path}: no poses")
     form = table_format(path, table, content)
-    table = read_table(path, ("time", *form.columns))
+    table = read_table(path, ("time", *form.columns), ("s", *form.units))
     labels = [f"row {k}" for k in range(1, 1 + len(table))]
     numbers = np.stack(
         [
@@ -81,6 +105,8 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
             for row, label in zip(table, labels, strict=True)
         ]
     )
+    numbers, notes = _in_order(path, numbers)
+    labels = [f"at {time - numbers[0, 0]:.6g} s" for time in numbers[:, 0]]
     lengths = list(form.codec.length_columns)
     refuse_out_of_range(path, numbers[:, 1:][:, lengths] * LENGTH_UNITS[form.length_unit], labels)
     try:
@@ -95,4 +121,53 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     if not rows:
         raise ValueError(f"{times_path}: no times of pictures")
     times = [float(parse_numbers(times_path, row, ("time",), row["view"])[0]) for row in rows]
-    return PoseLog(trajectory, view_ids, np.array(times), content.get("time_offset") or 0.0)
+    offset = content.get("time_offset") or 0.0
+    return PoseLog(trajectory, view_ids, np.array(times), offset, times_path, notes)
+
+
+def _in_order(
+    path: Path, numbers: Float[np.ndarray, "rows columns"]
+) -> tuple[Float[np.ndarray, "times columns"], tuple[str, ...]]:
+    """Return the rows in the order of their times, equal ones once, and what was changed.
+
+    Recorders that merge several topics write rows late and repeat them.
+
+    Args:
+        path: of the log, for messages.
+        numbers: of each row, the time first.
+
+    Raises:
+        ValueError: two poses at one time.
+    """
+    notes = []
+    if (np.diff(numbers[:, 0]) < 0.0).any():
+        notes.append(f"{path.name}: rows that were not in the order of their times were sorted")
+        numbers = numbers[np.argsort(numbers[:, 0], kind="stable")]
+    repeated = np.concatenate([[False], (np.diff(numbers, axis=0) == 0.0).all(axis=1)])
+    if repeated.any():
+        notes.append(f"{path.name}: {int(repeated.sum())} rows equal another and count once")
+        numbers = numbers[~repeated]
+    if (clash := np.diff(numbers[:, 0]) == 0.0).any():
+        time = numbers[int(np.argmax(clash)), 0]
+        raise ValueError(
+            f"{path}: two different poses at time {time:.15g}, {time - numbers[0, 0]:.6g} s after "
+            "the first: are there two robots or tools in the log, or times of few digits?"
+        )
+    return numbers, tuple(notes)
+
+
+def _apart(times: Float[np.ndarray, "views"], logged: Float[np.ndarray, "logged"]) -> str:
+    """Return what is said where no picture was taken within the log."""
+    # Any offset between these two puts all pictures within the log.
+    low, high = sorted((logged[0] - times.min(), logged[-1] - times.max()))
+    hours = np.round(0.5 * (low + high) / _TIME_ZONE_STEP) * _TIME_ZONE_STEP
+    if low <= hours <= high and hours:
+        text = f"{abs(hours) / 3600.0:g} hours apart, as time zones and summer time are"
+    else:
+        text = f"{0.5 * abs(low + high):.6g} s apart"
+    return (
+        f"no picture was taken within the robot's log: relative to the log's first time the "
+        f"pictures are from {times.min() - logged[0]:.6g} to {times.max() - logged[0]:.6g} s, the "
+        f"log from 0 to {logged[-1] - logged[0]:.6g} s: the clocks are {text}? Add "
+        f"{low:.9g} to {high:.9g} s to the pictures' times"
+    )

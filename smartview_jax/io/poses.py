@@ -5,7 +5,7 @@
 
 The file has a column `view` and the columns of the codec. A file that `write_viewpoints` wrote, CSV
 or JSON, states its own format and units: `poses: {file: views.csv}` is then enough. Poses that the
-robot logged while it moved are interpolated at the times of the pictures (see `pose_log.py`).
+robot logged while it moved are read by `pose_log.py`.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,6 @@ from .csv_tables import (
     write_table,
 )
 from .pose_format import PoseFormat, decoded_poses, stated_format, table_format
-from .pose_log import read_pose_log
 from .viewpoints import read_viewpoints
 
 POSES_FILE = "poses.csv"
@@ -47,9 +46,6 @@ def read_poses(
         FileNotFoundError: the table is missing.
     """
     path = folder / content["file"]
-    if content.get("picture_times") is not None:
-        log = read_pose_log(folder, content)
-        return list(log.view_ids), log.poses(), {}
     if path.suffix == ".json":
         return _read_commands(path, content)
     table = read_table(path, ("view",))
@@ -61,7 +57,7 @@ def read_poses(
         raise ValueError(f"{path}: no poses")
     # The header may say the format, so that the table is read twice.
     form = table_format(path, table, content)
-    table, codec = read_table(path, ("view", *form.columns)), form.codec
+    table, codec = read_table(path, ("view", *form.columns), form.units), form.codec
     # NaN passes here: `bad_views` decides below whether it is an error or a masked view.
     rows = np.stack([parse_numbers(path, row, form.columns, row["view"], False) for row in table])
     positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[form.length_unit]

@@ -1,6 +1,6 @@
 """Read the robot's reported pose, joint readings, or both, for every view of a data-set folder."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,9 @@ from jaxtyping import Float
 from ..array_namespace import to_device
 from ..dataset import Dataset
 from ..robots import Command, SerialArm
+from .csv_tables import table_notes
 from .joints import read_joints
+from .pose_log import read_pose_log
 from .poses import read_poses
 
 
@@ -24,6 +26,8 @@ class RobotReadings(NamedTuple):
         masked_views: reason by view id, for the views whose row is not a valid pose.
         joints: joint readings, rad (m for a prismatic joint); None where the folder has none.
         arm: the arm that the readings belong to; None where there are no readings.
+        notes: sentences on what was recognised or mended in the tables.
+        name_suffix: with which the tables' names of views end beyond `view_ids`.
     """
 
     view_ids: Sequence[str]
@@ -31,11 +35,18 @@ class RobotReadings(NamedTuple):
     masked_views: dict[str, str]
     joints: Float[np.ndarray, "views joints"] | None = None
     arm: SerialArm | None = None
+    notes: tuple[str, ...] = ()
+    name_suffix: str = ""
 
     @property
     def command(self) -> Command:
         """The reported poses with the joint readings, where they are known."""
         return Command(self.poses, None if self.joints is None else to_device(self.joints))
+
+    def refuse_masked(self, path: Path) -> None:
+        """Raise a ValueError that names the first view without a valid pose, if there is any."""
+        for view, reason in self.masked_views.items():
+            raise ValueError(f"{path}: view {view}: {reason}: leave this view out")
 
     def with_joints(self, data: Dataset) -> Dataset:
         """Return the data set with the joint readings added, if there are any."""
@@ -59,14 +70,77 @@ def read_robot_readings(
         ValueError: naming the file and the entry or view that is wrong.
         FileNotFoundError: a table is missing.
     """
+    readings = _read_tables(folder, content, description_path, bad_views)
+    suffix = suffix_in_names(folder, content, readings.view_ids)
+    notes = [*table_notes(*_tables(folder, content)), *readings.notes]
+    if suffix:
+        table = table_of_views(folder, content).name
+        notes.append(f"{table}: the views' names end in {suffix}, which is ignored")
+    masked_views = {
+        view.removesuffix(suffix): reason for view, reason in readings.masked_views.items()
+    }
+    return readings._replace(
+        view_ids=[view.removesuffix(suffix) for view in readings.view_ids],
+        masked_views=masked_views,
+        notes=tuple(notes),
+        name_suffix=suffix,
+    )
+
+
+def suffix_in_names(folder: Path, content: Mapping[str, Any], view_ids: Sequence[str]) -> str:
+    """Return the suffix of pictures that all views' names have, while the pattern adds it again.
+
+    Args:
+        folder: of the data set.
+        content: of its description.
+        view_ids: names of the views as the table has them.
+
+    Returns:
+        A suffix such as `".png"`; empty where the names have none, or are those of pictures.
+    """
+    pattern = (content.get("pictures") or {}).get("pattern", "")
+    suffix = Path(pattern).suffix
+    if not suffix or not view_ids or not all(view.endswith(suffix) for view in view_ids):
+        return ""
+    try:
+        as_named = [folder / pattern.format(view=view, height=0) for view in view_ids]
+    except (KeyError, IndexError, ValueError):
+        return ""
+    stripped = {view.removesuffix(suffix) for view in view_ids}
+    unambiguous = len(stripped) == len(view_ids) and "" not in stripped
+    return suffix if unambiguous and not any(path.exists() for path in as_named) else ""
+
+
+def _tables(folder: Path, content: Mapping[str, Any]) -> list[Path]:
+    """Return the tables of the robot's readings that a description names."""
+    poses, joints = content.get("poses") or {}, content.get("joints") or {}
+    names = (poses.get("file"), poses.get("picture_times"), joints.get("file"))
+    return [folder / name for name in names if name and not name.endswith(".json")]
+
+
+def _read_tables(
+    folder: Path, content: dict[str, Any], description_path: Path, bad_views: str
+) -> RobotReadings:
+    """Read the tables as they are, without notes on their form."""
     view_ids = poses = None
     masked_views: dict[str, str] = {}
+    notes: tuple[str, ...] = ()
     if "poses" in content:
-        view_ids, poses, masked_views = read_poses(folder, content["poses"], bad_views)
+        if content["poses"].get("picture_times") is not None:
+            log = read_pose_log(folder, content["poses"])
+            view_ids, poses, masked_views = list(log.view_ids), log.poses(), log.views_in_gaps()
+            notes = log.notes
+        else:
+            view_ids, poses, masked_views = read_poses(folder, content["poses"], bad_views)
         if "joints" not in content:
-            return RobotReadings(view_ids, poses, masked_views)
+            return RobotReadings(view_ids, poses, masked_views, notes=notes)
     # Reported poses have precedence; without them the arm's forward kinematics gives them.
     view_ids, joints, arm = read_joints(folder, content["joints"], description_path, view_ids)
     return RobotReadings(
-        view_ids, arm.base_from_tool(joints) if poses is None else poses, masked_views, joints, arm
+        view_ids,
+        arm.base_from_tool(joints) if poses is None else poses,
+        masked_views,
+        joints,
+        arm,
+        notes,
     )

@@ -57,9 +57,10 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
         raise ValueError(f"{path}: entry 'pictures' is missing: an object is modelled in pictures")
     readings = read_robot_readings(folder, content, path, "raise")
     table = table_of_views(folder, content)
+    readings.refuse_masked(table)
     target = read_target(folder, content["target"])
     # A board at several heights has several pictures of a view; an object has one.
-    heights = read_board_heights(table, target, readings.view_ids)
+    heights = read_board_heights(table, target, readings.view_ids, readings.name_suffix)
     files = picture_files(
         folder, content["pictures"], readings.view_ids, target, table, path, heights
     )

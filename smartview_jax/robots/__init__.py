@@ -16,6 +16,7 @@ from .joint_solution import FAILURE_FLAGS as FAILURE_FLAGS
 from .joint_solution import LIMIT_TOLERANCE as LIMIT_TOLERANCE
 from .joint_solution import JointSolution as JointSolution
 from .joint_solution import SolutionStatus as SolutionStatus
+from .log_gaps import times_in_gaps as times_in_gaps
 from .models import ARMS as ARMS
 from .models import arm_by_name as arm_by_name
 from .models import kuka_lwr4 as kuka_lwr4

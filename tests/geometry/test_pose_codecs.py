@@ -9,6 +9,8 @@ from jaxlie import SO3
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import (
+    EULER_CODECS,
+    EULER_CONVENTIONS,
     POSE_CODECS,
     as_se3,
     host_exponentials,
@@ -53,7 +55,7 @@ POSES = host_transforms(POSES)
 rotation_matrix = jax.jit(lambda oat: rotation_from_oat(oat).as_matrix())
 
 
-@pytest.mark.parametrize("name", POSE_CODECS)
+@pytest.mark.parametrize("name", [*POSE_CODECS, *EULER_CODECS])
 @pytest.mark.parametrize("units", [("m", "rad"), ("mm", "deg")])
 def test_round_trip(name, units):
     codec = pose_codec(name)
@@ -79,7 +81,10 @@ def test_matrices_become_transforms_as_by_jaxlie():
     np.testing.assert_allclose(one.as_matrix(), poses[0], atol=1e-15)
 
 
-@given(st.tuples(*(st.floats(-3.0, 3.0),) * 6), st.sampled_from(sorted(POSE_CODECS)))
+@given(
+    st.tuples(*(st.floats(-3.0, 3.0),) * 6),
+    st.sampled_from(sorted({**POSE_CODECS, **EULER_CODECS})),
+)
 @settings(max_examples=40, deadline=None)
 def test_round_trip_of_anything(tangent, name):
     pose = host_transforms(host_exponentials(np.array([tangent])))
@@ -90,15 +95,31 @@ def test_round_trip_of_anything(tangent, name):
 
 @pytest.mark.parametrize(
     ("name", "sequence"),
-    [("yaw_pitch_roll", "ZYX"), ("kuka_abc", "ZYX"), ("kawasaki_oat", "ZYZ")],
+    [
+        ("yaw_pitch_roll", "ZYX"),
+        ("kuka_abc", "ZYX"),
+        ("kawasaki_oat", "ZYZ"),
+        ("staubli_val3", "XYZ"),
+        ("doosan", "ZYZ"),
+        ("comau", "ZYZ"),
+        ("epson", "ZYX"),
+        *((name, "xyz") for name in ("xarm", "yaskawa", "denso", "techman", "mitsubishi")),
+        *(
+            (name, axes if moving else axes.lower())
+            for name, (axes, moving) in EULER_CONVENTIONS.items()
+        ),
+    ],
 )
 def test_angles_agree_with_scipy(name, sequence):
     angles = np.random.default_rng(2).uniform(-1.4, 1.4, (20, 3))
-    if sequence == "ZYZ":
-        angles[:, 1] += 1.5  # its second angle runs from 0 to 180 degrees
+    if sequence[0] == sequence[2]:
+        angles[:, 1] += 1.5  # the second angle runs from 0 to 180 degrees
     rows = np.concatenate([np.zeros((20, 3)), np.rad2deg(angles)], axis=1)
     found = pose_codec(name).decode(rows, "mm", "deg").rotation().as_matrix()
-    np.testing.assert_allclose(found, Rotation.from_euler(sequence, angles).as_matrix(), atol=1e-12)
+    expected = Rotation.from_euler(sequence, angles)
+    np.testing.assert_allclose(found, expected.as_matrix(), atol=1e-12)
+    written = pose_codec(name).encode(pose_codec(name).decode(rows, "mm", "deg"), "mm", "deg")
+    np.testing.assert_allclose(written[:, 3:], expected.as_euler(sequence, degrees=True), atol=1e-9)
 
 
 def test_fanuc_is_x_first_about_fixed_axes():

@@ -150,7 +150,7 @@ CASES = {
         "poses.file: expected a name",
     ),
     "braces": ("dataset.yaml", "{view}", "{view.__class__}", "pictures.pattern: expected a name"),
-    "bytes": ("poses.csv", "qw", "\u00e4", "not readable as UTF-8 text"),
+    "bytes": ("poses.csv", "qw", "\u00e4", "missing qw"),
     "direction": ("dataset.yaml", "base_from_tool", "flange", "poses.direction is one of"),
     "version": (
         "dataset.yaml",

@@ -4,7 +4,7 @@ from typing import get_args
 import pytest
 
 from smartview_jax.geometry import ANGLE_UNITS, LENGTH_UNITS
-from smartview_jax.geometry.pose_codecs import POSE_CODECS
+from smartview_jax.geometry.pose_codecs import EULER_CODECS, POSE_CODECS
 from smartview_jax.robots.serial_arm import DH_CONVENTIONS
 from smartview_jax.schemas import dataset
 from smartview_jax.schemas.arm import ArmEntry
@@ -13,7 +13,7 @@ from smartview_jax.schemas.validation import validate_content
 from smartview_jax.targets.serialization import TARGET_CLASSES
 
 KNOWN = {
-    "codecs": (dataset.CodecName, POSE_CODECS),
+    "codecs": (dataset.CodecName, (*POSE_CODECS, *EULER_CODECS)),
     "lengths": (dataset.LengthUnit, LENGTH_UNITS),
     "angles": (dataset.AngleUnit, ANGLE_UNITS),
     "conventions": (ArmEntry.model_fields["convention"].annotation, DH_CONVENTIONS),

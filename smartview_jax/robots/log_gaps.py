@@ -1,0 +1,131 @@
+"""Find times at which a log of poses has a gap that no interpolation bridges.
+
+How far an interpolation over some duration misses is measured in the log itself: windows of that
+duration are taken where the log is complete, bridged from their ends as the gap would be, and
+compared with the poses that were logged within.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from .trajectory import Trajectory
+
+
+@dataclasses.dataclass(frozen=True)
+class GapLimits:
+    """When an interval between two logged poses is a gap.
+
+    Attributes:
+        position, angle: error that is no harm at any time, m and rad; robots repeat a pose to about
+            this much.
+        windows: largest number of windows in which the error is measured.
+    """
+
+    position: float = 1e-4
+    angle: float = 2e-4
+    windows: int = 200
+
+
+def times_in_gaps(
+    trajectory: Trajectory, times: Float[np.ndarray, "views"], limits: GapLimits | None = None
+) -> Bool[np.ndarray, "views"]:
+    """Return which times lie where the interpolated pose is invented rather than measured.
+
+    A time is in a gap if its interval is longer than the log's usual one, the robot moved across
+    it, and interpolation over this duration misses by more than the limits, and by more than it
+    does at the usual interval.
+
+    Args:
+        trajectory: the logged poses.
+        times: within the logged ones, s.
+        limits: by default `GapLimits()`.
+    """
+    limits = limits or GapLimits()
+    logged = trajectory.times
+    usual = 2.0 * float(np.median(np.diff(logged)))
+    # The error at twice the median interval, whose middle poses are logged, is above the error at
+    # the median one.
+    allowed = np.array([limits.position, limits.angle])
+    accepted = np.fmax(allowed, _error(trajectory, usual, 0.5, usual, limits))
+    found = np.zeros(len(times), dtype=bool)
+    for k, time in enumerate(times):
+        after = int(np.clip(np.searchsorted(logged, time), 1, len(logged) - 1))
+        start, duration = logged[after - 1], logged[after] - logged[after - 1]
+        if duration <= usual or time in (start, logged[after]):
+            continue
+        ends = _motion(trajectory, np.array([after - 1]), np.array([after]))[0]
+        if (_sizes(ends) <= allowed).all():
+            continue
+        error = _error(trajectory, duration, (time - start) / duration, usual, limits)
+        # Without a window of this duration nothing speaks for the interpolation.
+        found[k] = np.isnan(error).any() or (error > accepted).any()
+    return found
+
+
+def _error(
+    trajectory: Trajectory, duration: float, fraction: float, usual: float, limits: GapLimits
+) -> Float[np.ndarray, "2"]:
+    """Return the RMS error of position and angle where poses within a duration are bridged.
+
+    Args:
+        trajectory: the logged poses.
+        duration: of the windows, s.
+        fraction: where within the window the pose is asked for, 0 to 1.
+        usual: longest interval at which a log is complete, s.
+        limits: number of windows, and the motion that counts as none.
+
+    Returns:
+        Position in m, angle in rad; NaN where the log has no complete window with motion.
+    """
+    logged = trajectory.times
+    first = np.arange(1, len(logged) - 1)
+    last = np.searchsorted(logged, logged[first] + duration)
+    inside = last < len(logged) - 1
+    first, last = first[inside], last[inside]
+    long_before = np.concatenate([[0], np.cumsum(np.diff(logged) > usual)])
+    complete = (long_before[last + 1] == long_before[first - 1]) & (last >= first + 2)
+    first, last = first[complete], last[complete]
+    if not first.size:
+        return np.full(2, np.nan)
+    # Evenly over the log, which is the same in every run.
+    chosen = np.unique(np.linspace(0, len(first) - 1, limits.windows).astype(int))
+    first, last = first[chosen], last[chosen]
+    ends = _motion(trajectory, first, last)
+    moved = (_sizes(ends) > [limits.position, limits.angle]).any(axis=1)
+    if not moved.any():
+        return np.full(2, np.nan)
+    first, last, ends = first[moved], last[moved], ends[moved]
+    wanted = logged[first] + fraction * (logged[last] - logged[first])
+    middle = np.clip(np.searchsorted(logged, wanted), first + 1, last - 1)
+    length = (logged[last] - logged[first])[:, None]
+    s = (logged[middle] - logged[first])[:, None] / length
+    # A cubic with the ends' poses and speeds, as the spline has in a gap.
+    begin_speed = (
+        -_motion(trajectory, first, first - 1) / (logged[first] - logged[first - 1])[:, None]
+    )
+    beyond = _motion(trajectory, first, last + 1) - ends
+    end_speed = beyond / (logged[last + 1] - logged[last])[:, None]
+    bridged = (
+        (s**3 - 2.0 * s**2 + s) * length * begin_speed
+        + (3.0 * s**2 - 2.0 * s**3) * ends
+        + (s**3 - s**2) * length * end_speed
+    )
+    missed = _sizes(bridged - _motion(trajectory, first, middle))
+    return np.sqrt((missed**2).mean(axis=0))
+
+
+def _motion(
+    trajectory: Trajectory, start: np.ndarray, end: np.ndarray
+) -> Float[np.ndarray, "windows 6"]:
+    """Return displacement (m) and rotation vector (rad) between logged poses."""
+    before, after = trajectory.base_from_tool[start], trajectory.base_from_tool[end]
+    turn = Rotation.from_matrix(before[:, :3, :3]).inv() * Rotation.from_matrix(after[:, :3, :3])
+    return np.hstack([after[:, :3, 3] - before[:, :3, 3], turn.as_rotvec()])
+
+
+def _sizes(motion: Float[np.ndarray, "windows 6"]) -> Float[np.ndarray, "windows 2"]:
+    """Return length and angle of motions, m and rad."""
+    return np.linalg.norm(motion.reshape(-1, 2, 3), axis=2)
