@@ -50,7 +50,7 @@ def viewpoint(
         import numpy as np
 
         from ..calibration import Calibration
-        from ..viewpoints import SAFETY_CHECKS, viewpoint_commands
+        from ..viewpoints import SAFETY_CHECKS, unchecked, viewpoint_commands
 
         codec = robot.codec()
         loaded_calibration = Calibration.load(calibration)
@@ -67,8 +67,15 @@ def viewpoint(
             readings,
         )
         names = numbered_names(len(commands.xyzoat))
-        sheet = CommandSheet(names, commands, codec, arm, SAFETY_CHECKS)
-        sheet.give("viewpoint", robot.out, robot.force, json)
+        sheet = CommandSheet(
+            names,
+            commands,
+            codec,
+            arm,
+            SAFETY_CHECKS,
+            unchecked(loaded_calibration, arm is not None),
+        )
+        sheet.give("viewpoint", robot.out, robot.allow, json)
 
 
 DEFAULT_DISTANCE = 0.2
