@@ -22,27 +22,28 @@ CHECK_MESSAGES = {
     "side": "the camera is {:.3f} m behind the target's plane",
     "tool_side": "the tool is {:.3f} m behind the target's plane: through what the target lies on",
     "viewed_region": "the camera is {:.1f} times as far from the middle of the calibrated views as "
-    "the farthest of them",
+    "these were from the target",
     "singular": "the arm is singular there",
     "in_picture": "only {:.0%} of the target is well inside the picture",
     "near_focus": "the target is as near as {:.3f} m: too near to be sharp",
     "far_focus": "the target is as far as {:.3f} m: too far to be sharp",
     "camera_clearance": "the camera is {:.3f} m above the table: too low",
     "tool_clearance": "the tool is {:.3f} m above the table: too low",
-    "known_region": "{:.1f} times as far out as the poses that the robot's error is known from",
+    "known_region": "{:.1f} times as far out as the poses that the robot's error is known from: "
+    "the correction fades there, and the stated error grows",
 }
 """Message of each failed check; the number in it is the measured value.
 
 For a known arm, its own message about reach and singularity is used instead.
 """
 
-SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region", "known_region")
+SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region")
 """The names of the checks that a robot must pass to move, unless a person overrides them."""
 
 ALLOWING_WORDS = {
     "unreachable": ("reach", "tool_distance"),
     "behind-target": ("side", "tool_side"),
-    "outside-region": ("viewed_region", "known_region"),
+    "outside-region": ("viewed_region",),
 }
 """The checks that a person overrides by each word."""
 

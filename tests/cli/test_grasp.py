@@ -95,7 +95,7 @@ def test_one_document_for_programs(calibration):
 def test_the_error_is_that_of_the_calibration(tmp_path_factory):
     path = calibrated_board(tmp_path_factory).calibration
     fit = load_estimate(path)
-    words = ("--grasp-pose", DOWN, "--allow", "outside-region")
+    words = ("--grasp-pose", DOWN, "--allow", "behind-target")
     document = json.loads(grasped(path, *words, "--json").stdout)
     sigmas = document["error"]["std_m"]
     # At the world's origin the tool is as well known as the origin and the robot are.
