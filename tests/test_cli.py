@@ -323,7 +323,9 @@ def test_a_viewpoint_that_could_break_something_is_refused(result, tmp_path, opt
     assert run.exit_code == 2
     assert re.search(f"refused, and nothing is written: v1: .*{reason}", run.stderr)
     assert not out.exists()
-    forced = RUNNER.invoke(app, [*given, "--force"])
+    words = re.findall("--allow [a-z-]+", run.stderr)
+    assert words
+    forced = RUNNER.invoke(app, [*given, *" ".join(words).split()])
     assert re.search(reason, forced.stdout)
     # What no robot can do is not written all the same.
     unreachable = "400" in options

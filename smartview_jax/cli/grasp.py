@@ -55,11 +55,12 @@ def grasp(
     """Print the commands that bring the gripper to a grasp of an object (the paper's Eq. 20).
 
     The gripper's z axis points from the palm to the object. Refused, with nothing written, are
-    commands out of reach, behind the target's plane, or where the robot's error is not known.
+    commands out of reach or behind the target's plane.
     """
     with errors_reported(debug):
         from ..grasping import TOOL_CHECKS, tool_commands
         from ..joint import load_with_uncertainty
+        from ..viewpoints import unchecked
 
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
@@ -73,11 +74,18 @@ def grasp(
             arm=arm,
             near=readings,
         )
-        sheet = CommandSheet(COMMAND_NAMES, tool.commands, codec, arm, TOOL_CHECKS)
+        sheet = CommandSheet(
+            COMMAND_NAMES,
+            tool.commands,
+            codec,
+            arm,
+            TOOL_CHECKS,
+            unchecked(loaded_calibration, arm is not None),
+        )
         sheet.give(
             "grasp",
             robot.out,
-            robot.force,
+            robot.allow,
             json,
             lambda: typer.echo(_error_text(tool, calibration)),
             error=_error_document(tool),

@@ -68,8 +68,26 @@ NearOption = Annotated[
 CommandsOutOption = Annotated[
     Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
 ]
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Also what lies outside of what the calibration knows.")
+
+
+class Allowed(StrEnum):
+    """The safety checks that a person may override, by the words of `viewpoints.ALLOWING_WORDS`."""
+
+    OUTSIDE_REGION = "outside-region"
+    UNREACHABLE = "unreachable"
+    BEHIND_TARGET = "behind-target"
+
+
+AllowOption = Annotated[
+    list[Allowed] | None,
+    typer.Option(
+        "--allow",
+        help="Write the commands although this check fails; give it once for each check. "
+        "outside-region: the pose is far from the calibrated views, and the robot may miss it by "
+        "much more than stated. unreachable: the arm may stop at a joint limit, or move by a way "
+        "that nobody expects. behind-target: camera or tool may hit the target, or the table that "
+        "it lies on.",
+    ),
 ]
 BelowOption = Annotated[
     bool | None,

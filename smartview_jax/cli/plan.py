@@ -69,7 +69,7 @@ def plan(
         import math
 
         from ..geometry import host_transforms
-        from ..viewpoints import SAFETY_CHECKS, plan_views, viewpoint_commands
+        from ..viewpoints import SAFETY_CHECKS, plan_views, unchecked, viewpoint_commands
 
         codec = robot.codec()
         span = ViewLimits(distance, math.radians(tilt), math.radians(roll), below)
@@ -99,10 +99,17 @@ def plan(
             situation.calibration, wanted, situation.points, arm, readings
         )
         names = _new_names(situation.names, len(found.camera_from_world))
-        sheet = CommandSheet(names, commands, codec, arm, SAFETY_CHECKS)
+        sheet = CommandSheet(
+            names,
+            commands,
+            codec,
+            arm,
+            SAFETY_CHECKS,
+            unchecked(situation.calibration, arm is not None),
+        )
         # The words come after the table: they are what a person is to remember.
         say = partial(typer.echo, "\n".join(words))
-        sheet.give("plan", robot.out, robot.force, json, say, **plan_entries(found), words=words)
+        sheet.give("plan", robot.out, robot.allow, json, say, **plan_entries(found), words=words)
 
 
 def _give_nothing(found: "ViewPlan", words: tuple[str, ...], json: bool) -> None:

@@ -28,7 +28,7 @@ class RobotOptions:
     near: options.NearOption = None
     out: options.CommandsOutOption = None
     pose_format: options.PoseFormatOption = "val_oat"
-    force: options.ForceOption = False
+    allow: options.AllowOption = None
 
     def codec(self) -> "PoseCodec":
         """Return the pose format.
@@ -62,6 +62,7 @@ class CommandSheet(NamedTuple):
         codec: pose format of the robot's manufacturer.
         arm: the arm of the joint readings; None where none is known.
         refused_for: names of the checks without which no command is given.
+        unchecked: which safety checks could not be made, in words.
     """
 
     names: tuple[str, ...]
@@ -69,12 +70,13 @@ class CommandSheet(NamedTuple):
     codec: "PoseCodec"
     arm: "SerialArm | None"
     refused_for: tuple[str, ...]
+    unchecked: tuple[str, ...]
 
     def give(
         self,
         subcommand: str,
         out: Path | None,
-        force: bool,
+        allow: Sequence[str] | None,
         json: bool,
         say: Callable[[], None] | None = None,
         **content: Any,
@@ -84,7 +86,7 @@ class CommandSheet(NamedTuple):
         Args:
             subcommand: which one gives them.
             out: the robot's file; None writes none.
-            force: give also what would be refused.
+            allow: words of `ALLOWING_WORDS`, whose checks are overridden.
             json: print a document instead of a table.
             say: prints what a person is to know besides, after the table.
             content: what a program is to know besides, in the document.
@@ -96,11 +98,14 @@ class CommandSheet(NamedTuple):
             self.print()
             if say is not None:
                 say()
-        self.refuse_unsafe(force)
+        self.refuse_unsafe(allow or ())
         if out is not None:
             self.write(out)
         if json:
-            print_document(subcommand, {"commands": self.document(), **content, "file": out})
+            print_document(
+                subcommand,
+                {"commands": self.document(), "unchecked": self.unchecked, **content, "file": out},
+            )
         elif out is not None:
             typer.echo(out)
 
@@ -116,6 +121,8 @@ class CommandSheet(NamedTuple):
         # Every remark is printed, also one for which nothing is refused.
         for text in self._named(self.commands.checks.reasons()):
             typer.echo(text)
+        for sentence in self.unchecked:
+            typer.echo(f"not checked: {sentence}")
 
     def document(self) -> list[dict[str, Any]]:
         """Return the commands as entries for programs: pose, joint readings (rad, m), reasons."""
@@ -138,13 +145,26 @@ class CommandSheet(NamedTuple):
             for k, name in enumerate(self.names)
         ]
 
-    def refuse_unsafe(self, force: bool) -> None:
-        """Raise a ValueError that names every command that must not be given, unless forced."""
-        violations = self._named(self.commands.checks.reasons(self.refused_for))
-        if violations and not force:
-            raise ValueError(
-                f"refused, and nothing is written: {'; '.join(violations)}. --force if it is meant"
-            )
+    def refuse_unsafe(self, allow: Sequence[str] = ()) -> None:
+        """Raise a ValueError that names every command that must not be given.
+
+        Args:
+            allow: words of `ALLOWING_WORDS`, whose checks are overridden.
+        """
+        from ..viewpoints import ALLOWING_WORDS
+
+        allowed = {name for word in allow for name in ALLOWING_WORDS[word]}
+        asked = tuple(name for name in self.refused_for if name not in allowed)
+        checks = self.commands.checks
+        failed = checks.failed(asked)
+        if not failed:
+            return
+        violations = self._named(checks.reasons(asked))
+        words = [word for word, names in ALLOWING_WORDS.items() if set(names) & set(failed)]
+        raise ValueError(
+            f"refused, and nothing is written: {'; '.join(violations)}. To write it all the same: "
+            + " ".join(f"--allow {word}" for word in words)
+        )
 
     def write(self, path: Path) -> None:
         """Write the commands for the robot: a .val, .csv or .json file."""

@@ -59,6 +59,7 @@ def stylus(
         from ..grasping import TOOL_CHECKS, tip_error_factor, tool_commands
         from ..io import read_misses
         from ..joint import load_with_uncertainty
+        from ..viewpoints import unchecked
 
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
@@ -82,12 +83,19 @@ def stylus(
         names = numbered_names(len(poses))
         factor = tip_error_factor(touches, np.array(tip))
         measured = None if misses is None else read_misses(misses, names)
-        sheet = CommandSheet(names, touches.commands, codec, arm, TOOL_CHECKS)
+        sheet = CommandSheet(
+            names,
+            touches.commands,
+            codec,
+            arm,
+            TOOL_CHECKS,
+            unchecked(loaded_calibration, arm is not None),
+        )
         judged = _judgement(names, factor, measured)
         sheet.give(
             "stylus",
             robot.out,
-            robot.force,
+            robot.allow,
             json,
             lambda: _print_judgement(judged, calibration),
             **judged,

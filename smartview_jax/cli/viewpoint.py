@@ -1,7 +1,7 @@
 """Define `smartview viewpoint`, which prints commands by which the camera looks at a point."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -49,11 +49,12 @@ def viewpoint(
     with errors_reported(debug):
         import numpy as np
 
-        from ..calibration import Calibration
-        from ..viewpoints import SAFETY_CHECKS, viewpoint_commands
+        from ..grasping import camera_covariance
+        from ..joint import load_with_uncertainty
+        from ..viewpoints import SAFETY_CHECKS, unchecked, viewpoint_commands
 
         codec = robot.codec()
-        loaded_calibration = Calibration.load(calibration)
+        loaded_calibration, estimate = load_with_uncertainty(calibration)
         point = np.array(at)
         camera_from_world = requested_camera_poses(
             loaded_calibration, point, distance, (tilt, azimuth, roll), five, below
@@ -67,8 +68,55 @@ def viewpoint(
             readings,
         )
         names = numbered_names(len(commands.xyzoat))
-        sheet = CommandSheet(names, commands, codec, arm, SAFETY_CHECKS)
-        sheet.give("viewpoint", robot.out, robot.force, json)
+        sheet = CommandSheet(
+            names,
+            commands,
+            codec,
+            arm,
+            SAFETY_CHECKS,
+            unchecked(loaded_calibration, arm is not None),
+        )
+        covariance = (
+            None
+            if estimate is None
+            else camera_covariance(loaded_calibration, estimate, commands.command)
+        )
+        sheet.give(
+            "viewpoint",
+            robot.out,
+            robot.allow,
+            json,
+            lambda: typer.echo(_error_text(names, covariance, calibration)),
+            errors=_error_document(names, covariance),
+        )
+
+
+def _error_document(
+    names: tuple[str, ...], covariance: "np.ndarray | None"
+) -> list[dict[str, Any]] | None:
+    """Return the standard deviations of the camera's error at each view, m and rad."""
+    import numpy as np
+
+    if covariance is None:
+        return None
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return [
+        {"name": name, "axes": "of the camera, x y z", "std_m": row[:3], "std_rad": row[3:]}
+        for name, row in zip(names, std, strict=True)
+    ]
+
+
+def _error_text(names: tuple[str, ...], covariance: "np.ndarray | None", path: Path) -> str:
+    """Return how well the camera arrives, in words: 95 % intervals in mm."""
+    found = _error_document(names, covariance)
+    if found is None:
+        return f"{path} says nothing of its uncertainty: how well the camera arrives is not known"
+    lines = []
+    for entry in found:
+        # 1.96 standard deviations are 95 % of a Gaussian.
+        millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * entry["std_m"])
+        lines.append(f"{entry['name']}: the camera arrives within +- {millimetres} mm (95 %)")
+    return "\n".join([*lines, "along its own x, y, z, by the calibration and the robot's noise"])
 
 
 DEFAULT_DISTANCE = 0.2

@@ -105,13 +105,16 @@ class ViewedRegion(eqx.Module):
     def normalised_distance(
         self, cameras: Float[Array, "*views 3"] | np.ndarray
     ) -> Float[Array, "*views"]:
-        """Return the distance of cameras from the centroid, as a multiple of `radius`.
+        """Return the distance of cameras from the centroid, relative to the views' own distances.
+
+        The unit is the farthest distance of a view from the target, or `radius` if that is larger:
+        views that were all taken close together say nothing against moving about the target.
 
         Args:
             cameras: camera centres in the target's frame, m.
         """
         offset = cameras - jnp.broadcast_to(self.centroid, cameras.shape)
-        return jnp.linalg.norm(offset, axis=-1) / self.radius
+        return jnp.linalg.norm(offset, axis=-1) / jnp.maximum(self.radius, self.distance_range[1])
 
 
 def region_to_dict(region: ViewedRegion) -> dict[str, Any]:

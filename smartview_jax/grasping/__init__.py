@@ -23,3 +23,4 @@ from .success import success_probability as success_probability
 from .tool_commands import TOOL_CHECKS as TOOL_CHECKS
 from .tool_commands import ToolCommands as ToolCommands
 from .tool_commands import tool_commands as tool_commands
+from .uncertainty import camera_covariance as camera_covariance

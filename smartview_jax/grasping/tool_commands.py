@@ -14,7 +14,7 @@ from ..viewpoints import ViewpointCommands, viewpoint_commands
 from .scene import GraspScene
 from .uncertainty import gripper_errors
 
-TOOL_CHECKS = ("reach", "tool_distance", "tool_side", "known_region")
+TOOL_CHECKS = ("reach", "tool_distance", "tool_side")
 """The checks that a pose of the tool must pass to be commanded, unless a person overrides them.
 
 The others are about what the camera sees.

@@ -15,15 +15,21 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..engine import covariance_factor
+from ..calibration import Calibration
+from ..engine import Noise, covariance_factor
+from ..evaluation import CalibrationEstimate
 from ..geometry import host_adjoints, host_matrices
 from ..modeling import CalibrationUncertainty, SeenViews
+from ..robot_errors import AbstractField
 from ..robots import Command, Gripper
 from .localized import LocalizedObject, checked_object
 from .scene import GraspScene
 
 HAND_EYE = "camera_from_tool."
 """The beginning of the names of the hand-eye transform's parameters."""
+
+ROBOT_ERROR = "robot_error."
+"""The beginning of the names of the robot error's coefficients."""
 
 
 class GripperErrors(NamedTuple):
@@ -54,27 +60,95 @@ def gripper_errors(
         # An exact calibration: the object's own covariance is all there is.
         return (nothing,) * count
     # The twist of the camera at this command is what the calibration's uncertainty describes.
-    views = SeenViews.of(scene.calibration, command)
-    noise = getattr(scene.estimate, "noise", None)
-    known = CalibrationUncertainty.of(views, scene.calibration, scene.estimate, noise)
-    shared = known.shared_count
+    errors = _camera_errors(scene.calibration, scene.estimate, command)
     # The hand-eye transform moves the camera on the tool, not the tool itself.
-    moves_tool = np.array([not name.startswith(HAND_EYE) for name in known.names[:shared]], bool)
+    moves_tool = np.array([not name.startswith(HAND_EYE) for name in errors.names], bool)
     camera_from_gripper = (
         host_matrices(scene.calibration.camera_from_tool) @ gripper.tool_from_gripper
     )
     # exp(twist) camera_from_world, with the twist moved to the gripper's side of the transform.
     to_gripper = host_adjoints(np.linalg.inv(camera_from_gripper))
-    root = covariance_factor(known.covariance[:shared, :shared])
+    directions, others = errors.root.shape[1], errors.unknown.shape[2]
+    # What the robot's error may be far from its data is no number of the calibration.
+    root = np.concatenate([errors.root, np.zeros((len(errors.root), others))], axis=1)
     found = []
     for k in range(count):
-        twist = to_gripper @ known.view_jacobian[k, -6:]
-        own = slice(shared + 6 * k, shared + 6 * k + 6)
-        noise_root = covariance_factor(known.covariance[own, own])
-        found.append(
-            GripperErrors((twist[:, :shared] * moves_tool) @ root, twist[:, own] @ noise_root, root)
-        )
+        shared = np.zeros((6, directions + others))
+        shared[:, :directions] = to_gripper @ (errors.shared[k] * moves_tool) @ errors.root
+        shared[:, directions:] = to_gripper @ errors.unknown[k]
+        found.append(GripperErrors(shared, to_gripper @ errors.own[k], root))
     return tuple(found)
+
+
+def camera_covariance(
+    calibration: Calibration, estimate: CalibrationEstimate, command: Command
+) -> Float[np.ndarray, "n 6 6"]:
+    """Return the covariance of the camera's pose at commands `(n)`, translation (m) first.
+
+    It is of the twist of `camera_from_world`, in the camera's axes: how far the camera misses the
+    pose that was wanted, by the calibration's uncertainty and the robot's noise.
+
+    Raises:
+        ValueError: the estimate is of another calibration, or leaves something open.
+    """
+    errors = _camera_errors(calibration, estimate, command)
+    factor = np.concatenate([errors.shared @ errors.root, errors.unknown, errors.own], axis=2)
+    return factor @ factor.swapaxes(1, 2)
+
+
+class _CameraErrors(NamedTuple):
+    """The uncertainty of the camera's pose for each of some commands, as twists in its axes.
+
+    Attributes:
+        names: names of the calibration's numbers.
+        shared: derivatives by these numbers.
+        root: steps of the numbers of one standard deviation each.
+        unknown: twists by one standard deviation each of the robot error's coefficients, as far as
+            the fitted ones do not hold at the command.
+        own: twists by one standard deviation each of the robot's noise in this motion.
+    """
+
+    names: tuple[str, ...]
+    shared: Float[np.ndarray, "n 6 numbers"]
+    root: Float[np.ndarray, "numbers directions"]
+    unknown: Float[np.ndarray, "n 6 coefficients"]
+    own: Float[np.ndarray, "n 6 noise"]
+
+
+def _camera_errors(
+    calibration: Calibration, estimate: CalibrationEstimate, command: Command
+) -> _CameraErrors:
+    """Return the uncertainty of the camera's pose at commands `(n)`."""
+    noise = getattr(estimate, "noise", None)
+    views = SeenViews.of(calibration, command)
+    known = CalibrationUncertainty.of(views, calibration, estimate, noise)
+    count, size = len(known.view_jacobian), known.shared_count
+    names, shared = known.names[:size], known.view_jacobian[:, -6:, :size].copy()
+    unknown = np.zeros((count, 6, 0))
+    error = calibration.robot_error
+    if error is not None and noise is not None:
+        # With the correlation r of the coefficients at the command and the fitted ones c, of prior
+        # standard deviation s: r c + sqrt(1 - r^2) s e, with e a standard normal number. Commands
+        # near each other have the same e.
+        relevance = np.asarray(error.relevance(command))[:, None, None]
+        prior = dict(zip(error.field.names, _prior_std(error.field, noise), strict=True))
+        columns = np.flatnonzero([name.startswith(ROBOT_ERROR) for name in names])
+        std = np.array([prior[names[k].removeprefix(ROBOT_ERROR)] for k in columns])
+        unknown = np.sqrt(1.0 - relevance**2) * shared[:, :, columns] * std
+        shared[:, :, columns] *= relevance
+    own = np.zeros((count, 6, 6 if known.view_jacobian.shape[2] > size else 0))
+    for k in range(count if own.shape[2] else 0):
+        place = slice(size + 6 * k, size + 6 * k + 6)
+        own[k] = known.view_jacobian[k, -6:, place] @ covariance_factor(
+            known.covariance[place, place]
+        )
+    root = covariance_factor(known.covariance[:size, :size])
+    return _CameraErrors(names, shared, root, unknown, own)
+
+
+def _prior_std(field: AbstractField, noise: Noise) -> Float[np.ndarray, "coefficients"]:
+    """Return the prior standard deviation of each coefficient of a field, in its order."""
+    return np.repeat(np.asarray(noise.field, dtype=float), [size for _, size in field.groups])
 
 
 def error_covariance(

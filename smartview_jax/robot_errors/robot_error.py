@@ -1,6 +1,7 @@
 """Provide a fitted robot error field, which maps reported poses to actual poses and back."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
@@ -47,6 +48,30 @@ class RobotError(eqx.Module):
         """
         return _jacobian(self, as_command(reported))
 
+    def relevance(self, reported: CommandLike) -> Float[Array, "*views"]:
+        """Return how far the fitted coefficients hold at poses: 1 among the data, 0 far away.
+
+        A field is linear only near the poses that it was fitted to. At other places the robot has
+        other coefficients, drawn from the same prior, whose correlation with the fitted ones falls
+        with the distance d beyond the edge of these poses as exp(-d^2 / 2). The unit of d is the
+        field's own: the distance over which it was taken as linear.
+
+        The errors of an arm's joints hold everywhere.
+        """
+        return _relevance(self, as_command(reported))
+
+    def expected_pose(self, reported: CommandLike) -> SE3:
+        """Return the expected actual pose: `actual_pose`, with a correction that fades far away.
+
+        Of coefficients that hold only in part (see `relevance`), the prior's mean of zero is the
+        expected value of the rest.
+        """
+        return _expected_pose(self, as_command(reported))
+
+    def expected_command(self, actual: SE3, near: JointsLike | None = None) -> Command:
+        """Return the command whose `expected_pose` is the actual one; arguments as `command`."""
+        return _expected_command(self, actual, near)
+
     def command(self, actual: SE3, near: JointsLike | None = None) -> Command:
         """Return the command that brings the tool to an actual pose; it inverts `actual_pose`.
 
@@ -74,3 +99,33 @@ def _jacobian(error: RobotError, reported: Command) -> Float[Array, "views 6 coe
 def _command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
     """Compute `RobotError.command` as one program."""
     return error.field.command(actual, error.coefficients, near)
+
+
+@compiled
+def _relevance(error: RobotError, reported: Command) -> Float[Array, "*views"]:
+    """Compute `RobotError.relevance` as one program."""
+    beyond = jnp.maximum(error.field.normalised_distance(reported) - 1.0, 0.0)
+    return jnp.exp(-0.5 * beyond**2)
+
+
+@compiled
+def _expected_pose(error: RobotError, reported: Command) -> SE3:
+    """Compute `RobotError.expected_pose` as one program."""
+    actual_pose = error.field.actual_pose(reported, error.coefficients)
+    return _between(reported.base_from_tool, actual_pose, _relevance(error, reported))
+
+
+@compiled_optimised
+def _expected_command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
+    """Compute `RobotError.expected_command` as one program."""
+    command = error.field.command(actual, error.coefficients, near)
+    # The errors of an arm's joints, which hold everywhere, and whose readings belong to this pose.
+    if command.joints is not None:
+        return command
+    # The relevance changes little over a displacement as small as the error itself.
+    return Command(_between(actual, command.base_from_tool, _relevance(error, command)))
+
+
+def _between(start: SE3, end: SE3, fraction: Float[Array, "*views"]) -> SE3:
+    """Return poses at a fraction of the way from some poses to others."""
+    return start @ SE3.exp(fraction[..., None] * (start.inverse() @ end).log())

@@ -6,11 +6,13 @@ from ..geometry import look_at as look_at
 from ..geometry import viewing_direction as viewing_direction
 from .candidate_selection import cumulative_criterion as cumulative_criterion
 from .candidate_selection import views_needed as views_needed
+from .checks import ALLOWING_WORDS as ALLOWING_WORDS
 from .checks import CHECK_MESSAGES as CHECK_MESSAGES
 from .checks import SAFETY_CHECKS as SAFETY_CHECKS
 from .checks import Checks as Checks
 from .checks import ClearancePlane as ClearancePlane
 from .checks import Limits as Limits
+from .checks import unchecked as unchecked
 from .commands import ViewCalibration as ViewCalibration
 from .commands import ViewpointCommands as ViewpointCommands
 from .commands import predict as predict

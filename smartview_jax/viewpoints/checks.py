@@ -19,25 +19,33 @@ CHECK_MESSAGES = {
     "reach": "the arm does not get there",
     "tool_distance": "the tool is {:.4g} m from the base: no arm is that long; "
     "millimetres as metres?",
-    "side": "the camera is {:.3f} m behind the target's plane: on the side that was not seen",
+    "side": "the camera is {:.3f} m behind the target's plane",
     "tool_side": "the tool is {:.3f} m behind the target's plane: through what the target lies on",
     "viewed_region": "the camera is {:.1f} times as far from the middle of the calibrated views as "
-    "the farthest of them",
+    "these were from the target",
     "singular": "the arm is singular there",
     "in_picture": "only {:.0%} of the target is well inside the picture",
     "near_focus": "the target is as near as {:.3f} m: too near to be sharp",
     "far_focus": "the target is as far as {:.3f} m: too far to be sharp",
     "camera_clearance": "the camera is {:.3f} m above the table: too low",
     "tool_clearance": "the tool is {:.3f} m above the table: too low",
-    "known_region": "{:.1f} times as far out as the poses that the robot's error is known from",
+    "known_region": "{:.1f} times as far out as the poses that the robot's error is known from: "
+    "the correction fades there, and the stated error grows",
 }
 """Message of each failed check; the number in it is the measured value.
 
 For a known arm, its own message about reach and singularity is used instead.
 """
 
-SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region", "known_region")
+SAFETY_CHECKS = ("reach", "tool_distance", "side", "tool_side", "viewed_region")
 """The names of the checks that a robot must pass to move, unless a person overrides them."""
+
+ALLOWING_WORDS = {
+    "unreachable": ("reach", "tool_distance"),
+    "behind-target": ("side", "tool_side"),
+    "outside-region": ("viewed_region",),
+}
+"""The checks that a person overrides by each word."""
 
 
 class ClearancePlane(eqx.Module):
@@ -115,6 +123,15 @@ class Checks(eqx.Module):
         """Return the reasons among the `SAFETY_CHECKS` for each viewpoint, in flat order."""
         return self.reasons(SAFETY_CHECKS)
 
+    def failed(self, check_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of the checks, of the given ones, that some viewpoint fails."""
+        masks = {name: ~np.ravel(self.passed[name]) for name in check_names if name in self.passed}
+        # As in `reasons`: of a pose that is out of reach this is all that counts.
+        reached = ~masks["reach"] if "reach" in masks else True
+        return tuple(
+            name for name, mask in masks.items() if (mask & (reached | (name == "reach"))).any()
+        )
+
     def reasons(self, check_names: tuple[str, ...] = tuple(CHECK_MESSAGES)) -> tuple[str, ...]:
         """Return the reasons of all failed checks for each viewpoint, in flat order.
 
@@ -129,7 +146,7 @@ class Checks(eqx.Module):
         return tuple(
             # Without a pose that the arm reaches, the values of the other checks have no meaning.
             self._message("reach", 0.0, k)
-            if failed["reach"][k]
+            if failed["reach"][k] and "reach" in check_names
             else "; ".join(self._message(n, measured[n][k], k) for n in checks if failed[n][k])
             for k in range(next(iter(failed.values())).size)
         )
@@ -195,6 +212,8 @@ def check_views(
     record("tool_distance", max_coordinate, max_coordinate <= MAX_TOOL_COORDINATE)
     if calibration.region is not None:
         _check_viewed_region(calibration, command, camera_from_world, limits, record)
+    else:
+        _check_side_of_camera(calibration, command, camera_from_world, record)
     if limits.clearance_plane is not None:
         # Clearance is a matter of where the robot really is, so the robot error is applied.
         actual_pose = command.base_from_tool if error is None else error.actual_pose(command)
@@ -227,19 +246,76 @@ def _check_viewed_region(
     camera_height = region.height(cameras)
     record("side", -camera_height, (camera_height > 0.0) | (region.side == 0.0))
     if calibration.mount == "eye_in_hand":
-        # Tool positions p in the world frame: world = R p + t.
-        world_from_holder = calibration.holder_from_world.inverse()
-        tool_positions = command.base_from_tool.translation()
-        rotation = world_from_holder.rotation().as_matrix()
-        tools_in_world = tool_positions @ rotation.T + jnp.broadcast_to(
-            world_from_holder.translation(), tool_positions.shape
-        )
-        tool_height = region.height(tools_in_world)
+        tool_height = region.height(_tool_in_world(calibration, command))
         # The tool must stay above the target's plane. If it was lower beside the target in the
         # views of the fit, it may be as low again.
         record("tool_side", -tool_height, tool_height >= jnp.minimum(region.min_tool_height, 0.0))
     extent = region.normalised_distance(cameras)
     record("viewed_region", extent, extent <= limits.max_viewed_region_extent)
+
+
+def _check_side_of_camera(
+    calibration: Calibration,
+    command: Command,
+    camera_from_world: SE3,
+    record: Callable[[str, Array, Array], None],
+) -> None:
+    """Record the checks of the target's side where no region says from which side it was seen.
+
+    A camera that looks down on the target's plane, whole picture included, belongs above the plane,
+    and so does the tool that carries it. A camera that also sees along the plane tells no side.
+    """
+    world_from_camera = camera_from_world.inverse()
+    # How steeply the optical axis, z of the camera, meets the plane z = 0 of the world.
+    descent = world_from_camera.rotation().as_matrix()[..., 2, 2]
+    side = -jnp.sign(descent)
+    tells_side = jnp.abs(descent) > jnp.sin(_half_field_of_view(calibration))
+    camera_height = side * world_from_camera.translation()[..., 2]
+    record("side", -camera_height, (camera_height > 0.0) | ~tells_side)
+    if calibration.mount == "eye_in_hand":
+        tool_height = side * _tool_in_world(calibration, command)[..., 2]
+        record("tool_side", -tool_height, (tool_height >= 0.0) | ~tells_side)
+
+
+def _half_field_of_view(calibration: Calibration) -> Float[Array, ""]:
+    """Return the angle, rad, between the optical axis and the picture's corners, without lens."""
+    camera = calibration.camera
+    width, height = camera.image_size
+    return jnp.arctan(jnp.hypot(0.5 * width / camera.alpha_u, 0.5 * height / camera.alpha_v))
+
+
+def _tool_in_world(calibration: Calibration, command: Command) -> Float[Array, "*views 3"]:
+    """Return the tool's origin in the world, m, for a camera on the hand."""
+    # Tool positions p in the world frame: world = R p + t.
+    world_from_holder = calibration.holder_from_world.inverse()
+    tool_positions = command.base_from_tool.translation()
+    rotation = world_from_holder.rotation().as_matrix()
+    return tool_positions @ rotation.T + jnp.broadcast_to(
+        world_from_holder.translation(), tool_positions.shape
+    )
+
+
+def unchecked(calibration: Calibration, arm_is_known: bool) -> tuple[str, ...]:
+    """Return in words which safety checks `check_views` cannot make, or only in part.
+
+    Args:
+        calibration: of camera and robot.
+        arm_is_known: whether joint readings were computed.
+    """
+    sentences = []
+    region = calibration.region
+    if region is not None and float(region.side) == 0.0:
+        sentences.append("both sides of the target were seen: which side is free is not known")
+    if region is None:
+        sentences.append(
+            "the calibration has no region: how far the camera is from the calibrated views is not "
+            "checked; the target's side is taken from the direction in which the camera looks, and "
+            "not checked where it looks along the target"
+        )
+    if not arm_is_known:
+        sentences.append("no arm is known (--arm): whether it gets there is not checked")
+    sentences.append("collisions of arm, tool and cables are not checked")
+    return tuple(sentences)
 
 
 @one_program

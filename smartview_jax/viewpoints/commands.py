@@ -108,7 +108,12 @@ def viewpoint_commands(
             if is_traced(near)
             else as_float_array(np.broadcast_to(near, shape))
         )
-    command = calibration.robot_command_for(wanted, near=near)
+    if calibration.robot_error is None:
+        command = calibration.robot_command_for(wanted)
+    else:
+        # Where the robot's error is not known, half a correction is better than a wrong one.
+        actual_pose = calibration.command_for(wanted, corrected=False)
+        command = calibration.robot_error.expected_command(actual_pose, near)
     solution = None
     if arm is not None and near is not None:
         # Outside jit, because only there the arm's parameters show whether it has a closed form.
@@ -127,7 +132,10 @@ def _commands_with_checks(
     limits: Limits,
 ) -> ViewpointCommands:
     """Return commands with the predicted views and checks."""
-    predicted_views = predict(calibration, command)
+    error = calibration.robot_error
+    # Far from its data the correction fades, in the prediction as in the command.
+    expected = command if error is None else Command(error.expected_pose(command))
+    predicted_views = predict(calibration.uncorrected, expected)
     checks = check_views(
         calibration, command, predicted_views.camera_from_world, points, solution, limits
     )

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from board_scene import calibrated_board, run
+from board_scene import board_folder, calibrated_board, run
 from solids import box
 
 from smartview_jax.geometry import host_matrices, pose_codec
@@ -95,7 +95,7 @@ def test_one_document_for_programs(calibration):
 def test_the_error_is_that_of_the_calibration(tmp_path_factory):
     path = calibrated_board(tmp_path_factory).calibration
     fit = load_estimate(path)
-    words = ("--grasp-pose", DOWN, "--force")
+    words = ("--grasp-pose", DOWN, "--allow", "behind-target")
     document = json.loads(grasped(path, *words, "--json").stdout)
     sigmas = document["error"]["std_m"]
     # At the world's origin the tool is as well known as the origin and the robot are.
@@ -133,3 +133,35 @@ def test_what_is_missing_is_said(calibration, words, message):
     ended = grasped(calibration, *words)
     assert ended.exit_code == 2
     assert message in ended.stderr
+
+
+@pytest.mark.parametrize("tilt", ["0,180,0", "30,150,0"])
+def test_a_grasp_behind_the_target_is_refused_without_a_region(tilt, tmp_path_factory, tmp_path):
+    """The truth of a simulation says nothing of the views, but its camera looks down."""
+    truth = board_folder(tmp_path_factory) / "truth.yaml"
+    out = tmp_path / "grasp.csv"
+    words = (truth, "--grasp-pose", f"0,0,-0.15,{tilt}", "--out", out)
+    ended = grasped(*words)
+    assert ended.exit_code == 2
+    assert "grasp: the tool is 0.150 m behind the target's plane" in ended.stderr
+    assert "--allow behind-target" in ended.stderr
+    assert "not checked: the calibration has no region" in ended.stdout
+    assert not out.exists()
+    # The word of another check allows nothing.
+    other = grasped(*words, "--allow", "unreachable", "--allow", "outside-region")
+    assert (other.exit_code, out.exists()) == (2, False)
+    assert grasped(*words, "--allow", "behind-target").exit_code == 0
+    assert out.exists()
+
+
+def test_a_word_allows_its_own_check_only(calibration, tmp_path):
+    out = tmp_path / "grasp.val"
+    words = ("--object-pose", "3,0,-0.3,0,0,0", "--grasp-pose", DOWN, "--out", out)
+    words = (*words, "--arm", "puma_560", "--near=0,90,-90,0,60,0")
+    assert "--allow unreachable" in grasped(calibration, *words).stderr
+    ended = grasped(calibration, *words, "--allow", "unreachable")
+    assert ended.exit_code == 2
+    assert "m behind the target's plane" in ended.stderr
+    assert "--allow behind-target" in ended.stderr
+    assert "--allow unreachable" not in ended.stderr
+    assert not out.exists()

@@ -83,15 +83,16 @@ def in_region(places, **limits):
 
 
 def test_the_side_that_was_seen_and_how_far_out_are_checked():
-    reach = np.hypot(0.1, 0.1)
+    # The farthest view of the target's middle, whose distance is the unit.
+    reach = np.hypot(0.1, 1.1)
     checks = in_region(
         [[0.0, 0.0, 1.0], [1.9 * reach, 0.0, 1.0], [2.1 * reach, 0.0, 1.0], [0.0, 0.0, -0.5]]
     )
     fine, near, far, behind = checks.safety_violations()
     assert fine == near == ""
     assert far == (
-        "the camera is 2.1 times as far from the middle of the calibrated views as the farthest of "
-        "them"
+        "the camera is 2.1 times as far from the middle of the calibrated views as these were from "
+        "the target"
     )
     assert "the camera is 0.500 m behind the target's plane" in behind
     assert "the tool is 0.500 m behind the target's plane" in behind
