@@ -237,7 +237,7 @@ def _ranked_hypotheses(
 def _merge_equal(
     possible: Sequence[Mistake], robots: Float[np.ndarray, "mistakes views 4 4"]
 ) -> tuple[list[int], list[Mistake]]:
-    """Return the mistakes, by index and with descriptions, of which no two misread angles alike.
+    """Return the mistakes by index and with descriptions, without those that misread angles alike.
 
     Two pairs of conventions may be the same mistake: the first names the others.
 
