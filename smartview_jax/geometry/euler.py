@@ -61,7 +61,7 @@ def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
 
 
 class EulerConvention(NamedTuple):
-    """How three angles describe a rotation: about which axes, fixed ones or those that move along.
+    """Convention of three angles: their axes, and whether these are fixed or move along.
 
     Attributes:
         axes: in the order of the angles, such as `"ZYX"`.

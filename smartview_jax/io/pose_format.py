@@ -119,7 +119,7 @@ def table_format(
     if not agreeing:
         raise ValueError(f"{path}: {_contradiction(fitting[0], stated)}")
     # VAL and Kawasaki both call their angles O, A, T, and mean different rotations.
-    if len(agreeing) > 1:
+    if any(_other_pose(agreeing[0], other) for other in agreeing[1:]):
         raise ValueError(
             f"{path}: the columns {', '.join(agreeing[0].columns)} fit "
             f"{' and '.join(one.codec.name for one in agreeing)}: add a column "
@@ -180,6 +180,21 @@ def decoded_poses(
     if form.direction != COMMANDED_DIRECTION:
         poses = as_se3(np.linalg.inv(host_matrices(poses)))
     return poses
+
+
+def _other_pose(one: PoseFormat, other: PoseFormat) -> bool:
+    """Return whether the same numbers in the columns of a table are another pose in two formats."""
+    if not (one.codec.angle_columns and other.codec.angle_columns):
+        return True
+    # Any numbers at which no two conventions coincide.
+    numbers = {name: 0.1 * k for k, name in enumerate(sorted(one.columns), start=1)}
+    poses = [
+        host_matrices(
+            form.codec.decode(np.array([[numbers[c] for c in form.columns]]), *form.units)
+        )
+        for form in (one, other)
+    ]
+    return not np.allclose(*poses, rtol=0.0, atol=1e-9)
 
 
 def _contradiction(found: PoseFormat, stated: Mapping[str, Any]) -> str | None:

@@ -96,7 +96,7 @@ def suffix_in_names(folder: Path, content: Mapping[str, Any], view_ids: Sequence
         view_ids: names of the views as the table has them.
 
     Returns:
-        A suffix such as `".png"`; empty where the names have none, or are those of pictures.
+        A suffix such as `".png"`; empty where the names have none, or name existing pictures.
     """
     pattern = (content.get("pictures") or {}).get("pattern", "")
     suffix = Path(pattern).suffix

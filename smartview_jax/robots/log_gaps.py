@@ -16,7 +16,7 @@ from .trajectory import Trajectory
 
 @dataclasses.dataclass(frozen=True)
 class GapLimits:
-    """When an interval between two logged poses is a gap.
+    """Limits beyond which an interval between two logged poses is a gap.
 
     Attributes:
         position, angle: error that is no harm at any time, m and rad; robots repeat a pose to about

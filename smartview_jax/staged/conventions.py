@@ -12,6 +12,7 @@ hand-eye rotation explains. Positions distinguish them.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from .closure import (
     length_ratio,
     relative_motions,
 )
-from .mistakes import mistakes
+from .mistakes import Mistake, mistakes
 
 
 class ConventionHypothesis(NamedTuple):
@@ -87,6 +88,9 @@ MAX_CORRECTED_SCORE_RATIO = 0.3
 
 MAX_RIVAL_SCORE_RATIO = 2.0
 """Ratio to the best closure score up to which another mistake explains the data as well."""
+
+_EQUAL_POSES = 1e-9
+"""Largest difference of poses (m, and entries of rotations) that is a rounding error."""
 
 CLOSURE_SCORE_FLOOR = 1e-4
 """Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
@@ -195,8 +199,12 @@ def _ranked_hypotheses(
         for words, error in zip(units, closure_errors(motions, scales).tolist(), strict=True)
     ]
     possible = tuple(mistakes(in_hand, len(robot)))
-    robots, cameras = zip(*(mistake.undo(robot, camera) for mistake in possible), strict=True)
-    corrected = _relative_motions(np.stack(robots), np.stack(cameras), used, in_hand)
+    robots, cameras = map(
+        np.stack, zip(*(mistake.undo(robot, camera) for mistake in possible), strict=True)
+    )
+    distinct, possible = _merge_equal(possible, robots[:, used])
+    robots, cameras = robots[distinct], cameras[distinct]
+    corrected = _relative_motions(robots, cameras, used, in_hand)
     errors = closure_errors(corrected)
     # The rotations are the same in any unit of length: where they differ, none can close.
     in_units = np.full((len(possible), len(units), len(ClosureError._fields)), np.inf)
@@ -226,6 +234,44 @@ def _ranked_hypotheses(
     )
 
 
+def _merge_equal(
+    possible: Sequence[Mistake], robots: Float[np.ndarray, "mistakes views 4 4"]
+) -> tuple[list[int], list[Mistake]]:
+    """Return the mistakes by index and with descriptions, without those that misread angles alike.
+
+    Two pairs of conventions may be the same mistake: the first names the others.
+
+    Args:
+        possible: all mistakes.
+        robots: the poses that each of them gives.
+    """
+    poses = robots.reshape(len(robots), -1)
+    # Compared along one random direction, in which poses that differ are hardly ever equal.
+    direction = np.random.default_rng(0).normal(size=poses.shape[1])
+    along = poses @ direction / np.linalg.norm(direction)
+    others: dict[int, dict[str, None]] = {}
+    for k, mistake in enumerate(possible):
+        earlier = (j for j in others if _misreads_angles(possible[j]))
+        equal = (j for j in earlier if abs(along[j] - along[k]) < _EQUAL_POSES)
+        first = next(equal, k) if _misreads_angles(mistake) else k
+        others.setdefault(first, {})
+        if mistake.name != possible[first].name:
+            others[first][mistake.name.replace("_read_as_", " read as ")] = None
+    merged = [
+        possible[k]._replace(
+            description=possible[k].description
+            + (f" (the same are {', '.join(names)})" if names else "")
+        )
+        for k, names in others.items()
+    ]
+    return list(others), merged
+
+
+def _misreads_angles(mistake: Mistake) -> bool:
+    """Return whether a mistake is that angles were read in another convention."""
+    return "_read_as_" in mistake.name or mistake.name == "kuka_abc_for_fanuc_wpr"
+
+
 def _convention_problems(
     given_error: ClosureError,
     hypotheses: tuple[ConventionHypothesis, ...],
@@ -249,10 +295,12 @@ def _convention_problems(
             else ()
         )
     # Mistakes with nearly the same closure error cannot be distinguished: report all of them.
+    first_named = {hypothesis.name: hypothesis for hypothesis in hypotheses[::-1]}
     rivals = [
         hypothesis
         for hypothesis in hypotheses[1:]
         if hypothesis.name != best.name
+        and hypothesis is first_named[hypothesis.name]
         and hypothesis.closure_error.score
         < min(
             MAX_RIVAL_SCORE_RATIO * max(best.closure_error.score, CLOSURE_SCORE_FLOOR),

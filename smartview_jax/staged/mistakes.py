@@ -6,13 +6,14 @@ reading these numbers in the right one. NumPy code, run once on a few dozen matr
 """
 
 import itertools
-import warnings
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+
+from ..geometry import EULER_CONVENTIONS
 
 Poses = Float[np.ndarray, "views 4 4"]
 """Homogeneous matrices, one per view, m."""
@@ -115,39 +116,62 @@ class _RotationFormat(NamedTuple):
     second_angle_range: tuple[float, float] | None
 
 
-def _euler_format(
-    name: str, description: str, axes: str, second_angle_range: tuple[float, float]
-) -> _RotationFormat:
-    """Return a format of Euler angles about the given axes, in SciPy's notation."""
+def _euler_format(name: str, description: str, convention: str) -> _RotationFormat:
+    """Return a format of angles in one of `EULER_CONVENTIONS`."""
+    euler = EULER_CONVENTIONS[convention]
+    same_outer_axes = euler.axes[0] == euler.axes[2]
     return _RotationFormat(
         name,
         description,
-        lambda r: r.as_euler(axes),
-        lambda x: Rotation.from_euler(axes, x),
-        second_angle_range,
+        euler.from_rotation,
+        euler.to_rotation,
+        (0.0, np.pi) if same_outer_axes else (-0.5 * np.pi, 0.5 * np.pi),
     )
 
 
-_SECOND_ANGLE_RANGE = (-0.5 * np.pi, 0.5 * np.pi)
-"""Range of the second angle of most formats, rad."""
 _VAL_ANGLE_SIGNS = np.array([1.0, 1.0, -1.0])
 """Signs of O, A, T in the Euler angles of `R M0^T` (see `_VAL_M0`)."""
+_ZXY = EULER_CONVENTIONS["euler_ZXY_moving"]
 # KUKA's angles are the yaw, pitch, roll of Eq. 16.
-_KUKA = _euler_format("kuka_abc", "kuka_abc (yaw_pitch_roll)", "ZYX", _SECOND_ANGLE_RANGE)
-_FANUC = _euler_format("fanuc_wpr", "fanuc_wpr", "xyz", _SECOND_ANGLE_RANGE)
+_KUKA = _euler_format("kuka_abc", "kuka_abc (yaw_pitch_roll)", "euler_ZYX_moving")
+_FANUC = _euler_format("fanuc_wpr", "fanuc_wpr", "euler_XYZ_fixed")
 _FORMATS = (
     _KUKA,
     _FANUC,
-    _euler_format("kawasaki_oat", "kawasaki_oat", "ZYZ", (0.0, np.pi)),
+    _euler_format("kawasaki_oat", "kawasaki_oat", "euler_ZYZ_moving"),
     _RotationFormat(
         "val_oat",
         "val_oat",
-        lambda r: _VAL_ANGLE_SIGNS * (r * Rotation.from_matrix(_VAL_M0.T)).as_euler("ZXY"),
-        lambda x: Rotation.from_euler("ZXY", _VAL_ANGLE_SIGNS * x) * Rotation.from_matrix(_VAL_M0),
-        _SECOND_ANGLE_RANGE,
+        lambda r: _VAL_ANGLE_SIGNS * _ZXY.from_rotation(r * Rotation.from_matrix(_VAL_M0.T)),
+        lambda x: _ZXY.to_rotation(_VAL_ANGLE_SIGNS * x) * Rotation.from_matrix(_VAL_M0),
+        (-0.5 * np.pi, 0.5 * np.pi),
     ),
     _RotationFormat("ur", "ur (rotation_vector)", Rotation.as_rotvec, Rotation.from_rotvec, None),
+    _euler_format("staubli_val3", "staubli_val3", "euler_XYZ_moving"),
 )
+"""The formats in which poses are read; other makers have the conventions of one of these."""
+
+_UNUSUAL_FORMATS = tuple(
+    _euler_format(name, name, name)
+    for name in EULER_CONVENTIONS
+    if name not in ("euler_ZYX_moving", "euler_XYZ_fixed", "euler_ZYZ_moving", "euler_XYZ_moving")
+)
+"""The other conventions of three angles, in which a file may be written without its reader's
+knowledge."""
+
+
+def _misread_pairs() -> Iterator[tuple[_RotationFormat, _RotationFormat]]:
+    """Yield pairs of the format that was read and the true one, each effect once."""
+    for read_format, true_format in itertools.permutations(_FORMATS, 2):
+        if {read_format, true_format} != {_KUKA, _FANUC}:
+            yield read_format, true_format
+    # Fanuc's angles are KUKA's in reverse order, and so are the conventions with reversed axes that
+    # are fixed instead of moving. What was read as Fanuc's is a pair with KUKA's, therefore; two
+    # such pairs are among the ones above.
+    for read_format, true_format in itertools.product(_FORMATS, _UNUSUAL_FORMATS):
+        known = read_format is _KUKA and true_format.name in ("euler_ZYX_fixed", "euler_ZYZ_fixed")
+        if read_format is not _FANUC and not known:
+            yield read_format, true_format
 
 
 def _angle_format_mistakes() -> Iterator[Mistake]:
@@ -156,23 +180,34 @@ def _angle_format_mistakes() -> Iterator[Mistake]:
         "kuka_abc_for_fanuc_wpr",
         "the angles are kuka_abc (yaw_pitch_roll) and were read as fanuc_wpr, or the reverse "
         "(first and third angle swapped)",
-        lambda r: _KUKA.to_rotation(_format_numbers(r, _FANUC)),
+        lambda r: _KUKA.to_rotation(_FANUC.from_rotation(r)),
     )
-    for read_format, true_format in itertools.permutations(_FORMATS, 2):
-        if {read_format, true_format} == {_KUKA, _FANUC}:
-            continue
+    for read_format, true_format in _misread_pairs():
         # Two triples of numbers describe the rotation that was read, and the true format may
-        # produce either of them; try both.
+        # produce either of them, another one in each view; try both for the first view.
         is_vector = read_format.second_angle_range is None
         ambiguous = is_vector or true_format.second_angle_range == (0.0, np.pi)
+        name = f"{true_format.name}_read_as_{read_format.name}"
+        description = (
+            f"the angles are {true_format.description} and were read as "
+            f"{_read_as(read_format, true_format)}"
+        )
+        # Defaults bind the loop's values now; the functions are called later.
         for prefer_alternative in (False, True) if ambiguous else (False,):
             yield _rotation_mistake(
-                f"{true_format.name}_read_as_{read_format.name}",
-                f"the angles are {true_format.description} and were read as "
-                f"{read_format.description}",
-                # Defaults bind the loop's values now; the function is called later.
+                name,
+                description,
                 lambda r, read=read_format, true=true_format, alternative=prefer_alternative: (
                     true.to_rotation(_numbers_in_true_range(r, read, true, alternative))
+                ),
+            )
+        if ambiguous:
+            yield Mistake(
+                name,
+                description,
+                lambda robot, camera, read=read_format, true=true_format: (
+                    _fitting_rotations(robot, camera, read, true),
+                    camera,
                 ),
             )
     for rotation_format in _FORMATS:
@@ -182,18 +217,18 @@ def _angle_format_mistakes() -> Iterator[Mistake]:
                 f"radians_as_degrees_{rotation_format.name}",
                 f"the angles ({rotation_format.description}) are in radians and were read as "
                 "degrees",
-                lambda r, form=rotation_format: form.to_rotation(
-                    np.rad2deg(_format_numbers(r, form))
-                ),
+                lambda r, form=rotation_format: form.to_rotation(np.rad2deg(form.from_rotation(r))),
             )
 
 
-def _format_numbers(rotation: Rotation, rotation_format: _RotationFormat) -> np.ndarray:
-    """Return the numbers of rotations in a format, without warnings at gimbal lock."""
-    with warnings.catch_warnings():
-        # At gimbal lock only the sum or difference of two angles is determined; any split is right.
-        warnings.filterwarnings("ignore", message="Gimbal lock")
-        return rotation_format.from_rotation(rotation)
+def _read_as(read_format: _RotationFormat, true_format: _RotationFormat) -> str:
+    """Return as what angles were read, with the equal mistake of Fanuc's angles."""
+    if read_format is not _KUKA or true_format not in _UNUSUAL_FORMATS:
+        return read_format.description
+    # Reversed axes, fixed instead of moving, are the same angles in reverse order.
+    _, axes, kind = true_format.name.split("_")
+    reverse = f"euler_{axes[::-1]}_{'fixed' if kind == 'moving' else 'moving'}"
+    return f"{read_format.description} (or {reverse} as fanuc_wpr)"
 
 
 def _numbers_in_true_range(
@@ -208,7 +243,7 @@ def _numbers_in_true_range(
     the ranges of the format `true_format` is returned. If both or neither are, the principal one is
     returned, or the other one with `prefer_alternative`.
     """
-    principal = _format_numbers(rotation, read_format)
+    principal = read_format.from_rotation(rotation)
     if read_format.second_angle_range is None:
         length = np.maximum(np.linalg.norm(principal, axis=1, keepdims=True), 1e-12)
         # A rotation by |v| about v is also one by |v| - 2 pi.
@@ -232,6 +267,41 @@ def _numbers_in_true_range(
         principal,
         alternative,
     )
+
+
+def _fitting_rotations(
+    robot: Poses, camera: Poses, read_format: _RotationFormat, true_format: _RotationFormat
+) -> Poses:
+    """Return the poses with the triples of numbers with which the robot turns as the camera does.
+
+    Of the two rotations that a view may have, the one is chosen whose angles to the other views are
+    closer to the camera's.
+    """
+    read = Rotation.from_matrix(robot[:, :3, :3])
+    candidates = np.stack(
+        [
+            true_format.to_rotation(
+                _numbers_in_true_range(read, read_format, true_format, alternative)
+            ).as_matrix()
+            for alternative in (False, True)
+        ]
+    )
+    # The trace of R_i^T R_j is 1 + 2 cos of the angle between two views, the camera's as well.
+    between = np.einsum("aimn,bjmn->aibj", candidates, candidates)
+    seen = np.einsum("imn,jmn->ij", camera[:, :3, :3], camera[:, :3, :3])
+    misfit = np.abs(between - seen[None, :, None, :])
+    views = np.arange(len(robot))
+    best, best_misfit = candidates[0], np.inf
+    # The view that is chosen first decides the others; a second pass asks all of them.
+    for first in (0, 1):
+        chosen = misfit[:, :, first, 0].argmin(axis=0)
+        chosen = misfit[:, :, chosen, views].sum(axis=2).argmin(axis=0)
+        total = misfit[chosen[:, None], views[:, None], chosen[None], views[None]].sum()
+        if total < best_misfit:
+            best, best_misfit = candidates[chosen, views], total
+    corrected = robot.copy()
+    corrected[:, :3, :3] = best
+    return corrected
 
 
 def _is_in_range(numbers: np.ndarray, true_format: _RotationFormat) -> np.ndarray:

@@ -8,7 +8,7 @@ from text_files import edit
 
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
-from smartview_jax.io import load_pose_log
+from smartview_jax.io import load_pose_log, load_view_pictures
 from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.robots import Trajectory, times_in_gaps
 from smartview_jax.simulation import random_target_scene
@@ -168,3 +168,8 @@ def test_a_picture_in_the_gap_of_a_shared_log_is_masked():
     (masked,) = [(view, why) for view, why in data.masked_views if "invented" in why]
     assert masked[0] == "08"
     assert "taken 41.5 s after the first of the robot's log" in masked[1]
+
+
+def test_a_view_in_a_gap_is_not_modelled():
+    with pytest.raises(ValueError, match=r"times\.csv: view 08: taken 41\.5 s .*leave this view"):
+        load_view_pictures(shared_case("log_gap"))

@@ -7,7 +7,13 @@ from jaxlie import SE3, SO3
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
-from smartview_jax.geometry import host_exponentials, host_transforms, pose_codec
+from smartview_jax.geometry import (
+    EULER_CODECS,
+    EULER_CONVENTIONS,
+    host_exponentials,
+    host_transforms,
+    pose_codec,
+)
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import check_conventions
 from smartview_jax.targets import Chessboard
@@ -151,6 +157,28 @@ def test_transposed_rotations_are_told_from_inverted_poses(poses):
     scores = {one.name: one.closure_error for one in report.hypotheses[::-1]}
     assert scores["inverted"].rotation == pytest.approx(scores["transposed"].rotation, rel=1e-6)
     assert scores["inverted"].translation > 20.0 * scores["transposed"].translation
+
+
+_BEFORE_A_NAME = ("the angles are ", "(or ", "(the same are ", ", ")
+
+
+@pytest.mark.parametrize("true", EULER_CODECS)
+@pytest.mark.parametrize("read", ["kuka_abc", "fanuc_wpr", "staubli_val3"])
+def test_every_convention_of_three_angles_is_named(poses, true, read):
+    robot, seen = poses
+    axes, moving = EULER_CONVENTIONS[true]
+    wrong = misread(robot, true, read)
+    if np.allclose(wrong.as_matrix(), robot.as_matrix()):
+        return
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    # A convention with a maker's name has this name; the angles in reverse order are the same.
+    same = {"ZYX": "kuka_abc", "XYZ": "staubli_val3", "ZYZ": "kawasaki_oat"}
+    name = same.get(axes, true) if moving else true if axes != "XYZ" else "fanuc_wpr"
+    reverse = f"euler_{axes[::-1]}_{'fixed' if moving else 'moving'}"
+    names = {name, reverse, same.get(axes[::-1], name) if not moving else name}
+    named = [f"{before}{one}" in problem for one in names for before in _BEFORE_A_NAME]
+    assert any(named), problem
+    assert "next best explanation" in problem
 
 
 def test_radians_taken_for_degrees_are_named(poses):
