@@ -353,9 +353,12 @@ class Calibration(eqx.Module):
         *,
         source: str | None = None,
         uncertainty: Mapping[str, Any] | None = None,
+        pictures: Sequence[str] = (),
     ) -> dict[str, Any]:
         """Return a dictionary of plain numbers with names and units, as written by `save`."""
-        return content_of(self, run, warnings, source=source, uncertainty=uncertainty)
+        return content_of(
+            self, run, warnings, source=source, uncertainty=uncertainty, pictures=pictures
+        )
 
     @classmethod
     def from_dict(
@@ -384,6 +387,7 @@ class Calibration(eqx.Module):
         *,
         source: str | None = None,
         uncertainty: Mapping[str, Any] | None = None,
+        pictures: Sequence[str] = (),
     ) -> None:
         """Write a human-readable file atomically: YAML, or JSON where the name ends in `.json`.
 
@@ -393,11 +397,14 @@ class Calibration(eqx.Module):
             warnings: sentences such as a fit's `warnings`; for human readers, not read back.
             source: where the calibration is from, such as the data set's name; likewise.
             uncertainty: how well it is known, as `JointFit.save` writes it.
+            pictures: digests of the pictures that it was fitted to, by `dataset.picture_digests`.
 
         Raises:
             ValueError: a value that no calibration has, so that the file could not be read back.
         """
-        content = self.to_dict(run, warnings, source=source, uncertainty=uncertainty)
+        content = self.to_dict(
+            run, warnings, source=source, uncertainty=uncertainty, pictures=pictures
+        )
         check_content(content, path)
         as_json = pathlib.PurePath(path).suffix.lower() == ".json"
         write_atomically(path, dump_json(content) if as_json else dump_yaml(content))

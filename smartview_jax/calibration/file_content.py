@@ -32,6 +32,7 @@ def content_of(
     *,
     source: str | None = None,
     uncertainty: Mapping[str, Any] | None = None,
+    pictures: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what the file of a calibration contains; arguments as in `Calibration.save`."""
     content: dict[str, Any] = {
@@ -53,6 +54,8 @@ def content_of(
     content["robot_error"] = None if error is None else robot_error_to_dict(error)
     if calibration.region is not None:
         content["region"] = region_to_dict(calibration.region)
+    if pictures:
+        content["pictures"] = list(pictures)
     if uncertainty is not None:
         content["uncertainty"] = dict(uncertainty)
     # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.

@@ -134,13 +134,16 @@ def _write_files(
 def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given: str) -> None:
     """Write the calibrations of a fit to a folder, by the names in `_RESULT_FILES`."""
     from ..calibration_pipeline import refit_uncorrected
+    from ..dataset import picture_digests
 
+    # Of views without any point there is nothing to recognise.
+    pictures = [digest for digest in picture_digests(result.data) if digest]
     fit = result.fit
     # What was not found but given is part of where the numbers are from.
     source = f"{result.name}; given: {given}" if given else result.name
-    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings)
-    fit.staged.calibration.save(folder / "calibration_staged.yaml", run)
+    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings, pictures)
+    fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)
     if fit.calibration.robot_error is not None:
         # With the robot's error corrected, the transforms alone do not predict best.
         uncorrected = refit_uncorrected(result.data, fit)
-        uncorrected.save(folder / "calibration_uncorrected.yaml", run)
+        uncorrected.save(folder / "calibration_uncorrected.yaml", run, pictures=pictures)

@@ -60,8 +60,10 @@ def evaluate(
                 ErrorSummary(path.stem, reprojection_errors(one, data), None)
                 for path, (one, _) in zip(paths, loaded, strict=True)
             ]
+        fitted = _fitted_views(calibration, data)
         expected = [_expected(estimate, data) for _, estimate in loaded]
-        rows, verdict = _rows(summaries, data, expected), _verdict(summaries[0], name)
+        rows = _rows(summaries, data, expected)
+        verdict = _verdict(summaries[0], name) + _fitted_text(fitted, data)
         # People see the figures before the page is drawn, which takes seconds.
         if not json:
             _print(rows, data, verdict)
@@ -73,7 +75,12 @@ def evaluate(
                 {"file": path, **_entries(summary, foreseen, data)}
                 for path, summary, foreseen in zip(paths, summaries, expected, strict=True)
             ]
-            content = {"data_set": name, "calibrations": entries, "page": out}
+            content = {
+                "data_set": name,
+                "calibrations": entries,
+                "page": out,
+                "fitted_views": fitted,
+            }
             left_out = {"left_out_views": views_left_out(data.masked_views)}
             print_document("evaluate", content | left_out)
         elif out is not None:
@@ -106,6 +113,28 @@ def _entries(
         # A view without points has no figure: null, as JSON has no NaN.
         "rms_by_view_px": dict(zip(data.view_ids, errors.rms_per_view.tolist(), strict=True)),
     }
+
+
+def _fitted_views(calibration: Path, data: "Dataset") -> list[str]:
+    """Return the names of the views whose pictures the calibration was fitted to."""
+    from ..dataset import picture_digests
+    from ..files import read_yaml
+
+    fitted = set(read_yaml(calibration).get("pictures") or ())
+    digests = picture_digests(data)
+    return [view for view, digest in zip(data.view_ids, digests, strict=True) if digest in fitted]
+
+
+def _fitted_text(fitted: "Sequence[str]", data: "Dataset") -> str:
+    """Return a sentence about pictures that are not new to the calibration; empty without any."""
+    if not fitted:
+        return ""
+    names = "" if len(fitted) == data.view_count else f" ({', '.join(fitted)})"
+    return (
+        f"\n{len(fitted)} of {data.view_count} pictures{names} are the calibration's own: the fit "
+        "adapted to them, so that new pictures are predicted worse. Take new ones, or see the "
+        "held-out errors of smartview calibrate."
+    )
 
 
 def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":

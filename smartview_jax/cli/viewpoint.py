@@ -43,8 +43,8 @@ def viewpoint(
 ) -> None:
     """Print commands by which the camera looks at a point, and write them for the robot.
 
-    Refused, with nothing written, are commands out of reach, on the side of the target that was
-    not seen, or far outside the views that the calibration was fitted to.
+    Refused, with nothing written, are commands out of reach, behind the target, or far outside the
+    views that the calibration was fitted to; --allow says which of these checks to override.
     """
     with errors_reported(debug):
         import numpy as np

@@ -7,6 +7,7 @@ from .observations import Observations as Observations
 from .observations import chain_residuals as chain_residuals
 from .observations import medians_by_view as medians_by_view
 from .observations import view_residuals as view_residuals
+from .picture_digests import picture_digests as picture_digests
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import given_places as given_places
 from .robot_motion import never_turns as never_turns

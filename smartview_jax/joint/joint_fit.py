@@ -103,6 +103,7 @@ class JointFit(eqx.Module):
         run: str | None = None,
         source: str | None = None,
         warnings: Sequence[str] | None = None,
+        pictures: Sequence[str] = (),
     ) -> None:
         """Write the calibration with its covariance, noise and warnings, as YAML or JSON.
 
@@ -114,10 +115,17 @@ class JointFit(eqx.Module):
             run: name of the run, written to all its files.
             source: where the calibration is from, such as the data set's name.
             warnings: the doubts, a sentence each; by default those of the fit.
+            pictures: digests of the fitted pictures, by `dataset.picture_digests`, by which
+                `smartview evaluate` recognises them.
         """
         doubts = self.warnings if warnings is None else warnings
         self.calibration.save(
-            path, run, doubts, source=source, uncertainty=uncertainty_to_dict(self)
+            path,
+            run,
+            doubts,
+            source=source,
+            uncertainty=uncertainty_to_dict(self),
+            pictures=pictures,
         )
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:

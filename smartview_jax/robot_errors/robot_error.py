@@ -1,6 +1,7 @@
 """Provide a fitted robot error field, which maps reported poses to actual poses and back."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 from ..array_namespace import to_device
 from ..compilation import compiled, compiled_optimised
 from ..robots import Command, CommandLike, JointsLike, as_command
-from .field import AbstractField
+from .field import INVERSION_STEPS, AbstractField
 
 
 class RobotError(eqx.Module):
@@ -122,8 +123,12 @@ def _expected_command(error: RobotError, actual: SE3, near: JointsLike | None) -
     # The errors of an arm's joints, which hold everywhere, and whose readings belong to this pose.
     if command.joints is not None:
         return command
-    # The relevance changes little over a displacement as small as the error itself.
-    return Command(_between(actual, command.base_from_tool, _relevance(error, command)))
+
+    # The fixed point of `AbstractField.command`, for the pose that is expected.
+    def fixed_point_step(reported: SE3, _: None) -> tuple[SE3, None]:
+        return reported @ (_expected_pose(error, Command(reported)).inverse() @ actual), None
+
+    return Command(jax.lax.scan(fixed_point_step, actual, length=INVERSION_STEPS)[0])
 
 
 def _between(start: SE3, end: SE3, fraction: Float[Array, "*views"]) -> SE3:

@@ -241,6 +241,7 @@ class _CalibrationFile(Entry):
     target_shape: TargetShapeEntry | None = None
     robot_error: RobotErrorEntry | None = None
     region: RegionEntry | None = None
+    pictures: list[str] | None = None
     uncertainty: UncertaintyEntry | None = None
     end: Literal["smartview_calibration"] | None = None
 

@@ -84,7 +84,8 @@ class Limits(eqx.Module):
         max_error_field_extent: largest normalised distance of poses at which the robot error is
             corrected; 1 is about the edge of the poses that it was estimated from.
         max_viewed_region_extent: largest normalised distance of cameras from the centroid of the
-            views that the calibration was fitted to; 1 is the distance of the farthest of these.
+            views that the calibration was fitted to; 1 is the farthest distance of such a view from
+            the target (see `ViewedRegion.normalised_distance`).
     """
 
     border_margin: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)

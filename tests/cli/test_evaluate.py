@@ -1,12 +1,17 @@
 """Figures on new pictures, from the command alone, against those of the library."""
 
 import dataclasses
+import json
 
+import numpy as np
 import pytest
 from board_scene import BOARD, VIEWS, calibrated_board, run
 from jaxlie import SE3
 
 from smartview_jax import Calibration
+from smartview_jax.array_namespace import to_device
+from smartview_jax.cli.load import load_named
+from smartview_jax.cli.options import BadViews
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.io import save_dataset
 from smartview_jax.simulation import random_scene, simulate
@@ -97,3 +102,21 @@ def _rms(ended):
     assert ended.exit_code == 0, ended.output
     line = next(x for x in ended.output.splitlines() if x.startswith("RMS"))
     return float(line.split()[-2])
+
+
+def test_the_calibrations_own_pictures_are_recognised(board, evaluated, truth, poses, tmp_path):
+    """All of them, and one of them among new ones under another name."""
+    own = run("evaluate", board.calibration, board.data)
+    assert own.exit_code == 0, own.output
+    assert f"{VIEWS} of {VIEWS} pictures are the calibration's own" in own.stdout
+    assert "the calibration's own" not in evaluated[0]
+    mixed = unseen(truth, poses)
+    fitted, _ = load_named(board.data, BadViews.MASK, print)
+    pixels = np.asarray(mixed.pixels).copy()
+    pixels[3] = np.asarray(fitted.pixels)[5]
+    visible = np.asarray(mixed.visible).copy()
+    visible[3] = np.asarray(fitted.visible)[5]
+    mixed = dataclasses.replace(mixed, pixels=to_device(pixels), visible=to_device(visible))
+    save_dataset(mixed, tmp_path / "mixed")
+    ended = run("evaluate", board.calibration, tmp_path / "mixed", "--json")
+    assert json.loads(ended.stdout)["fitted_views"] == [mixed.view_ids[3]]

@@ -56,7 +56,7 @@ def test_the_correction_fades_beyond_the_data():
     np.testing.assert_allclose(
         host_matrices(commands.predicted_views.camera_from_world),
         host_matrices(poses_at(distances)),
-        atol=1e-7,
+        atol=1e-12,
     )
     assert commands.checks.safe.all()
     assert "5.0 times as far out" in commands.checks.reasons()[-1]

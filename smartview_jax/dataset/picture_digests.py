@@ -1,0 +1,35 @@
+"""Recognise pictures that a calibration was fitted to by digests of their detections."""
+
+import hashlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .dataset import Dataset
+
+DIGEST_DIGITS = 16
+"""Hexadecimal digits of a digest: 64 bits, with which no two pictures agree by chance."""
+
+ROUNDING = 1e-3
+"""Rounding of pixel coordinates, px: files of detections have three decimals or more."""
+
+
+def picture_digests(data: "Dataset") -> tuple[str, ...]:
+    """Return a digest of the detected points of each view; empty where none is visible.
+
+    The same picture has the same digest in any data set, whatever its name and its robot pose.
+    """
+    pixels, visible = np.asarray(data.pixels), np.asarray(data.visible)
+    return tuple(
+        _digest(points[seen]) if seen.any() else ""
+        for points, seen in zip(pixels, visible, strict=True)
+    )
+
+
+def _digest(pixels: np.ndarray) -> str:
+    """Return the digest of pixel coordinates."""
+    # Sorted by u: the order of the points is a matter of the target's description.
+    steps = np.round(pixels / ROUNDING).astype("<i8")
+    steps = steps[np.lexsort(steps.T[::-1])]
+    return hashlib.sha256(steps.tobytes()).hexdigest()[:DIGEST_DIGITS]
