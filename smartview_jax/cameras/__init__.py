@@ -19,4 +19,8 @@ from .registry import lens_by_name as lens_by_name
 from .registry import lens_name as lens_name
 from .serialization import camera_from_dict as camera_from_dict
 from .serialization import camera_to_dict as camera_to_dict
+from .symmetric_lens import MIN_LENS_POINTS as MIN_LENS_POINTS
+from .symmetric_lens import SymmetricLensFit as SymmetricLensFit
+from .symmetric_lens import fit_symmetric_lens as fit_symmetric_lens
+from .symmetric_lens import spanned_coordinates as spanned_coordinates
 from .weng import Weng as Weng

@@ -8,11 +8,13 @@ import typer
 
 from . import options
 from .error_documents import views_left_out
+from .fit_options import CameraOption
 from .json_document import print_document
 from .load import load_named
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
+    from ..cameras import Camera
     from ..dataset import Dataset
 
 MIN_VIEWS = 10
@@ -54,6 +56,7 @@ class DatasetFigures(NamedTuple):
 
 def check(
     dataset: options.DatasetArgument = None,
+    camera: CameraOption = None,
     bad_views: options.BadViewsOption = options.BadViews.MASK,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
@@ -63,6 +66,9 @@ def check(
     Exits with 1 if the data cannot be calibrated as they are.
     """
     with errors_reported(debug):
+        from ..io import read_camera
+
+        known_camera = None if camera is None else read_camera(camera)
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress)
         given, data = data, _without_repetitions(data)
@@ -72,7 +78,8 @@ def check(
             for text in (*data.notes, *_seen(figures, data), *_motion(figures)):
                 typer.echo(text)
         # As they are given: where all poses are equal, nothing is left of them here.
-        problems, doubts = _agreement(given, {view for view, _ in data.masked_views})
+        told = {view for view, _ in data.masked_views}
+        problems, doubts = _agreement(given, told, known_camera)
         if json:
             print_document("check", _document(name, data, figures, problems, doubts))
         else:
@@ -200,17 +207,22 @@ class Agreement(NamedTuple):
     doubts: tuple[str, ...]
 
 
-def _agreement(data: "Dataset", told: Collection[str]) -> Agreement:
+def _agreement(data: "Dataset", told: Collection[str], camera: "Camera | None") -> Agreement:
     """Compare pictures and poses by the staged fit.
 
     Args:
         data: the data set.
         told: names of the views whose mask is reported already.
+        camera: a known camera; None where it is to be found.
     """
-    from ..staged import fit_staged
+    from ..staged import fit_staged, require_picture_size
 
     try:
-        fit = fit_staged(data, "opencv4", conventions="report")
+        # As `calibrate` does, so that it is refused here for the same reasons.
+        if camera is not None:
+            require_picture_size("--camera", camera, data.image_size)
+        lens = "opencv4" if camera is None else camera.lens
+        fit = fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:
         return Agreement((str(error),), ())
     reasons = {data.view_ids[view]: text for view, text in fit.conventions.suspicious_views}

@@ -14,5 +14,6 @@ from .robot_motion import never_turns as never_turns
 from .robot_motion import repeated_views as repeated_views
 from .robot_motion import repetition_warnings as repetition_warnings
 from .robot_motion import require_motion as require_motion
+from .robot_motion import stale_poses as stale_poses
 from .robot_motion import turns_about_one_axis as turns_about_one_axis
 from .robot_motion import undetermined_twists as undetermined_twists

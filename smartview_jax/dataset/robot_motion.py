@@ -112,6 +112,15 @@ def repeated_views(data: "Dataset") -> dict[int, str]:
     return reasons
 
 
+def stale_poses(data: "Dataset") -> dict[int, str]:
+    """Return the views whose pose was not read again, with the reason to set each aside.
+
+    Views that were given twice, picture and pose, are not among them: a bootstrap repeats views.
+    """
+    reasons = repeated_views(data).items()
+    return {view: text for view, text in reasons if text.startswith(_REPEATED)}
+
+
 def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
     """Return a sentence each about poses that were not read again and views given twice."""
     warnings = []

@@ -4,8 +4,8 @@ Detectors return wrong points without a sign of doubt: a corner taken from the b
 from another square, a row counted twice, tags with another border. Such points do not lie where a
 camera can see the target. Two tests decide:
 
-- A camera with any symmetric lens is fitted to the picture (`symmetric_lens`). What is left over
-  has to be the noise of a sub-pixel detector.
+- A camera with any symmetric lens is fitted to the picture (`fit_symmetric_lens`). What is left
+  over has to be the noise of a sub-pixel detector.
 - Where that fails, each point is compared with its ring of neighbours, through which a smooth map
   from target to picture is drawn. It knows no lens at all, and so accepts a lens without an axis or
   a bent board; but it needs a target of many points.
@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
+from ..cameras import MIN_LENS_POINTS, fit_symmetric_lens, spanned_coordinates
 from .detection import Detection, empty_detection
-from .symmetric_lens import MIN_POINTS, fit_symmetric_lens, spanned_coordinates
 
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 """Median length of a plane vector whose components have unit standard deviation."""
@@ -133,7 +133,7 @@ def check_points(
     """
     limits = limits or DetectionLimits()
     spacing = _spacing(points, pixels)
-    if len(points) >= MIN_POINTS and np.median(spacing) < _LEAST_SPACING:
+    if len(points) >= MIN_LENS_POINTS and np.median(spacing) < _LEAST_SPACING:
         reason = f"its points lie {np.median(spacing):.2g} px apart, less than a detector can tell"
         return PointTest(np.zeros(len(points), dtype=bool), 0.0, reason)
     by_camera = _by_camera(points, pixels, image_size, spacing, limits)

@@ -22,7 +22,7 @@ from ..array_namespace import AnyArray, AnyScalar, to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
 from ..compilation import compiled_optimised
-from ..dataset import Dataset, Observations
+from ..dataset import Dataset, Observations, stale_poses
 from ..engine import (
     MAXIMUM_STEPS,
     RANK_TOLERANCE,
@@ -48,6 +48,8 @@ from ..engine import (
 )
 from ..padding import power_of_two_from, repeat_last
 from ..robot_errors import FieldChoice, checked_field_choice
+from .gross_errors import without_views
+from .undetermined import require_moving_robot, undetermined_motion
 
 PerFitInputs = tuple[Calibration, Observations, Any]
 """The parts of a problem that differ between fits: start, observations, free pose corrections."""
@@ -122,7 +124,8 @@ def fit_many(
             they run on one.
 
     Raises:
-        ValueError: as `fit_joint` does, and where shapes, lenses or mounts differ.
+        ValueError: as `fit_joint` does, also for robots that did not move or turn, and where
+            shapes, lenses, mounts or what the motions leave undetermined differ.
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_same_structure(data, starts)
@@ -130,6 +133,7 @@ def fit_many(
         raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
     field = checked_field_choice(field)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
+    data, held = _with_checked_poses(data, starts, fixed, priors)
     # The free pose corrections depend only on which views are usable, so problems with the same
     # usable views are built once.
     # Called as a function: Equinox copies a module for each call of one of its methods.
@@ -143,7 +147,7 @@ def fit_many(
                     starts[k],
                     noise=noise,
                     loss=loss,
-                    fixed=fixed,
+                    fixed=(*fixed, *held),
                     free=free,
                     priors=priors,
                     field=field,
@@ -201,6 +205,40 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
     for k, item in enumerate(starts):
         if jax.tree.structure(item) != structure:
             raise ValueError(f"start[{k}]: its lens, picture size or mount is not start[0]'s")
+
+
+def _with_checked_poses(
+    data: Sequence[Dataset],
+    starts: Sequence[Calibration],
+    fixed: Sequence[str],
+    priors: Mapping[str, Prior] | None,
+) -> tuple[list[Dataset], tuple[str, ...]]:
+    """Return the data without poses that were not read again, and the parameters to hold.
+
+    These are the parameters that no motion of the robots determines, as in `fit_joint`.
+
+    Raises:
+        ValueError: a robot that did not move or turn, or robots of which some leave other
+            parameters undetermined than others: one program solves for the same parameters.
+    """
+    checked: list[Dataset] = []
+    held: tuple[str, ...] = ()
+    for k, (item, start) in enumerate(zip(data, starts, strict=True)):
+        try:
+            require_moving_robot(item, start, fixed, priors)
+        except ValueError as error:
+            raise ValueError(f"data[{k}]: {error}") from error
+        used = without_views(item, stale_poses(item))
+        undetermined = undetermined_motion(used, start, fixed, priors).held
+        if k > 0 and undetermined != held:
+            described = [", ".join(names) or "nothing" for names in (held, undetermined)]
+            raise ValueError(
+                f"data[{k}]: its motion leaves {described[1]} undetermined, data[0]'s "
+                f"{described[0]}; fit them apart, or hold these parameters by fixed="
+            )
+        held = undetermined
+        checked.append(used)
+    return checked, held
 
 
 def _room(count: int, devices: int) -> int:

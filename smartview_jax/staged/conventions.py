@@ -290,7 +290,7 @@ def _convention_problems(
         limit = max(ANGLE_TOLERANCE, weak_robot_angle)
         implausible = max(mismatch, given_error.rotation) > limit
         return (
-            (f"{as_given}: {_unexplained_text(best, mismatch, rotation_angles)}",)
+            (f"{as_given}: {_unexplained_text(best, given_error, mismatch, rotation_angles)}",)
             if implausible
             else ()
         )
@@ -329,7 +329,10 @@ def _closure_error_text(error: ClosureError, short: bool = False) -> str:
 
 
 def _unexplained_text(
-    best: ConventionHypothesis, mismatch: float, rotation_angles: tuple[float, float]
+    best: ConventionHypothesis,
+    given_error: ClosureError,
+    mismatch: float,
+    rotation_angles: tuple[float, float],
 ) -> str:
     """Return what may be wrong, in words, when correcting no known mistake explains the motions."""
     robot, camera = (float(np.rad2deg(angle)) for angle in rotation_angles)
@@ -346,9 +349,25 @@ def _unexplained_text(
             f"the robot turns by {robot:.0f} degrees between two views where the camera turns by "
             f"{camera:.0f} (medians): the angles are in another unit (degrees?) or convention"
         )
+    text = f"{likely}; no mistake that is known explains it"
+    if not _removes_most(best.closure_error, given_error):
+        return text
     return (
-        f"{likely}; no mistake that is known explains it, the nearest being that "
-        f"{best.description} ({_closure_error_text(best.closure_error, short=True)})"
+        f"{text}, the nearest being that {best.description} "
+        f"({_closure_error_text(best.closure_error, short=True)})"
+    )
+
+
+def _removes_most(error: ClosureError, given_error: ClosureError) -> bool:
+    """Return whether a corrected mistake removes most of the error, and most of the rotation's.
+
+    Rotations that are right as given may stay as they are: a unit of length changes none.
+    """
+    # A mistake that leaves the rotations as wrong as before is not the one that was made.
+    rotation_limit = max(ANGLE_TOLERANCE, MAX_CORRECTED_SCORE_RATIO * given_error.rotation)
+    return (
+        error.rotation < rotation_limit
+        and error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
     )
 
 

@@ -261,7 +261,7 @@ def fit_staged(
         observations, data.image_size, used, lens, camera
     )
     # Views that Step 1 could not fit to the target (wrong corner numbering, another object).
-    mismatched = mismatched_views(rms, used, data.image_size)
+    mismatched = mismatched_views(rms, used, observations, data.image_size)
     if mismatched:
         # Repeat without them: they entered the median intrinsics from which Step 2 starts.
         unusable = {**unusable, **mismatched}

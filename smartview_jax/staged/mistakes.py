@@ -58,9 +58,11 @@ def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
         )
     yield Mistake(
         "mirrored",
-        "the pictures are mirrored (left and right, or top and bottom, are swapped)",
+        "the pictures are mirrored (left and right, or top and bottom, are swapped), or the "
+        "robot's frame is left-handed, positions and rotations alike (one axis counts backwards)",
         lambda robot, camera: (robot, _mirror_camera_poses(camera)),
     )
+    yield from _left_handed_positions()
     yield from _angle_format_mistakes()
     yield from _pairing_mistakes(view_count)
 
@@ -88,6 +90,31 @@ def _mirror_camera_poses(camera: Poses) -> Poses:
     """
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     return mirror @ camera @ np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+def _left_handed_positions() -> Iterator[Mistake]:
+    """Yield the mistakes of positions with one axis backwards, whose rotations are right.
+
+    Where the rotations are those of the left-handed frame too, no data tell that from mirrored
+    pictures: with S = diag(1, -1, 1, 1) the robot poses S T S need the camera poses F C S of
+    `_mirror_camera_poses`, up to rotations that hand-eye and world transform absorb.
+    """
+    for axis, name in enumerate("xyz"):
+        signs = np.ones(3)
+        signs[axis] = -1.0
+
+        def undo(robot: Poses, camera: Poses, signs: np.ndarray = signs) -> tuple[Poses, Poses]:
+            """Return the poses with one axis of the positions reversed."""
+            corrected = robot.copy()
+            corrected[:, :3, 3] *= signs
+            return corrected, camera
+
+        yield Mistake(
+            f"left_handed_{name}",
+            f"the positions are in a left-handed frame, or {name} has the wrong sign: it counts "
+            "backwards, the rotations are right",
+            undo,
+        )
 
 
 _VAL_M0 = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])

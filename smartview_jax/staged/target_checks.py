@@ -7,18 +7,21 @@ view of the target (corners numbered wrongly, another object) would spoil the co
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..cameras import fit_symmetric_lens
+from ..dataset import Observations
 from .weng_start import extents
 
 COLLINEARITY_TOLERANCE = 1e-3
 """Ratio of second to largest extent of the points below which they count as one line."""
 
-MAX_RMS_RATIO = 10.0
-"""Limit on a view's RMS error, in multiples of the median view's.
+MAX_MISFIT = 0.01
+"""Largest misfit of a view that shows the target, as a fraction of the picture's longer side.
 
-No lens and no noise reach it."""
+No detector is off by so much, and points of something else are off by many times as much.
+"""
 
-RMS_LIMIT_FLOOR = 0.01
-"""Lower bound of that limit, as a fraction of the picture's longer side."""
+DETECTION_NOISE = 0.5
+"""Standard deviation of a detected point, px, beyond which it counts less in a view's own fit."""
 
 
 def collinear_views(
@@ -33,23 +36,47 @@ def collinear_views(
 def mismatched_views(
     rms: Float[np.ndarray, "views"],
     used: Bool[np.ndarray, "views"],
+    observations: Observations,
     image_size: tuple[int, int],
 ) -> dict[int, str]:
     """Return, by view, a sentence about points that do not match the target.
 
+    A view that the lens of Step 1 does not explain is fitted again, by itself, with any lens that
+    is symmetric about its axis. So no view of a fisheye lens is blamed, and views that are all
+    wrong in the same way have no other view by which they seem right.
+
     Args:
-        rms: RMS reprojection error of each view with its own best pose, px.
+        rms: RMS reprojection error of each view with its own best pose and Step 1's lens, px.
         used: mask of the views to check.
+        observations: target points and pixels.
         image_size: width and height, px.
     """
-    # The lower bound keeps nearly exact data from being rejected for a tenth of a pixel.
-    median = float(np.median(rms[used]))
-    limit = max(MAX_RMS_RATIO * median, RMS_LIMIT_FLOOR * max(image_size))
-    return {
-        int(view): (
-            f"its points are not those of the target: {rms[view]:.0f} px RMS from the best view "
-            f"of it, {median:.2f} px in the median view: wrongly detected or numbered?"
-        )
-        # Negated, so that a NaN error is reported too.
-        for view in np.flatnonzero(used & ~(rms <= limit))
-    }
+    limit = MAX_MISFIT * max(image_size)
+    points, pixels = np.asarray(observations.points), np.asarray(observations.pixels)
+    visible, found = np.asarray(observations.visible), {}
+    # Negated, so that a NaN error is asked about too.
+    for view in np.flatnonzero(used & ~(rms <= limit)):
+        seen = visible[view]
+        misfit = _misfit_of_any_lens(points[view, seen], pixels[view, seen], image_size)
+        # Where its points are too few to tell a lens, the fit of Step 1 decides.
+        misfit = float(rms[view]) if misfit is None else misfit
+        if not misfit <= limit:
+            found[int(view)] = (
+                f"its points are not those of the target: {misfit:.0f} px from the best view of "
+                "it by any lens, in the median: wrongly detected or numbered?"
+            )
+    return found
+
+
+def _misfit_of_any_lens(
+    points: Float[np.ndarray, "points 3"],
+    pixels: Float[np.ndarray, "points 2"],
+    image_size: tuple[int, int],
+) -> float | None:
+    """Return the median distance of pixels from a view's own fit, px; None for too few points."""
+    everything = np.ones(len(points), dtype=bool)
+    fit = fit_symmetric_lens(points, pixels, image_size, everything, DETECTION_NOISE)
+    # As many numbers as parameters fit anything.
+    if fit is None or 2 * len(points) <= fit.parameter_count:
+        return None
+    return float(np.median(np.linalg.norm(fit.residuals, axis=1)))

@@ -1,9 +1,15 @@
 """What `smartview check` says of data that can be calibrated; `test_every_verb` has the others."""
 
+import dataclasses
 import re
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
-from board_scene import board_folder, run
+from board_scene import BOARD, VIEWS, board_folder, run
+
+from smartview_jax.io import save_dataset
+from smartview_jax.simulation import random_scene
 
 
 def test_good_data_can_begin(tmp_path_factory):
@@ -62,3 +68,17 @@ def test_a_target_of_twice_its_size_is_doubted(folder):
     ended = run("check", folder)
     assert ended.exit_code == 0, ended.output
     assert re.search(r"is the target 0\.(49|50?)\d* times as large as stated\?", ended.output)
+
+
+def test_a_single_tag_can_begin_with_a_known_camera(tmp_path):
+    scene = random_scene(1, VIEWS, BOARD.points)
+    others = np.setdiff1d(np.arange(54), [0, 8, 45, 53])
+    seen = dataclasses.replace(
+        scene.data, pixels=scene.data.pixels.at[:, others].set(jnp.nan), target=BOARD
+    )
+    save_dataset(seen, tmp_path / "tag")
+    scene.calibration.save(tmp_path / "camera.yaml")
+    assert "4 points seen, 6 needed" in run("check", tmp_path / "tag").output
+    told = run("check", tmp_path / "tag", "--camera", tmp_path / "camera.yaml")
+    assert told.exit_code == 0, told.output
+    assert "camera and robot agree" in told.output

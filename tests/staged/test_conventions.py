@@ -218,6 +218,38 @@ def test_mirrored_pictures_are_named(column):
     assert "but do if the pictures are mirrored" in problem
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_an_axis_of_the_positions_that_counts_backwards_is_named(poses, axis):
+    robot, seen = poses
+    wrong = matrices(robot)
+    wrong[:, axis, 3] *= -1.0
+    (problem,) = check_conventions(host_transforms(wrong), seen, "eye_in_hand").problems
+    assert (
+        f"left-handed frame, or {'xyz'[axis]} has the wrong sign" in problem.split("next best")[0]
+    )
+
+
+def test_a_robot_whose_frame_is_left_handed_is_named(poses):
+    """No data tell it from mirrored pictures, so that both are named."""
+    robot, seen = poses
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    wrong = host_transforms(mirror @ matrices(robot) @ mirror)
+    (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
+    assert "or the robot's frame is left-handed" in problem.split("next best")[0]
+
+
+def test_a_mistake_that_corrects_little_is_not_suggested(poses):
+    """Every third row repeats the row before; millimetres leave the rotations as wrong as given."""
+    robot, seen = poses
+    order = np.arange(VIEWS)
+    order[1::3] -= 1
+    order[2::3] -= 2
+    stale = SE3(robot.wxyz_xyz[order])
+    (problem,) = check_conventions(stale, seen, "eye_in_hand").problems
+    assert "no mistake that is known explains it" in problem
+    assert "the nearest" not in problem
+
+
 @pytest.mark.parametrize(
     ("order", "text"),
     [

@@ -63,9 +63,37 @@ def test_a_line_is_told_from_a_narrow_band():
     assert collinear_views(np.stack([points, band, points]), seen).tolist() == [True, False, False]
 
 
-def test_views_are_judged_by_the_median_view():
-    rms = np.array([0.2, 0.3, 30.0, 5.0, np.nan, 400.0])
-    used = np.array([True, True, True, True, True, False])
-    found = mismatched_views(rms[[0, 1, 2, 3, 5]], used[[0, 1, 2, 3, 5]], (1000, 800))
-    assert set(found) == {2}
-    assert "30 px RMS from the best view of it" in found[2]
+def equidistant_pixels(board, angle):
+    """The board before a fisheye lens, whose circle of the stated angle touches the border."""
+    seen = board.calibration.camera_from_world(board.base_from_tool)
+    rotations, places = (np.asarray(x) for x in (seen.rotation().as_matrix(), seen.translation()))
+    points = np.asarray(board.data.points)[0]
+    # Near enough to fill the picture.
+    places = places * np.array([1.0, 1.0, 0.15])
+    x = np.einsum("vij,pj->vpi", rotations, points) + places[:, None]
+    across = np.linalg.norm(x[..., :2], axis=-1, keepdims=True)
+    scale = 0.5 * min(board.data.image_size) / angle
+    middle = 0.5 * (np.array(board.data.image_size) - 1.0)
+    pixels = middle + scale * np.arctan2(across, x[..., 2:]) * x[..., :2] / across
+    inside = ((pixels >= 0.0) & (pixels <= 2.0 * middle)).all(axis=-1, keepdims=True)
+    return np.where(inside, pixels, np.nan)
+
+
+def judged(board, pixels, rms):
+    observations = changed(board.data, pixels).observations
+    return mismatched_views(rms, np.ones(VIEWS, dtype=bool), observations, board.data.image_size)
+
+
+def test_a_view_of_a_fisheye_lens_is_one_of_the_target(board):
+    """Step 1's lens leaves many pixels in one view, which is right all the same."""
+    rms = np.array([0.2] * 7 + [40.0])
+    assert judged(board, equidistant_pixels(board, 1.2), rms) == {}
+
+
+def test_views_that_are_all_wrong_alike_are_named(board):
+    pixels = np.array(board.data.pixels)
+    wrong = pixels[:, np.random.default_rng(0).permutation(84)]
+    found = judged(board, wrong, np.full(VIEWS, 90.0))
+    assert set(found) == set(range(VIEWS))
+    assert "by any lens, in the median" in found[2]
+    assert judged(board, pixels, np.full(VIEWS, np.nan)) == {}

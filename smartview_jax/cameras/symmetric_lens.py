@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-MIN_POINTS = 6
+MIN_LENS_POINTS = 6
 """Smallest number of points for which a fit leaves residuals: a homography has 8 parameters."""
 
 _FLATNESS = 1e-3
@@ -101,7 +101,7 @@ def fit_symmetric_lens(
     """
     coordinates = spanned_coordinates(points)
     dimension = coordinates.shape[1]
-    if dimension < 2 or np.count_nonzero(used) < MIN_POINTS + 2 * (dimension - 2):
+    if dimension < 2 or np.count_nonzero(used) < MIN_LENS_POINTS + 2 * (dimension - 2):
         return None
     radius = 0.5 * float(np.hypot(*image_size))
     middle = 0.5 * (np.array(image_size) - 1.0)
