@@ -17,7 +17,11 @@ def test_the_side_is_that_of_all_cameras(sign, above, plane):
     np.testing.assert_allclose(heights, CAMERAS[:, 2] + (0.0 if above else 0.02))
     lowest = 0.4 if above else 0.62
     assert float(region.min_tool_height) == pytest.approx(lowest)
-    np.testing.assert_allclose(np.asarray(region.normalised_distance(cameras)).max(), 1.0)
+    # The unit is the farthest distance from the target, where that is larger than the radius.
+    unit = max(float(region.radius), float(region.distance_range[1]))
+    np.testing.assert_allclose(
+        np.asarray(region.normalised_distance(cameras)).max(), float(region.radius) / unit
+    )
     middle = POINTS.mean(axis=0)
     away = np.linalg.norm(cameras - middle, axis=1)
     np.testing.assert_allclose(region.distance_range, [away.min(), away.max()])
