@@ -1,7 +1,7 @@
 """Ask of the pictures whether the lens bends in a way that its model does not know.
 
 Radial terms of higher order than most lens models have are added to the linearised fit, in pixels
-at the farthest point that was seen. Whatever camera, poses
+RMS over the points. Whatever camera, poses
 and target can make up for is left to them. A lens that the model describes needs none of the terms;
 otherwise they have a normal prior about zero whose standard deviation may be anything between a
 hardly measurable error and a gross one. The more probable it is that the terms are needed, the more
@@ -23,9 +23,13 @@ from ..engine import FittedChain, Step
 from .likelihood import LinearisedViews, StandardDeviations, marginalise
 from .view_statistics import ViewStatistics
 
-STANDARD_DEVIATIONS = np.geomspace(0.03, 30.0, 16)
-"""Equally probable standard deviations of the terms, px at the farthest point: from what detection
+STANDARD_DEVIATIONS = np.geomspace(0.01, 10.0, 16)
+"""Equally probable standard deviations of the terms, px RMS over the points: from what detection
 blurs to what no model of a lens leaves."""
+
+SAME_FUNCTION = 1e-6
+"""Part of a term's information that other parameters leave, below which they can make the same
+pictures: the term is then one of the lens model's own."""
 
 RADIAL_POWERS = (2, 3, 4)
 """Powers of the squared distance from the picture's centre by which the radial terms grow.
@@ -83,7 +87,11 @@ def lens_evidence(
     precision = np.linalg.inv(own)
     information = precision - np.eye(count) / STANDARD_DEVIATIONS[-1] ** 2
     values, axes = np.linalg.eigh(0.5 * (information + information.T))
-    values = np.maximum(values, 0.0)
+    seen = int(np.asarray(views.problem.observations.visible).sum())
+    new = values > SAME_FUNCTION * seen / float(sigmas.pixel) ** 2
+    if not new.any():
+        return None
+    values, axes = values[new], axes[:, new]
     pull = axes.T @ (precision @ step[-count:])
     # With a prior of standard deviation t, the Bayes factor against no terms at all is
     #     2 log B = h^T (S + t^-2)^-1 h - log det(1 + t^2 S).
@@ -95,7 +103,6 @@ def lens_evidence(
     probability = float(1.0 / (1.0 + np.exp(-log_odds)))
     weights = np.exp(log_factors - logsumexp(log_factors))
     means = posterior * pull
-    seen = int(np.asarray(views.problem.observations.visible).sum())
     explained = weights @ (means * pull).sum(axis=1) * float(sigmas.pixel) ** 2
     # The second moment of what the terms are, about none of them.
     moment = np.einsum("t,ti,tj->ij", weights, means, means) + np.diag(weights @ posterior)
@@ -110,9 +117,9 @@ def lens_evidence(
 def _terms(
     views: ViewStatistics, chain: FittedChain
 ) -> Float[np.ndarray, "terms views points 2"] | None:
-    """Return how each term moves the predicted pixels, for one pixel at the farthest point.
+    """Return how each term moves the predicted pixels, by one pixel RMS; each without the last.
 
-    None where no point is away from the picture's centre, or one cannot be projected.
+    None where too few points are away from the picture's centre, or one cannot be projected.
     """
     observations, camera = views.problem.observations, chain.calibration.camera
     visible = np.asarray(observations.visible)[..., None]
@@ -128,7 +135,12 @@ def _terms(
         return None
     place = away / farthest
     square = (place**2).sum(axis=-1, keepdims=True)
-    return np.stack([place * square**power for power in RADIAL_POWERS])
+    terms = np.stack([place * square**power for power in RADIAL_POWERS])
+    # Each without what the terms before it can do, so that all of them are independent.
+    flat, triangle = np.linalg.qr(terms.reshape(len(terms), -1).T)
+    if not (np.abs(np.diagonal(triangle)) > 1e-9 * np.abs(triangle).max()).all():
+        return None
+    return np.sqrt(visible.sum()) * flat.T.reshape(terms.shape)
 
 
 def _with_terms(
