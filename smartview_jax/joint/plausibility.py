@@ -41,9 +41,6 @@ MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """The probability of another target size from which a warning mentions it, and from which only it
 is an answer."""
 
-MAX_NAMED_PARAMETERS = 3
-"""The number of parameters that a warning lists."""
-
 RICHER_LENSES = {
     "pinhole": "opencv4",
     "radial": "opencv4",
@@ -132,30 +129,27 @@ def _residual_warnings(fit: JointFit) -> list[str]:
 
 
 def _lens_warnings(fit: JointFit) -> list[str]:
-    """Return a warning where most of a parameter's variance is due to what the lens model lacks."""
+    """Return a warning where what the lens model lacks would change the answer most."""
     estimate = fit.noise_estimate
     if estimate is None or estimate.lens is None:
         return []
     calibration, lens = fit.calibration, estimate.lens
     # A term that the model lacks is always at odds with the terms that it has.
     names = ("camera.alpha", "camera.u0", "camera.v0", f"{calibration.transform_names[0]}.")
-    shares = {
-        name: variance / fit.std[name] ** 2
-        for name, variance in zip(
-            estimate.parameter_names, np.diagonal(lens.covariance), strict=True
-        )
-        if name.startswith(names) and fit.std.get(name, 0.0) > 0.0
-    }
-    most = [name for name, share in shares.items() if share > OWN_VARIANCE_SHARE]
-    if lens.probability < MAX_SCALE_PROBABILITY or not most:
+    variances = zip(estimate.parameter_names, np.diagonal(lens.covariance), strict=True)
+    changes = any(
+        variance > OWN_VARIANCE_SHARE * fit.std[name] ** 2 > 0.0
+        for name, variance in variances
+        if name.startswith(names) and name in fit.std
+    )
+    if lens.probability < MAX_SCALE_PROBABILITY or not changes:
         return []
     kind = type(calibration.camera.lens).__name__.lower()
     richer = RICHER_LENSES.get(kind)
     advice = f"compare lens='{richer}', and look" if richer else "look"
     return [
-        f"the pictures are bent by {lens.rms:.2g} px RMS in a way that no {kind} lens is, which is "
-        f"most of the uncertainty of {', '.join(most[:MAX_NAMED_PARAMETERS])}: {advice} at the "
-        "target and the detections"
+        f"the pictures are bent by {lens.rms:.2g} px RMS in a way that no {kind} lens is: {advice} "
+        "at the target and the detections"
     ]
 
 

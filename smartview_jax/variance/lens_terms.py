@@ -46,7 +46,8 @@ class LensEvidence(NamedTuple):
         probability: probability that it does.
         rms: RMS over the points of what the model lacks, px; what other parameters make up for does
             not count.
-        covariance: what it adds to the covariance of the shared parameters.
+        covariance: second moment of what the shared parameters would change by, times the
+            probability.
     """
 
     probability: float

@@ -66,11 +66,12 @@ def test_a_term_that_the_model_lacks_is_named_and_covered(bent):
     lens = fit.noise_estimate.lens
     assert lens.probability > 0.99
     without = fit_of(scene, robot_prior=NOT_ASKED)
-    true = float(scene.calibration.camera.alpha_u)
-    assert abs(float(fit.calibration.camera.alpha_u) - true) < 3.0 * fit.std["camera.alpha_u"]
-    assert abs(float(without.calibration.camera.alpha_u) - true) > (
-        3.0 * without.std["camera.alpha_u"]
-    )
+    widths = {name: fit.std[name] / std for name, std in without.std.items() if std > 0.0}
+    mount = [ratio for name, ratio in widths.items() if name.startswith("camera_from_tool.")]
+    assert min(mount) > 0.99
+    assert max(mount) > 1.1
+    # The camera's numbers are those with which its model predicts best.
+    assert widths["camera.alpha_u"] == pytest.approx(1.0, abs=0.01)
     (said,) = [text for text in fit.warnings if "are bent" in text]
     assert "in a way that no radial lens is" in said
     assert "compare lens='opencv4'" in said
