@@ -158,16 +158,19 @@ def _in_order(
 
 def _apart(times: Float[np.ndarray, "views"], logged: Float[np.ndarray, "logged"]) -> str:
     """Return what is said where no picture was taken within the log."""
-    # Any offset between these two puts all pictures within the log.
-    low, high = sorted((logged[0] - times.min(), logged[-1] - times.max()))
-    hours = np.round(0.5 * (low + high) / _TIME_ZONE_STEP) * _TIME_ZONE_STEP
-    if low <= hours <= high and hours:
-        text = f"{abs(hours) / 3600.0:g} hours apart, as time zones and summer time are"
-    else:
-        text = f"{0.5 * abs(low + high):.6g} s apart"
-    return (
+    said = (
         f"no picture was taken within the robot's log: relative to the log's first time the "
         f"pictures are from {times.min() - logged[0]:.6g} to {times.max() - logged[0]:.6g} s, the "
-        f"log from 0 to {logged[-1] - logged[0]:.6g} s: the clocks are {text}? Add "
-        f"{low:.9g} to {high:.9g} s to the pictures' times"
+        f"log from 0 to {logged[-1] - logged[0]:.6g} s"
     )
+    # Any offset between these two puts all pictures within the log.
+    low, high = logged[0] - times.min(), logged[-1] - times.max()
+    if low > high:
+        return f"{said}: the pictures take longer than the log; is it of another recording?"
+    hours = np.round(0.5 * (low + high) / _TIME_ZONE_STEP) * _TIME_ZONE_STEP
+    if low <= hours <= high and hours:
+        unit = "hour" if abs(hours) == 3600.0 else "hours"
+        text = f"{abs(hours) / 3600.0:g} {unit} apart, as time zones and summer time are"
+    else:
+        text = f"{0.5 * abs(low + high):.6g} s apart"
+    return f"{said}: the clocks are {text}? Add {low:.9g} to {high:.9g} s to the pictures' times"

@@ -28,6 +28,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?[0-9]*\.[0-9]+(?:[eE][-+]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:,[0-9]{3})+")
 _MANY_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+){2,}")
+_SEPARATOR_LINE = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _UNIT_IN_HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _UNIT_NAMES = {"°": "deg", "degree": "deg", "degrees": "deg", "º": "deg"}
@@ -88,6 +89,9 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     seen = [f"in the encoding {encoding}"] if encoding else []
     # Empty lines are ignored, and comments, which begin with "#".
     lines = [line for line in lines if line.strip() and line[0] != "#"]
+    # Excel's own first line, which names the separator; the header shows it as well.
+    if lines and _SEPARATOR_LINE.fullmatch(lines[0].strip()):
+        lines = lines[1:]
     try:
         table, delimiter = _split(lines, is_header)
     except csv.Error as error:
@@ -140,7 +144,8 @@ def _split(
 
     def fields(delimiter: str, some: Sequence[str]) -> list[list[str]]:
         """Return the fields of some lines."""
-        return [[text.strip() for text in row] for row in csv.reader(some, delimiter=delimiter)]
+        rows = csv.reader(some, delimiter=delimiter, skipinitialspace=True)
+        return [[text.strip() for text in row] for row in rows]
 
     def quality(delimiter: str) -> tuple[bool, int]:
         """Return whether the needed columns are found, and how many columns there are."""

@@ -132,7 +132,17 @@ def test_clocks_of_two_time_zones_are_named(folder):
         ValueError, match=r"times\.csv: no picture .* from 3600 to 3602\.5 s"
     ) as told:
         sv.load_dataset(folder)
-    assert "the clocks are 1 hours apart" in str(told.value)
+    assert "the clocks are 1 hour apart" in str(told.value)
+
+
+def test_pictures_of_a_longer_recording_are_not_said_to_need_an_offset(folder):
+    header, lines = rows(folder / "times.csv")
+    views = [line.split(",")[0] for line in lines]
+    late = [f"{view},{1e4 + 1e3 * k}" for k, view in enumerate(views)]
+    (folder / "times.csv").write_text("\n".join([header, *late]) + "\n")
+    with pytest.raises(ValueError, match="the pictures take longer than the log") as told:
+        sv.load_dataset(folder)
+    assert "Add" not in str(told.value)
 
 
 def moving_log(step=0.02, duration=30.0):

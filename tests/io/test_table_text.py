@@ -34,6 +34,12 @@ WRITTEN = {
         b'01,"588,8","168,9","-244,6",1,2,3\n',
         "decimal comma",
     ),
+    "excel": (b"sep=;\n" + SEMICOLONS.encode(), "separated by semicolons; with a decimal comma"),
+    "blank before quotes": (
+        b'view, x, y, z, A, B, C\n00, "560,583", "249,41", "-231,5", "-54,3443", "32,7", "-0,4"\n'
+        b'01, "588,8", "168,9", "-244,6", 1, 2, 3\n',
+        "decimal comma",
+    ),
     "blank": ((PLAIN + ",,,,,,\n\n,,,,,,\n").encode(), "2 rows without a value left out"),
     "trailing": (
         PLAIN.replace("C\n", "C,\n").replace("4\n", "4,\n").replace("3\n", "3,\n").encode(),
