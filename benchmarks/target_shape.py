@@ -116,7 +116,7 @@ def _outcomes(row: Row, seeds: Sequence[int] | range) -> dict[str, list[Outcome]
         start = sv.fit_staged(data, "opencv4").calibration
         released = _with_released_points(data)
         fits = {
-            DEFAULT: sv.fit_joint(data, start),
+            DEFAULT: sv.fit_joint(data, start, robot_prior=RobotPrior(wrong_lens_probability=0.5)),
             FLAT: sv.fit_joint(data, start, robot_prior=EXACTLY_FLAT),
             RELEASED: sv.fit_joint(released, start, field=None, robot_prior=EXACTLY_FLAT),
         }

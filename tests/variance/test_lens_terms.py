@@ -13,7 +13,7 @@ from smartview_jax.robot_errors import RobotPrior
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.variance import lens_terms
 
-NOT_ASKED = RobotPrior(wrong_lens_probability=0.0)
+ASKED, NOT_ASKED = (RobotPrior(wrong_lens_probability=p) for p in (0.5, 0.0))
 
 
 def scene_with(lens):
@@ -34,9 +34,9 @@ def scene_with(lens):
     )
 
 
-def fit_of(scene, **options):
+def fit_of(scene, robot_prior=ASKED):
     start = nudged(dataclasses.replace(scene.calibration, camera=CAMERA))
-    return fit_joint(scene.data, start, gross_errors="keep", **options)
+    return fit_joint(scene.data, start, gross_errors="keep", robot_prior=robot_prior)
 
 
 CAMERA = Camera(1000.0, 1000.0, 640.0, 512.0, Radial(0.02), (1280, 1024))
