@@ -122,7 +122,7 @@ def only_user_can_write(path: Path) -> bool:
 
 
 def _can_be_exchanged_in(parent: os.stat_result) -> bool:
-    """Return whether another user could put something else in the place of what a folder holds."""
+    """Return whether another user could exchange an entry of a folder."""
     if not hasattr(os, "geteuid"):
         return False
     is_others = parent.st_uid not in (0, os.geteuid())

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..engine import Noise, covariance_factor
+from ..engine import ROBOT_ERROR, Noise, covariance_factor
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_adjoints, host_matrices
 from ..modeling import CalibrationUncertainty, SeenViews
@@ -27,9 +27,6 @@ from .scene import GraspScene
 
 HAND_EYE = "camera_from_tool."
 """The beginning of the names of the hand-eye transform's parameters."""
-
-ROBOT_ERROR = "robot_error."
-"""The beginning of the names of the robot error's coefficients."""
 
 
 class GripperErrors(NamedTuple):
@@ -132,8 +129,9 @@ def _camera_errors(
         # near each other have the same e.
         relevance = np.asarray(error.relevance(command))[:, None, None]
         prior = dict(zip(error.field.names, _prior_std(error.field, noise), strict=True))
-        columns = np.flatnonzero([name.startswith(ROBOT_ERROR) for name in names])
-        std = np.array([prior[names[k].removeprefix(ROBOT_ERROR)] for k in columns])
+        prefix = f"{ROBOT_ERROR}."
+        columns = np.flatnonzero([name.startswith(prefix) for name in names])
+        std = np.array([prior[names[k].removeprefix(prefix)] for k in columns])
         unknown = np.sqrt(1.0 - relevance**2) * shared[:, :, columns] * std
         shared[:, :, columns] *= relevance
     own = np.zeros((count, 6, 6 if known.view_jacobian.shape[2] > size else 0))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..argument_checks import MAX_NAME_LENGTH
 from ..files import write_atomically
 from ..schemas.messages import shortened_repr
 from .table_text import duplicates as duplicates
@@ -15,9 +16,6 @@ from .table_text import named_unit, read_table_text
 
 MAX_COORDINATE = 100.0
 """Largest coordinate of a pose, m: a larger one was given in another unit, such as mm."""
-
-MAX_NAME_LENGTH = 200
-"""Largest number of characters of a view's name, which is a part of file names."""
 
 _NUMBER = re.compile(
     r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|nan|inf|infinity)", re.IGNORECASE

@@ -9,6 +9,7 @@ hand-eye calibration needs.
 import numpy as np
 
 from ..calibration import Calibration
+from ..cameras import lens_name
 from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
 from ..engine import Direction
 from ..geometry import host_matrices
@@ -144,7 +145,7 @@ def _lens_warnings(fit: JointFit) -> list[str]:
     )
     if lens.probability < MAX_SCALE_PROBABILITY or not changes:
         return []
-    kind = type(calibration.camera.lens).__name__.lower()
+    kind = lens_name(calibration.camera.lens)
     richer = RICHER_LENSES.get(kind)
     advice = f"compare lens='{richer}', and look" if richer else "look"
     return [

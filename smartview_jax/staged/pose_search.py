@@ -1,4 +1,4 @@
-"""Search for the hand-eye and world transform that explain views of which each has two poses.
+"""Search for the hand-eye and world transform that explain views with two poses each.
 
 Transforms are computed from three views at a time, with either pose of each, or, where the robot's
 motion leaves directions open, from random choices of poses. Those that predict the points of the

@@ -44,10 +44,9 @@ class LensEvidence(NamedTuple):
 
     Attributes:
         probability: probability that it does.
-        rms: RMS over the points of what the model lacks, px; what other parameters make up for does
-            not count.
-        covariance: second moment of what the shared parameters would change by, times the
-            probability.
+        rms: RMS misfit over the points, px, that is left after all other parameters have adapted.
+        covariance: second moment of the change of the shared parameters, if the lens had the terms,
+            times the probability.
     """
 
     probability: float
@@ -105,7 +104,7 @@ def lens_evidence(
     weights = np.exp(log_factors - logsumexp(log_factors))
     means = posterior * pull
     explained = weights @ (means * pull).sum(axis=1) * float(sigmas.pixel) ** 2
-    # The second moment of what the terms are, about none of them.
+    # The second moment of the coefficients of the terms, about zero.
     moment = np.einsum("t,ti,tj->ij", weights, means, means) + np.diag(weights @ posterior)
     towards = by_terms @ axes
     return LensEvidence(
