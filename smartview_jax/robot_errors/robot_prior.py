@@ -87,8 +87,8 @@ class RobotPrior:
             stretch of both axes and by shear, in the same unit.
         target_geometric_std: exp of the standard deviation of the logarithms of both.
         wrong_lens_probability: probability that the lens bends otherwise than its model describes;
-            zero does not ask. Where it is asked, standard deviations of the transforms cover what
-            such a lens would change, which is more than the pixels that they predict are off.
+            zero does not ask. The covariance of the transforms covers what such a lens would
+            change.
     """
 
     translation_median: float = 5e-5
@@ -106,7 +106,7 @@ class RobotPrior:
     target_bow_median: float = 5e-4
     target_print_median: float = 2e-4
     target_geometric_std: float = float(np.exp(1.2))
-    wrong_lens_probability: float = 0.0
+    wrong_lens_probability: float = 0.5
 
     def __post_init__(self) -> None:
         positive = (

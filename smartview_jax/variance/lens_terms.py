@@ -5,11 +5,14 @@ RMS over the points. Whatever camera, poses
 and target can make up for is left to them. A lens that the model describes needs none of the terms;
 otherwise they have a normal prior about zero whose standard deviation may be anything between a
 hardly measurable error and a gross one. The more probable it is that the terms are needed, the more
-the stated covariance covers what they would change.
+the covariance of the transforms covers what they would change. Given the transforms, all other
+parameters have the distribution that they have without the terms, so that the calibration, which
+has none, predicts pixels as surely as before.
 """
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -45,8 +48,7 @@ class LensEvidence(NamedTuple):
     Attributes:
         probability: probability that it does.
         rms: RMS misfit over the points, px, that is left after all other parameters have adapted.
-        covariance: second moment of the change of the shared parameters, if the lens had the terms,
-            times the probability.
+        covariance: covariance of the shared parameters that a fit without the terms lacks.
     """
 
     probability: float
@@ -60,6 +62,7 @@ def lens_evidence(
     linearised: LinearisedViews,
     sigmas: StandardDeviations,
     chain: FittedChain,
+    names: Sequence[str],
     wrong_lens_probability: float,
 ) -> LensEvidence | None:
     """Return the evidence on the lens; None where no point is away from the picture's centre.
@@ -70,6 +73,7 @@ def lens_evidence(
         linearised: the views linearised there.
         sigmas: standard deviations of all errors.
         chain: the chain of transforms there.
+        names: names of the shared parameters.
         wrong_lens_probability: prior probability that the terms are needed.
     """
     terms = _terms(views, chain) if wrong_lens_probability else None
@@ -106,12 +110,35 @@ def lens_evidence(
     explained = weights @ (means * pull).sum(axis=1) * float(sigmas.pixel) ** 2
     # The second moment of the coefficients of the terms, about zero.
     moment = np.einsum("t,ti,tj->ij", weights, means, means) + np.diag(weights @ posterior)
-    towards = by_terms @ axes
+    without_terms = covariance[:-count, :-count] - by_terms @ covariance[-count:, :-count]
+    prefixes = tuple(f"{name}." for name in chain.calibration.transform_names)
+    transforms = [k for k, name in enumerate(names) if name.startswith(prefixes)]
+    changes = _with_transforms(without_terms, transforms, (by_terms @ axes)[transforms])
     return LensEvidence(
         probability,
         float(np.sqrt(max(explained, 0.0) / max(seen, 1))),
-        probability * (towards @ moment @ towards.T),
+        probability * (changes @ moment @ changes.T),
     )
+
+
+def _with_transforms(
+    covariance: Float[np.ndarray, "shared shared"],
+    transforms: Sequence[int],
+    changes: Float[np.ndarray, "transforms changes"],
+) -> Float[np.ndarray, "shared changes"]:
+    """Return changes of the transforms' parameters with what they entail for all others.
+
+    Args:
+        covariance: covariance of the shared parameters.
+        transforms: indices of the transforms' parameters.
+        changes: changes of the transforms' parameters.
+    """
+    # E(x | t) = C_xt C_tt^-1 t, with t in its standard deviations: metres and radians differ.
+    columns = covariance[:, transforms]
+    scale = np.sqrt(np.diagonal(columns[transforms]))
+    correlation = columns[transforms] / np.outer(scale, scale)
+    by_transforms = (columns / scale) @ np.linalg.pinv(correlation, hermitian=True)
+    return by_transforms @ (changes / scale[:, None])
 
 
 def _terms(

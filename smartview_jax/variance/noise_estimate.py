@@ -14,10 +14,6 @@ from .kenward_roger import SmallSampleCorrection
 from .lens_terms import LensEvidence
 from .model_selection import TARGET_SCALE, ModelName
 
-_PARTS = ("translation", "rotation")
-"""Parts of a transform, in the names of its parameters."""
-
-
 class CandidateResult(NamedTuple):
     """A model of the robot error that was tried.
 
@@ -158,24 +154,11 @@ class NoiseEstimate(NamedTuple):
         indices = self._indices(names)
         covariance = self.between_models_covariance[np.ix_(indices, indices)]
         if self.lens is not None:
-            covariance = covariance + self._covariance_of_lens()[np.ix_(indices, indices)]
+            covariance = covariance + self.lens.covariance[np.ix_(indices, indices)]
         if self.target_shape is None:
             return covariance
         by_shape = self.target_shape.by_shape[indices]
         return covariance + by_shape @ self.target_shape.covariance @ by_shape.T
-
-    def _covariance_of_lens(self) -> Float[np.ndarray, "shared shared"]:
-        """Return what the lens adds to the covariance of the transforms.
-
-        The camera's own numbers are those with which its model predicts pixels best, also where the
-        lens bends otherwise.
-        """
-        assert self.lens is not None
-        of_transforms = [
-            any(f".{part}." in name for part in _PARTS) for name in self.parameter_names
-        ]
-        mask = np.array(of_transforms, dtype=float)
-        return np.outer(mask, mask) * self.lens.covariance
 
     def _indices(self, names: Sequence[str]) -> np.ndarray:
         """Return the indices of parameters."""

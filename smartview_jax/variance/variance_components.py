@@ -151,12 +151,14 @@ def estimate_noise(
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)
     field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
+    parameter_names = (*built.shared_names, *views.shape_names)
     lens = lens_evidence(
         views.at(average.shape, average.noise_corrections),
         average.z,
         linearised,
         maximum.sigmas,
         chain,
+        parameter_names,
         prior.wrong_lens_probability,
     )
     target_scale, scale_std = first.target_scale, None
@@ -185,7 +187,7 @@ def estimate_noise(
         else _mount_displacement(built, views.group_names, linearised, maximum.sigmas),
         average.converged,
         tuple(map(float, correction.relative_std[: 3 + field_group_count])),
-        (*built.shared_names, *views.shape_names),
+        parameter_names,
         correction,
         between_models_covariance(
             linearised, average.fitted, average.probabilities, maximum.sigmas

@@ -5,15 +5,17 @@ import dataclasses
 import numpy as np
 import pytest
 from fit_scenes import MANY_VIEWS
+from jaxlie import SE3
 from starts import nudged
 
 from smartview_jax import fit_joint
 from smartview_jax.cameras import Camera, OpenCV4, Radial
+from smartview_jax.evaluation import std_of
 from smartview_jax.robot_errors import RobotPrior
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.variance import lens_terms
 
-ASKED, NOT_ASKED = (RobotPrior(wrong_lens_probability=p) for p in (0.5, 0.0))
+NOT_ASKED = RobotPrior(wrong_lens_probability=0.0)
 
 
 def scene_with(lens):
@@ -34,7 +36,7 @@ def scene_with(lens):
     )
 
 
-def fit_of(scene, robot_prior=ASKED):
+def fit_of(scene, robot_prior=None):
     start = nudged(dataclasses.replace(scene.calibration, camera=CAMERA))
     return fit_joint(scene.data, start, gross_errors="keep", robot_prior=robot_prior)
 
@@ -70,8 +72,13 @@ def test_a_term_that_the_model_lacks_is_named_and_covered(bent):
     mount = [ratio for name, ratio in widths.items() if name.startswith("camera_from_tool.")]
     assert min(mount) > 0.99
     assert max(mount) > 1.1
-    # The camera's numbers are those with which its model predicts best.
-    assert widths["camera.alpha_u"] == pytest.approx(1.0, abs=0.01)
+    # What the transforms may be off is made up for by the camera: the same pixels are predicted.
+    pose, points = SE3(scene.data.base_from_tool.wxyz_xyz[0]), scene.data.points[0]
+
+    def predicted(calibration):
+        return calibration.project(pose, points)[0]
+
+    np.testing.assert_allclose(std_of(fit, predicted), std_of(without, predicted), rtol=0.2)
     (said,) = [text for text in fit.warnings if "are bent" in text]
     assert "in a way that no radial lens is" in said
     assert "compare lens='opencv4'" in said

@@ -182,12 +182,12 @@ def _accepted_hypothesis(
 
     Args:
         hypotheses: both hypotheses; empty if they were not compared.
-        scale_differs: whether the fit found the target to be of another size, which decides.
+        scale_differs: whether the fit has the target's size free: then it is not the robot's scale.
     """
+    if scale_differs:
+        hypotheses = tuple(h for h in hypotheses if h.name == "target scale")
     if not hypotheses:
         return None
-    if scale_differs:
-        return next(hypothesis for hypothesis in hypotheses if hypothesis.name == "target scale")
     best = max(hypotheses, key=lambda hypothesis: hypothesis.log_likelihood_ratio)
     minimum = max(MIN_LOG_LIKELIHOOD_RATIO, MIN_FIELD_FRACTION * best.field_log_likelihood_ratio)
     return best if best.log_likelihood_ratio >= minimum else None

@@ -15,7 +15,7 @@ from smartview_jax.evaluation.diagnosis.budget import (
     SYSTEMATIC_ROBOT_ERROR,
     TOO_FEW_VIEWS,
 )
-from smartview_jax.evaluation.diagnosis.scale_hypotheses import region_held_out_rms
+from smartview_jax.evaluation.diagnosis.scale_hypotheses import ScaleHypothesis, region_held_out_rms
 from smartview_jax.robot_errors import GenericSixAxisArm, LinearInPose, RobotError
 from smartview_jax.simulation import paper_calibration, random_scene
 
@@ -113,6 +113,17 @@ def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain(scene):
     assert isinstance(fit.calibration.robot_error.field, GenericSixAxisArm)
     assert found.dominant_cause == SYSTEMATIC_ROBOT_ERROR
     assert found.total_rms < reprojection_errors(fit.calibration.uncorrected, data).rms
+
+
+def test_a_free_size_is_no_cause_where_a_field_explains_far_more():
+    """A size that is averaged over is free as well, though it may be as stated."""
+    size = ScaleHypothesis("target scale", 0.96, 0.008, 24.0, 217.0, 18.0, 20.6, None)
+    stretch = size._replace(name="robot stretch", log_likelihood_ratio=200.0)
+    for size_is_free in (False, True):
+        accepted = budget_module._accepted_hypothesis((size, stretch), size_is_free)
+        assert accepted == (None if size_is_free else stretch)
+    likelier = size._replace(log_likelihood_ratio=150.0)
+    assert budget_module._accepted_hypothesis((likelier, stretch), True) == likelier
 
 
 def test_few_views_come_before_all_else(misprinted):
