@@ -1,7 +1,8 @@
 """Refuse arguments of the wrong kind, with a message that says what was expected."""
 
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 
 def require_instance(name: str, value: object, kind: type, hint: str = "") -> None:
@@ -38,30 +39,85 @@ def require_distinct(name: str, values: Sequence[str]) -> None:
 
 
 MAX_NAME_LENGTH = 200
-"""Largest number of characters of a name, as in the schemas of files."""
+"""Largest number of characters of a name."""
+
+MAX_NAME_BYTES = 236
+"""Largest number of bytes of a name in UTF-8.
+
+File systems have names of up to 255 bytes; a suffix and a temporary file's prefix take the rest.
+"""
+
+_PATH_SEPARATORS = re.compile(r"[/\\]")
+_DRIVE = re.compile(r"[A-Za-z]:")
 
 
-def require_readable(name: str, values: Sequence[str]) -> None:
-    """Raise a ValueError for a name that no file could hold so that it is read back equal.
+def name_problem(text: object) -> str | None:
+    """Return why a text is not a name; None for a name.
+
+    This is the one rule for everything that a user names: views, objects, faces, grasps, touches. A
+    name can be a row's first field in a table, a value in YAML and JSON, and the name of a file
+    within a folder, and is read back equal from each.
+    """
+    if not isinstance(text, str):
+        return f"a name is a text, not {_described(text)}"
+    if not 0 < len(text) <= MAX_NAME_LENGTH:
+        return f"a name has 1 to {MAX_NAME_LENGTH} characters, not {len(text)}"
+    if not text.isprintable():
+        return "it has a tab, a line end or another character that is not printable"
+    if text != text.strip():
+        return "it begins or ends with a space"
+    if text.startswith("#"):
+        return "a row that begins with # is a comment"
+    parts = _PATH_SEPARATORS.split(text)
+    if ".." in parts or not parts[0] or _DRIVE.match(text):
+        return "as a file name it would lead out of its folder"
+    if len(text.encode()) > MAX_NAME_BYTES:
+        return f"as a file name it would be too long: at most {MAX_NAME_BYTES} bytes in UTF-8"
+    # Or two names could be one file: a/b, a//b and a/./b.
+    if "" in parts or "." in parts:
+        return "as a file name it has a part that is empty or a single point"
+    return None
+
+
+def require_readable(name: str, values: Iterable[object]) -> None:
+    """Raise a ValueError that says why a text is not a name, by `name_problem`.
 
     Args:
         name: of the argument.
         values: names that tables, YAML files and file names are made with.
     """
     for value in values:
-        reason = None
-        if not 0 < len(value) <= MAX_NAME_LENGTH:
-            reason = f"a name has 1 to {MAX_NAME_LENGTH} characters, not {len(value)}"
-        elif not value.isprintable():
-            reason = "it has a tab, a line end or another character that is not printable"
-        elif value != value.strip():
-            reason = "it begins or ends with a space"
-        elif value.startswith("#"):
-            reason = "a row that begins with # is a comment"
-        elif ".." in value.replace("\\", "/").split("/"):
-            reason = "as a file name it would lead out of its folder"
-        if reason is not None:
-            raise ValueError(f"{name}: {value[:60]!r} is no name: {reason}")
+        if (reason := name_problem(value)) is not None:
+            raise ValueError(f"{name}: {no_name(value, reason)}")
+
+
+def require_readable_or_empty(name: str, value: object) -> None:
+    """Raise a ValueError as `require_readable`, except that there may be no name: an empty text."""
+    if value != "":
+        require_readable(name, [value])
+
+
+def no_name(value: object, reason: str) -> str:
+    """Return the sentence that a text is not a name, for messages."""
+    shown = value[:60] if isinstance(value, str) else value
+    return f"{shown!r} is no name: {reason}"
+
+
+def nearest_name(text: str) -> str:
+    """Return a text as a name that differs as little as possible; empty where nothing is left.
+
+    For a text that was not given as a name, such as a file's, and for names in files of earlier
+    versions, which had other rules.
+    """
+    if name_problem(text) is None:
+        return text
+    printable = "".join(letter if letter.isprintable() else " " for letter in text)
+    parts = (part.strip() for part in _PATH_SEPARATORS.split(printable))
+    joined = "/".join(part for part in parts if part not in ("", ".", "..")).lstrip("# /")
+    joined = f"{joined[0]}-{joined[2:]}" if _DRIVE.match(joined) else joined
+    short = joined[:MAX_NAME_LENGTH].encode()[:MAX_NAME_BYTES]
+    # A character that is cut within its bytes is left out.
+    return short.decode(errors="ignore").rstrip(" /")
 
 
 def _described(value: object) -> str:

@@ -7,7 +7,7 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -274,13 +274,48 @@ def _install_yaml_1_2_resolvers() -> None:
 _install_yaml_1_2_resolvers()
 
 
-def dump_yaml(content: dict[str, Any]) -> str:
+class _YamlDumper(yaml.Dumper):
+    """A dumper that quotes every text that YAML 1.1 or 1.2 would read as something else.
+
+    PyYAML's own leaves 1e3 without quotes, which YAML 1.1 reads as text, and 1.2 as a thousand.
+    """
+
+    def analyze_scalar(self, scalar: str) -> Any:
+        """Return how a text may be written: with U+0085, which PyYAML loses, only escaped."""
+        analysis = super().analyze_scalar(scalar)
+        if "\x85" in scalar:
+            analysis.allow_flow_plain = analysis.allow_block_plain = False
+            analysis.allow_single_quoted = analysis.allow_block = False
+        return analysis
+
+
+# A copy, so that other users of PyYAML keep theirs. The rules of 1.1 come first: by them numbers
+# are written.
+_YamlDumper.yaml_implicit_resolvers = {
+    first: yaml.Dumper.yaml_implicit_resolvers.get(first, [])
+    + StrictYamlLoader.yaml_implicit_resolvers.get(first, [])
+    for first in {**yaml.Dumper.yaml_implicit_resolvers, **StrictYamlLoader.yaml_implicit_resolvers}
+}
+
+
+def dump_yaml(content: Mapping[str, Any]) -> str:
     """Return readable YAML text: keys in the given order, short lists on one line."""
     return yaml.dump(
-        content, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True
+        content,
+        Dumper=_YamlDumper,
+        sort_keys=False,
+        default_flow_style=None,
+        width=100,
+        allow_unicode=True,
     )
 
 
-def dump_json(content: dict[str, Any]) -> str:
-    """Return readable JSON text, keys in the given order."""
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+_NO_YAML_CHARACTERS = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
+"""Characters that JSON may have in a text, and that YAML refuses there or takes as a line's end."""
+
+
+def dump_json(content: Mapping[str, Any]) -> str:
+    """Return readable JSON text, keys in the given order, which is read as YAML to the same."""
+    # Not all in ASCII: YAML would read the two escapes of one emoji as two characters.
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    return _NO_YAML_CHARACTERS.sub(lambda match: f"\\u{ord(match[0]):04x}", text) + "\n"

@@ -9,7 +9,14 @@ import sys
 
 import pytest
 
-from smartview_jax.argument_checks import require_instance, require_names, require_readable
+from smartview_jax.argument_checks import (
+    name_problem,
+    nearest_name,
+    require_instance,
+    require_names,
+    require_readable,
+    require_readable_or_empty,
+)
 
 CASES = {
     "fit(priors={'camera.u0': 3.0})": "priors['camera.u0']: expected Prior, found 3.0 (float)",
@@ -71,7 +78,11 @@ def test_long_values_are_not_printed():
 
 
 @pytest.mark.parametrize(
-    "odd", ["", "a\tb", "a\xa0b", "x" * 201, "#c", "../../y", "a\nb", " a", "a ", "..\\y"]
+    "odd",
+    [
+        *("", "a\tb", "a\xa0b", "x" * 201, "#c", "../../y", "a\nb", " a", "a ", "..\\y"),
+        *("/y", "C:y", "a//b", "日" * 80),
+    ],
 )
 def test_names_that_no_file_reads_back_are_refused(odd):
     with pytest.raises(ValueError, match=r"^views: .* is no name: "):
@@ -80,3 +91,32 @@ def test_names_that_no_file_reads_back_are_refused(odd):
 
 def test_names_that_files_read_back_are_accepted():
     require_readable("views", ["v1", "left/0001", "a, b", "it's", '"q"', "<!--<script>", "x" * 200])
+    require_readable_or_empty("face", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("v1", "v1"),
+        (" top ", "top"),
+        ("# 1", "1"),
+        ("../../y", "y"),
+        ("a\xa0b", "a b"),
+        ("C:\\y", "C-/y"),
+        (" a: b", "a- b"),
+        (" ab: c", "ab: c"),
+        ("..", ""),
+        ("#", ""),
+        ("\ud800", ""),
+        ("\U0001f600" * 100, "\U0001f600" * 59),
+        ("x" * 199 + " y", "x" * 199),
+    ],
+)
+def test_the_nearest_name_is_one(text, name):
+    assert nearest_name(text) == name
+    assert not name or name_problem(name) is None
+
+
+def test_what_is_no_text_is_no_name():
+    with pytest.raises(ValueError, match=r"^face: 7 is no name: a name is a text, not 7 \(int\)$"):
+        require_readable_or_empty("face", 7)

@@ -2,8 +2,9 @@ import os
 import signal
 
 import pytest
+import yaml
 
-from smartview_jax.files import dump_yaml, file_transaction, read_yaml, write_atomically
+from smartview_jax.files import dump_json, dump_yaml, file_transaction, read_yaml, write_atomically
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -11,6 +12,21 @@ def test_what_is_written_is_read_back(tmp_path):
     path = write_atomically(tmp_path / "new" / "file.yaml", dump_yaml(content))
     assert read_yaml(path) == content
     assert list(read_yaml(path)) == ["b", "a"]
+
+
+TEXTS = [
+    *"1e3 yes Null ~ 001 0o7 1:30 2001-01-01 .5 0x1f <<".split(),
+    *("a: b", "- a", "a #b", " a ", "a\tb", "a\nb", "a\xa0b", "a\u2028b", "a\x85b", "\x7f"),
+    *("\U0001f600", "\ufeffa", "\u200fa", "'", '"', "", "x y " * 100),
+]
+
+
+@pytest.mark.parametrize("dump", [dump_yaml, dump_json])
+def test_texts_are_read_back_equal_by_both_versions_of_yaml(tmp_path, dump):
+    content = {"texts": TEXTS, "numbers": [1, 2.5, 1e-5, 1e22, True, None]}
+    path = write_atomically(tmp_path / "file", dump(content))
+    assert read_yaml(path) == content
+    assert yaml.safe_load(dump({"texts": TEXTS})) == {"texts": TEXTS}
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):

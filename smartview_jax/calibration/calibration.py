@@ -12,7 +12,6 @@ true tool pose, not the reported one.
 import dataclasses
 import math
 import os
-import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,7 +23,7 @@ from jaxtyping import Array, Bool, Float, ScalarLike
 from ..array_namespace import AnyArray, as_float_array
 from ..cameras import AbstractLens, Camera
 from ..compilation import compiled, is_traced
-from ..files import dump_json, dump_yaml, read_yaml, write_atomically
+from ..files import read_yaml
 from ..geometry import (
     PoseLike,
     ViewedRegion,
@@ -37,7 +36,7 @@ from ..padding import over_padded_views, padded_counts, repeat_last, without_pad
 from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
 from .chain import chain_matrices, chain_of_transforms
-from .file_content import check_content, content_of, parts_of
+from .file_content import content_of, parts_of
 from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
 from .target_shape import TargetShape
 
@@ -402,12 +401,14 @@ class Calibration(eqx.Module):
         Raises:
             ValueError: a value that no calibration has, so that the file could not be read back.
         """
+        # The validation library is imported only where files are read or written.
+        from ..schemas.calibration import CALIBRATION_SCHEMA
+        from ..schemas.validation import write_validated
+
         content = self.to_dict(
             run, warnings, source=source, uncertainty=uncertainty, pictures=pictures
         )
-        check_content(content, path)
-        as_json = pathlib.PurePath(path).suffix.lower() == ".json"
-        write_atomically(path, dump_json(content) if as_json else dump_yaml(content))
+        write_validated(path, content, CALIBRATION_SCHEMA)
 
     @classmethod
     def load(

@@ -3,10 +3,10 @@
 This is what its YAML and JSON files contain.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..argument_checks import require_readable
 from ..cameras import AbstractLens, camera_from_dict, camera_to_dict
 from ..geometry import region_from_dict, region_to_dict, transform_from_dict, transform_to_dict
 from ..robot_errors import AbstractField, robot_error_from_dict, robot_error_to_dict
@@ -35,6 +35,8 @@ def content_of(
     pictures: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return what the file of a calibration contains; arguments as in `Calibration.save`."""
+    if run is not None:
+        require_readable("run", [run])
     content: dict[str, Any] = {
         "smartview_calibration": FORMAT_VERSION,
         **({} if run is None else {"run": run}),
@@ -61,19 +63,6 @@ def content_of(
     # Last on purpose: a truncated file can still be valid YAML, but it has no end mark.
     content["end"] = _END_MARK
     return content
-
-
-def check_content(content: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
-    """Raise a ValueError if a file with this content would be refused when it is read."""
-    from ..schemas.calibration import CALIBRATION_SCHEMA
-    from ..schemas.validation import validate_content
-
-    try:
-        validate_content(content, CALIBRATION_SCHEMA)
-    except ValueError as error:
-        raise ValueError(
-            f"{path}: not written, because no calibration has such values: {error}"
-        ) from error
 
 
 def parts_of(

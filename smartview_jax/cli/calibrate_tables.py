@@ -58,12 +58,12 @@ def _print_errors(
     console.print(result_summary(rows, fit))
     for row in rows:
         for remark in remarks(row.name, row.reprojection_errors, row.held_out_report):
-            console.print(remark, highlight=False)
+            console.print(remark, highlight=False, markup=False)
     rejected = rejections(fit, data)
     if rejected:
         console.print("rejected:")
     for view, reason in rejected[:12]:
-        console.print(f"  view {view}: {reason}", highlight=False)
+        console.print(f"  view {view}: {reason}", highlight=False, markup=False)
     if len(rejected) > 12:
         console.print(f"  and {len(rejected) - 12} more, in the report")
 

@@ -51,8 +51,8 @@ def compare(
         console.print(f"{name}, lens {lens}", highlight=False, markup=False)
         print_comparison(rows)
         for note in data.notes:
-            console.print(note, highlight=False)
+            console.print(note, highlight=False, markup=False)
         for row in rows:
             held_out_report = None if row.held_out is None else HeldOutReport(row.held_out)
             for remark in remarks(row.name, row.fitted, held_out_report, row.failure):
-                console.print(remark, highlight=False)
+                console.print(remark, highlight=False, markup=False)

@@ -1,8 +1,10 @@
 """Load the data set, or the pictures of an object, that a subcommand works on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import typer
 
 if TYPE_CHECKING:
     from ..dataset import Dataset
@@ -62,6 +64,14 @@ def load_views(folder: Path) -> "tuple[list[str], list[Path], Command]":
     for one in (folder, folder / "object"):
         if (one / OBJECT_VIEWS_FILE).is_file():
             found = load_object_views(one)
+            _say(found.notes)
             return list(found.view_ids), list(found.paths), found.command
     views = load_view_pictures(folder)
+    _say(views.notes)
     return views.view_ids, views.pictures, views.command
+
+
+def _say(notes: Sequence[str]) -> None:
+    """Print notes where they are no part of a command's result."""
+    for note in notes:
+        typer.echo(note, err=True)

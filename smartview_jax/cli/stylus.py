@@ -82,7 +82,8 @@ def stylus(
         )
         names = numbered_names(len(poses))
         factor = tip_error_factor(touches, np.array(tip))
-        measured = None if misses is None else read_misses(misses, names)
+        notes: list[str] = []
+        measured = None if misses is None else read_misses(misses, names, notes.append)
         sheet = CommandSheet(
             names,
             touches.commands,
@@ -91,7 +92,7 @@ def stylus(
             TOOL_CHECKS,
             unchecked(loaded_calibration, arm is not None),
         )
-        judged = _judgement(names, factor, measured)
+        judged = _judgement(names, factor, measured) | {"notes": notes}
         sheet.give(
             "stylus",
             robot.out,
@@ -169,6 +170,8 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    for note in judged["notes"]:
+        typer.echo(f"note: {note}")
     measured = "rms_m" in judged
     columns = ["touch", *(["miss x, y, z mm", "distance mm"] if measured else [])]
     table = Table(

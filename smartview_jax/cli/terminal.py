@@ -38,11 +38,11 @@ def progress_line() -> Iterator[Callable[[str], None]]:
         yield lambda text: _log.info("%s", text)
         return
     if not console.is_terminal:
-        yield lambda text: console.print(text, highlight=False, soft_wrap=True)
+        yield lambda text: console.print(text, highlight=False, soft_wrap=True, markup=False)
         return
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TimeRemainingColumn(),
     )

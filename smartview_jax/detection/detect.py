@@ -99,6 +99,8 @@ def detection_identity(target: AbstractTarget) -> str:
     }
     # Only the centres of circles are detected, whatever their radii.
     lengths = board.lengths[:1] if isinstance(board, CircleGrid) else board.lengths
-    ratios = [round(getattr(board, name) / getattr(board, lengths[0]), 9) for name in lengths]
+    # A length that is not there, as the gap of a single tag, counts as 0.
+    sizes = [getattr(board, name) or 0.0 for name in lengths]
+    ratios = [round(size / sizes[0], 9) for size in sizes]
     heights = len(target.heights) if isinstance(target, StackedTarget) else 1
     return repr((type(board).__name__, fields, ratios, heights))

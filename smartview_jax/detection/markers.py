@@ -204,10 +204,9 @@ def _has_wider_border(
 
 def _gap_in_cells(target: TagGrid | AprilGrid, cells: int) -> float:
     """Return the white gap between two tags in cells of their codes; of a single tag, one."""
-    if len(target.ids) == 1:
-        return 1.0
-    gap = target.spacing if isinstance(target, AprilGrid) else target.gap / target.size
-    return gap * cells
+    if isinstance(target, AprilGrid):
+        return 1.0 if len(target.ids) == 1 else target.spacing * cells
+    return 1.0 if not target.gap or len(target.ids) == 1 else target.gap / target.size * cells
 
 
 def _bounding_box(corners: Float[np.ndarray, "4 2"], shape: tuple[int, ...]) -> tuple[slice, slice]:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..argument_checks import MAX_NAME_LENGTH
+from ..argument_checks import require_readable_or_empty
 from .drawn_parts import DrawnConstraint as DrawnConstraint
 from .drawn_parts import DrawnFace as DrawnFace
 from .drawn_parts import PlacedGrasp as PlacedGrasp
@@ -185,7 +185,7 @@ def _checked_face(document: Document, face: DrawnFace) -> DrawnFace:
         document.existing("points", point)
     if len(set(face.loop)) != len(face.loop) or len(face.loop) < 3:
         raise ValueError(f"a face goes around 3 or more different points; found {list(face.loop)}")
-    _check_name(face.name)
+    require_readable_or_empty("face", face.name)
     if face.graspable not in (True, False, None):
         raise ValueError(f"a face is graspable, not, or left open; found {face.graspable!r}")
     return face
@@ -214,7 +214,7 @@ def _checked_grasp(grasp: PlacedGrasp, values: dict[str, Any]) -> PlacedGrasp:
     changed = dataclasses.replace(grasp, **values)
     if changed.angle is None or changed.depth is None:
         raise ValueError("a grasp's angle and depth are finite numbers")
-    _check_name(changed.name)
+    require_readable_or_empty("grasp", changed.name)
     return changed
 
 
@@ -242,14 +242,8 @@ def _add_constraint(
 
 def _rename(document: Document, name: str) -> Document:
     """Give the object a name."""
-    _check_name(name)
+    require_readable_or_empty("object", name)
     return dataclasses.replace(document, name=name)
-
-
-def _check_name(name: Any) -> None:
-    """Raise a ValueError for a name that the model's file could not be read with."""
-    if not isinstance(name, str) or len(name) > MAX_NAME_LENGTH or not name.isprintable():
-        raise ValueError(f"a name has up to {MAX_NAME_LENGTH} printable characters; found {name!r}")
 
 
 def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> Document:

@@ -7,9 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..argument_checks import nearest_name
 from .document import Document, apply_change
 from .journal import Journal
 from .owner_lock import OwnerLock
+
+
+def _with_names(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return an entry of a journal with names; earlier versions took some that are none now."""
+    changes = entry.get("changes")
+    if entry.get("do") == "several" and isinstance(changes, list):
+        mended = [_with_names(one) if isinstance(one, dict) else one for one in changes]
+        return {**entry, "changes": mended}
+    name = entry.get("name")
+    return {**entry, "name": nearest_name(name)} if isinstance(name, str) else entry
 
 
 class EditHistory:
@@ -60,7 +71,7 @@ class EditHistory:
             for number, entry in enumerate(self._journal.entries, start=2):
                 # A line that was accepted once is accepted again, unless someone edited the file.
                 try:
-                    self._apply(entry)
+                    self._apply(_with_names(entry))
                 except ValueError as error:
                     raise ValueError(f"{self.path}: line {number}: {error}") from None
         # Or a session that could not be opened would keep others from opening it.

@@ -11,22 +11,22 @@ joint readings), and a column `height` with the index of the board's height in i
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from ..targets import AbstractTarget, StackedTarget
-from .csv_tables import read_table
+from .csv_tables import Table
 
 HEIGHT_COLUMN = "height"
 """The name of the column with the index of the board's height."""
 
 
 def read_board_heights(
-    table: Path, target: AbstractTarget, view_ids: Sequence[str], suffix: str = ""
+    table: Table | None, target: AbstractTarget, view_ids: Sequence[str], suffix: str = ""
 ) -> dict[str, int] | None:
     """Return the index of the board's height by view; None if a view has a picture of each height.
 
     Args:
-        table: file of the poses or of the joint readings.
+        table: of the poses, the joint readings or the pictures' times; None if the poses are in a
+            file of another format, which has no further columns.
         target: only a `StackedTarget` has several heights.
         view_ids: ids of all views, which are the table's.
         suffix: with which the table's names end beyond those ids.
@@ -34,18 +34,16 @@ def read_board_heights(
     Raises:
         ValueError: a row whose height is no index of the target's heights, with file and view.
     """
-    # Poses in another format than CSV have no further columns.
-    if not isinstance(target, StackedTarget) or table.suffix != ".csv":
+    if not isinstance(target, StackedTarget) or table is None:
         return None
-    # Read again, because what reads the poses need not know the target.
-    rows = {row["view"].removesuffix(suffix): row for row in read_table(table, ("view",))}
+    rows = {row["view"].removesuffix(suffix): row for row in table.rows}
     if HEIGHT_COLUMN not in next(iter(rows.values())):
         return None
     indices = [str(k) for k in range(len(target.heights))]
     for view in view_ids:
         if rows[view][HEIGHT_COLUMN] not in indices:
             raise ValueError(
-                f"{table}: view {view}: {HEIGHT_COLUMN} is {rows[view][HEIGHT_COLUMN]!r}; "
+                f"{table.path}: view {view}: {HEIGHT_COLUMN} is {rows[view][HEIGHT_COLUMN]!r}; "
                 f"expected the index of one of the target's heights, 0 to {len(indices) - 1}"
             )
     return {view: int(rows[view][HEIGHT_COLUMN]) for view in view_ids}

@@ -8,6 +8,7 @@ from ..dataset import Dataset
 from ..detection import DetectionLimits, checked_pixels
 from ..geometry import pose_codec
 from .csv_tables import duplicates, parse_numbers, read_table, refuse_out_of_range
+from .view_names import with_names_of
 
 
 def import_correspondences(
@@ -40,7 +41,7 @@ def import_correspondences(
     poses_csv, corners_csv = Path(poses_csv), Path(corners_csv)
     codec = pose_codec("matrix")
     table = read_table(poses_csv, ("view", *codec.columns))
-    view_ids = [row["view"] for row in table]
+    view_ids = [row["view"] for row in table.rows]
     if duplicates(view_ids):
         raise ValueError(
             f"{poses_csv}: view {', '.join(duplicates(view_ids))} has more than one row"
@@ -51,14 +52,16 @@ def import_correspondences(
     # `bad_views` says.
     rows = [
         parse_numbers(poses_csv, row, codec.columns, row["view"], require_finite=False)
-        for row in table
+        for row in table.rows
     ]
     poses = np.stack(rows)
     positions = poses[:, list(codec.length_columns)]
     refuse_out_of_range(poses_csv, np.where(np.isfinite(positions), positions, np.nan), view_ids)
 
     observations: dict[str, list[np.ndarray]] = {view: [] for view in view_ids}
-    for row in read_table(corners_csv, ("view", "X", "Y", "Z", "u", "v")):
+    corners = read_table(corners_csv, ("view", "X", "Y", "Z", "u", "v"))
+    corner_rows, name_notes = with_names_of(corners, view_ids)
+    for row in corner_rows:
         if row["view"] not in observations:
             raise ValueError(f"{corners_csv}: view {row['view']} has no row in {poses_csv.name}")
         columns = ("X", "Y", "Z", "u", "v")
@@ -93,7 +96,7 @@ def import_correspondences(
                 *((view, "no detections") for view, rows in observations.items() if not rows),
                 *failed.items(),
             ],
-            notes=notes,
+            notes=(*table.notes, *corners.notes, *name_notes, *notes),
         )
     except ValueError as error:
         raise ValueError(f"{poses_csv} and {corners_csv.name}: {error}") from error

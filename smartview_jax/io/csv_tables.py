@@ -1,31 +1,65 @@
 """Read and write CSV tables with a header; errors name the file, the row and the column."""
 
 import csv
+import dataclasses
 import io
-import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..argument_checks import MAX_NAME_LENGTH
+from ..argument_checks import name_problem, no_name, require_readable
 from ..files import write_atomically
 from ..schemas.messages import shortened_repr
+from .table_text import VIEW_COLUMN, TableText, is_number, named_unit, read_table_text
 from .table_text import duplicates as duplicates
-from .table_text import named_unit, read_table_text
 
 MAX_COORDINATE = 100.0
 """Largest coordinate of a pose, m: a larger one was given in another unit, such as mm."""
 
-_NUMBER = re.compile(
-    r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|nan|inf|infinity)", re.IGNORECASE
-)
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """The rows of a CSV file as mappings from its header, and what was recognised in its text.
+
+    Attributes:
+        path: of the file.
+        rows: fields by the name of their column.
+        notes: sentences for the user; none for a table as this package writes it.
+        comments: lines of the file that are no rows.
+        written_header: names of the columns as they are written in the file.
+    """
+
+    path: Path
+    rows: list[dict[str, str]]
+    notes: tuple[str, ...]
+    comments: tuple[str, ...]
+    written_header: tuple[str, ...]
+
+    def requiring(self, required: Sequence[str], units: Collection[str] = ("s",)) -> "Table":
+        """Return the table with further required columns under their names, as `read_table` does.
+
+        The columns that are needed may be known only after a look at the table.
+
+        Raises:
+            ValueError: a required column is missing.
+        """
+        header, missing = _named(self.written_header, required, units)
+        if missing:
+            raise ValueError(
+                f"{self.path}: expected the columns {', '.join(required)}; missing "
+                f"{', '.join(missing)}" + _other_units(self.written_header, missing)
+            )
+        if repeated := duplicates(header):
+            raise ValueError(f"{self.path}: column {', '.join(repeated)} comes twice")
+        if header == list(next(iter(self.rows), ())):
+            return self
+        rows = [dict(zip(header, row.values(), strict=True)) for row in self.rows]
+        return dataclasses.replace(self, rows=rows)
 
 
-def read_table(
-    path: Path, required: Sequence[str], units: Collection[str] = ("s",)
-) -> list[dict[str, str]]:
-    """Read the rows of a CSV file as mappings from its header.
+def read_table(path: Path, required: Sequence[str], units: Collection[str] = ("s",)) -> Table:
+    """Read a CSV file.
 
     Separator, decimal sign and encoding are recognised (see `table_text`). A column that is written
     as `X [mm]` or `A (°)` is `x_mm`, `a_deg`; one that differs from a required column by its case,
@@ -39,43 +73,30 @@ def read_table(
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: it is not a CSV text, a required column is missing, a column occurs twice, a
-            row has another number of fields than the header, a view's name is empty or too long,
-            or numbers have two readings.
+            row has another number of fields than the header, a view's name is no name, or numbers
+            have two readings.
     """
-    table = read_table_text(path, lambda header: _named(header, required, units)[1] == [])
-    header, missing = _named(table.header, required, units)
-    if missing:
-        raise ValueError(
-            f"{path}: expected the columns {', '.join(required)}; missing {', '.join(missing)}"
-            + _other_units(table.header, missing)
-        )
-    if repeated := duplicates(header):
-        raise ValueError(f"{path}: column {', '.join(repeated)} comes twice")
-    records = [dict(zip(header, fields, strict=True)) for fields in table.rows]
-    for number, row in enumerate(records, start=1):
-        if not 0 < len(row.get("view", "?")) <= MAX_NAME_LENGTH:
-            problem = "too long a name of a" if row["view"] else "an empty"
-            raise ValueError(f"{path}: row {number} has {problem} view")
-    return records
+    text = read_table_text(path, lambda header: _named(header, required, units)[1] == [])
+    rows = [dict(zip(text.header, fields, strict=True)) for fields in text.rows]
+    written = Table(path, rows, _notes(path, text), text.comments, tuple(text.header))
+    table = written.requiring(required, units)
+    # Tables of detections have many rows of each view: each name is looked at once, in its first.
+    views = [row.get(VIEW_COLUMN, "?") for row in table.rows]
+    for view in dict.fromkeys(views):
+        if (reason := name_problem(view)) is not None:
+            problem = f"a view, {no_name(view, reason)}" if view else "an empty view"
+            raise ValueError(f"{path}: row {1 + views.index(view)} has {problem}")
+    return table
 
 
-def table_notes(*paths: Path) -> tuple[str, ...]:
-    """Return what was recognised in the text of each table; nothing of one as this package writes.
-
-    Args:
-        paths: of tables that were read already.
-    """
-    notes = []
-    for path in paths:
-        table = read_table_text(path, lambda header: True)
-        header = _named(table.header, (), ())[0]
-        changed = [
-            f"{old!r} as {new}" for old, new in zip(table.header, header, strict=True) if old != new
-        ]
-        seen = (*table.seen, *((f"columns {', '.join(changed)}",) if changed else ()))
-        if seen:
-            notes.append(f"{path.name} was read {'; '.join(seen)}")
-    return tuple(notes)
+def _notes(path: Path, text: TableText) -> tuple[str, ...]:
+    """Return what was recognised in the text of a table, as a sentence, or none."""
+    header = _named(text.header, (), ())[0]
+    changed = [
+        f"{old!r} as {new}" for old, new in zip(text.header, header, strict=True) if old != new
+    ]
+    seen = (*text.seen, *((f"columns {', '.join(changed)}",) if changed else ()))
+    return (f"{path.name} was read {'; '.join(seen)}",) if seen else ()
 
 
 def _named(
@@ -147,14 +168,6 @@ def parse_numbers(
     return values
 
 
-def is_number(text: str) -> bool:
-    """Return whether a text is a decimal number in ASCII digits, NaN or infinity.
-
-    The check is needed because `float` also accepts 1_0 and the digits of other scripts.
-    """
-    return _NUMBER.fullmatch(text) is not None
-
-
 def refuse_out_of_range(path: str | Path, positions: np.ndarray, labels: Sequence[str]) -> None:
     """Raise a ValueError that names the first position beyond the reach of any robot.
 
@@ -185,7 +198,13 @@ def write_table(
         header: names of the columns.
         rows: the fields of each row.
         comments: lines to write at the end, which readers ignore.
+
+    Raises:
+        ValueError: a view's name with which the file could not be read back; nothing is written.
     """
+    if VIEW_COLUMN in header:
+        column = list(header).index(VIEW_COLUMN)
+        require_readable(f"{path}: view", dict.fromkeys(row[column] for row in rows))
     # `repr` gives the shortest text from which Python reads the same float again.
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

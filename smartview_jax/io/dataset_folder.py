@@ -13,7 +13,8 @@ and units itself, is named without them: `poses: {file: views.csv}`. In the patt
 for the view's name and `{height}` for the index of the height, for a board at several heights;
 where every picture has a pose of its own, the table says the height (see `board_heights.py`).
 Instead of poses, or in addition to them, the folder may have joint readings (see `joints.py`).
-Pictures, poses and joint readings are matched by the view's name, never by their order. Where the
+Pictures, poses and joint readings are matched by the view's name, never by their order; a name has
+up to 200 printable characters, does not begin with # and leads to no other folder. Where the
 target's pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that
 stands beside the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the
 file is in `schemas.dataset`; an unknown key is an error. A board that Kalibr printed is named by
@@ -35,15 +36,14 @@ from jaxlie import SE3
 
 from ..dataset import Dataset
 from ..detection import DetectionLimits, checked_pixels
-from ..files import dump_yaml, read_yaml, write_atomically
+from ..files import read_yaml
 from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
-from .csv_tables import table_notes
 from .detections import DETECTIONS_FILE, read_detections, write_detections
-from .joints import write_joints
+from .joints import joints_entry, refuse_unreadable_joints, write_joints
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
-from .poses import write_poses
+from .poses import poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
 from .target_file import read_target
@@ -85,7 +85,7 @@ def load_dataset_folder(
     if "pictures" in content:
         table_path = table_of_views(folder, content)
         board_heights = read_board_heights(
-            table_path, target, readings.view_ids, readings.name_suffix
+            readings.table, target, readings.view_ids, readings.name_suffix
         )
         files = picture_files(
             folder,
@@ -116,7 +116,7 @@ def load_dataset_folder(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
         )
     try:
-        detected = read_detections(
+        detected, table_notes = read_detections(
             folder / DETECTIONS_FILE,
             readings.view_ids,
             len(target.points),
@@ -138,13 +138,12 @@ def load_dataset_folder(
             bad_views=bad_views,
             masked_views=list({**failed, **readings.masked_views}.items()),
             target=target,
-            notes=notes,
+            notes=(*notes, *table_notes),
         )
     except ValueError as error:
         # Messages of `read_detections` name the file already; those of `Dataset` do not.
         prefix = "" if str(folder) in str(error) else f"{folder / DETECTIONS_FILE}: "
         raise ValueError(f"{prefix}{error}") from error
-    data = dataclasses.replace(data, notes=(*data.notes, *table_notes(folder / DETECTIONS_FILE)))
     return _with_joints(readings, data, description_path)
 
 
@@ -170,19 +169,22 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
     Raises:
         ValueError: an unknown pose format, no target description, or points that are not the
-            target's.
+            target's, or a name or a value with which the folder could not be read back; nothing is
+            written then.
     """
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
+    refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
+    if data.arm is not None and data.joints is not None:
+        refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
     # A point that was hidden, as a gross error is, has no row: it stays hidden when it is read.
     seen = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
     rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, seen)
     extra_entries: dict[str, Any] = {"detections": {"rows": rows}}
     if data.arm is not None and data.joints is not None:
-        extra_entries["joints"] = write_joints(
-            folder, data.view_ids, np.asarray(data.joints), data.arm
-        )
+        write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
+        extra_entries["joints"] = joints_entry(len(data.view_ids), data.arm)
     write_dataset_folder(
         folder,
         data.view_ids,
@@ -218,22 +220,28 @@ def write_dataset_folder(
         pose_format: one of `POSE_CODECS`.
 
     Raises:
-        ValueError: an unknown pose format.
+        ValueError: an unknown pose format, or a name or a value with which the folder could not be
+            read back.
     """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import refuse_unreadable, write_validated
+
     description = {
         "smartview_dataset": FORMAT_VERSION,
         # Declares that the last line is an end mark, so that a truncated file is an error. A file
         # written by hand needs neither.
         "end_mark": True,
-        "camera": {"image_size": list(image_size)},
+        "camera": {"image_size": [int(size) for size in image_size]},
         "target": target_to_dict(target),
         "mount": mount,
-        "poses": write_poses(folder, view_ids, base_from_tool, pose_format),
+        "poses": poses_entry(len(view_ids), pose_format),
         **(extra_entries or {}),
         "end": "smartview_dataset",
     }
+    refuse_unreadable(description, DATASET_SCHEMA, folder / DESCRIPTION_FILE)
+    write_poses(folder, view_ids, base_from_tool, pose_format)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
-    write_atomically(folder / DESCRIPTION_FILE, dump_yaml(description))
+    write_validated(folder / DESCRIPTION_FILE, description, DATASET_SCHEMA)
 
 
 def picture_files(

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ..detection import Detection
 from ..schemas.messages import shortened_repr
 from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
-from .table_text import decoded_lines
+from .view_names import with_names_of
 
 DETECTIONS_FILE = "detections.csv"
 """The name of the file of detections in a data-set folder."""
@@ -93,8 +93,8 @@ def _rows(view: str, pixels: Float[np.ndarray, "points 2"], key: str) -> list[tu
 
 def read_detections(
     path: Path, view_ids: Sequence[str], point_count: int, stated_rows: int | None = None
-) -> Float[np.ndarray, "views points 2"]:
-    """Read the detected points, px; NaN where a point was not detected.
+) -> tuple[Float[np.ndarray, "views points 2"], tuple[str, ...]]:
+    """Read the detected points, px, NaN where a point was not detected, and notes on the table.
 
     Args:
         path: of the file.
@@ -109,8 +109,9 @@ def read_detections(
             has twice, a pixel that is not a number, or rows are missing.
     """
     table = read_table(path, _COLUMNS, ())
-    refuse_truncated(path, table, stated_rows)
-    return _pixels_from_table(path, table, view_ids, point_count)
+    refuse_truncated(path, table.rows, stated_rows)
+    rows, notes = with_names_of(table, view_ids)
+    return _pixels_from_table(path, rows, view_ids, point_count), (*table.notes, *notes)
 
 
 def read_kept_detections(
@@ -130,10 +131,11 @@ def read_kept_detections(
         return {}
     wanted = set(view_ids)
     rows: dict[str, list[dict[str, str]]] = {}
-    for row in read_table(path, _COLUMNS, ()):
+    table = read_table(path, _COLUMNS, ())
+    for row in table.rows:
         if row["view"] in wanted and row.get(_KEY_COLUMN):
             rows.setdefault(row["view"], []).append(row)
-    notes = _read_notes(path)
+    notes = _kept_notes(table.comments)
     kept = {}
     for view in view_ids:
         view_rows, note = rows.get(view, []), notes.get(view, {})
@@ -163,10 +165,10 @@ def read_kept_detections(
     return kept
 
 
-def _read_notes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the notes in the file's comments by view id; what is no such note is ignored."""
+def _kept_notes(comments: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the notes in a file's comments by view id; what is no such note is ignored."""
     notes = {}
-    for line in decoded_lines(path)[0]:
+    for line in comments:
         if line.startswith("# {"):
             try:
                 note = json.loads(line[2:])

@@ -66,12 +66,21 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
 
 
 def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
-    """Write samples in the format of easy_handeye2, which `read_easy_handeye` reads."""
+    """Write samples in the format of easy_handeye2, which `read_easy_handeye` reads.
+
+    Raises:
+        ValueError: no samples, or a value with which the file could not be read back.
+    """
+    from ..schemas.external_formats import SAMPLES_SCHEMA
+    from ..schemas.validation import refuse_unreadable
+
     robot = samples.mount_from_holder.inverse()
     pairs = zip(_CODEC.encode(robot), _CODEC.encode(samples.camera_from_world), strict=True)
     content = [
         {"robot": _transform_message(r), "tracking": _transform_message(t)} for r, t in pairs
     ]
+    refuse_unreadable({"samples": content}, SAMPLES_SCHEMA, path)
+    # YAML whatever the file is called, as easy_handeye writes it.
     write_atomically(path, dump_yaml({"samples": content}))
 
 

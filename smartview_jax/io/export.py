@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 
+from ..argument_checks import require_readable
 from ..calibration import Calibration
 from ..cameras import AbstractOpenCVLens, Camera, Fisheye, OpenCV8, Pinhole
 from ..files import dump_yaml
@@ -132,7 +133,13 @@ def _quoted_frame_name(name: str) -> str:
 
 
 def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:
-    """Return a camera_info file in the format that ROS's camera_calibration writes."""
+    """Return a camera_info file in the format that ROS's camera_calibration writes.
+
+    Raises:
+        ValueError: a name that no file could hold, or a camera with which the file could not be
+            read back.
+    """
+    require_readable("camera", [name])
     camera = calibration.camera
     lens = opencv_coefficients(camera)
     K = _camera_matrix(camera)
@@ -146,6 +153,7 @@ def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:
         "rectification_matrix": _matrix_entry(np.eye(3)),
         "projection_matrix": _matrix_entry(np.concatenate([K, np.zeros((3, 1))], axis=1)),
     }
+    _refuse_unreadable(content)
     note = ""
     if lens.max_deviation:
         note = f"# nearest plumb_bob to the fitted lens: up to {lens.max_deviation:.3g} px off\n"
@@ -161,7 +169,11 @@ def urdf_origin(calibration: Calibration, optical: bool = True) -> str:
 
 
 def opencv_yaml(calibration: Calibration) -> str:
-    """Return a `cv2.FileStorage` file: camera matrix, distortion, and both transforms (m)."""
+    """Return a `cv2.FileStorage` file: camera matrix, distortion, and both transforms (m).
+
+    Raises:
+        ValueError: a camera with which the file could not be read back.
+    """
     lens = opencv_coefficients(calibration.camera)
     first, second = calibration.transform_names
     matrices = {
@@ -171,6 +183,14 @@ def opencv_yaml(calibration: Calibration) -> str:
         second: np.asarray(calibration.holder_from_world.as_matrix()),
     }
     width, height = calibration.camera.image_size
+    _refuse_unreadable(
+        {
+            "image_width": width,
+            "image_height": height,
+            "distortion_model": lens.model,
+            **{name: _matrix_entry(matrix) for name, matrix in matrices.items()},
+        }
+    )
     # Written line by line: `dump_yaml` knows neither OpenCV's first line nor its matrix tag.
     lines = ["%YAML:1.0", "---", f"image_width: {width}", f"image_height: {height}"]
     lines += [
@@ -188,6 +208,14 @@ def opencv_yaml(calibration: Calibration) -> str:
             f"   data: [ {numbers} ]",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _refuse_unreadable(content: dict[str, object]) -> None:
+    """Raise a ValueError for a camera that `read_opencv_camera` would refuse."""
+    from ..schemas.external_formats import OPENCV_CAMERA_SCHEMA
+    from ..schemas.validation import refuse_unreadable
+
+    refuse_unreadable(content, OPENCV_CAMERA_SCHEMA, "camera")
 
 
 def _camera_matrix(camera: Camera) -> np.ndarray:

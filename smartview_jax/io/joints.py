@@ -10,14 +10,22 @@ there is no limit), `flange_from_tool` and `base_from_first`.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ..geometry import ANGLE_UNITS, LENGTH_UNITS
 from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
-from .csv_tables import duplicates, parse_numbers, read_table, refuse_truncated, write_table
+from .csv_tables import (
+    Table,
+    duplicates,
+    parse_numbers,
+    read_table,
+    refuse_truncated,
+    write_table,
+)
+from .view_names import with_names_of
 
 JOINTS_FILE = "joints.csv"
 """The name of the file that `write_joints` writes."""
@@ -26,9 +34,27 @@ MAX_JOINT_READING = 100.0
 """Largest magnitude of a joint reading, rad or m; no real joint reaches it."""
 
 
+class ReadJoints(NamedTuple):
+    """The joint readings of a table by view.
+
+    Attributes:
+        view_ids: view ids.
+        readings: rad (m for a prismatic joint).
+        arm: the arm that has these readings.
+        table: the file as a table.
+        notes: sentences on what was recognised in it.
+    """
+
+    view_ids: tuple[str, ...]
+    readings: Float[np.ndarray, "views joints"]
+    arm: SerialArm
+    table: Table
+    notes: tuple[str, ...]
+
+
 def read_joints(
     folder: Path, content: dict[str, Any], description_path: Path, view_ids: Sequence[str] | None
-) -> tuple[tuple[str, ...], Float[np.ndarray, "views joints"], SerialArm]:
+) -> ReadJoints:
     """Read view ids, joint readings (rad, m) and arm from the entry `joints` of a description.
 
     Args:
@@ -44,7 +70,8 @@ def read_joints(
     arm = _arm_from_entry(content.get("arm"), description_path)
     path, columns = folder / content["file"], _joint_columns(arm)
     stated_units = (content["angle_unit"], content["length_unit"])
-    rows = read_table(path, ("view", *columns), stated_units)
+    found = read_table(path, ("view", *columns), stated_units)
+    rows, notes = (found.rows, ()) if view_ids is None else with_names_of(found, view_ids)
     refuse_truncated(path, rows, content.get("rows"))
     table = {row["view"]: row for row in rows}
     if repeated := duplicates([row["view"] for row in rows]):
@@ -62,14 +89,8 @@ def read_joints(
     readings = np.stack(
         [unit_factors * parse_numbers(path, table[view], columns, view) for view in ordered_views]
     )
-    for view, row in zip(ordered_views, readings, strict=True):
-        if (np.abs(row) > MAX_JOINT_READING).any():
-            k = int(np.argmax(np.abs(row) > MAX_JOINT_READING))
-            raise ValueError(
-                f"{path}: view {view}: {columns[k]} is {row[k]:.6g} rad or m, "
-                f"more than {MAX_JOINT_READING:g}"
-            )
-    return ordered_views, readings, arm
+    _refuse_impossible(path, ordered_views, readings, columns)
+    return ReadJoints(ordered_views, readings, arm, found, (*found.notes, *notes))
 
 
 def write_joints(
@@ -77,17 +98,58 @@ def write_joints(
     view_ids: Sequence[str],
     joints: Float[np.ndarray, "views joints"],
     arm: SerialArm,
-) -> dict[str, Any]:
-    """Write `joints.csv`, and return the entry `joints` of the description."""
+) -> None:
+    """Write `joints.csv`, which `joints_entry` describes.
+
+    Raises:
+        ValueError: a name or a reading with which the file could not be read back.
+    """
+    columns = _joint_columns(arm)
+    refuse_unreadable_joints(folder, view_ids, joints, arm)
     rows = [(view, *map(float, row)) for view, row in zip(view_ids, joints, strict=True)]
-    write_table(folder / JOINTS_FILE, ("view", *_joint_columns(arm)), rows)
+    write_table(folder / JOINTS_FILE, ("view", *columns), rows)
+
+
+def refuse_unreadable_joints(
+    folder: Path,
+    view_ids: Sequence[str],
+    joints: Float[np.ndarray, "views joints"],
+    arm: SerialArm,
+) -> None:
+    """Raise a ValueError for readings with which `joints.csv` could not be read back.
+
+    For a writer of several files, which has to know before it writes the first.
+    """
+    _refuse_impossible(folder / JOINTS_FILE, view_ids, joints, _joint_columns(arm))
+
+
+def joints_entry(count: int, arm: SerialArm) -> dict[str, Any]:
+    """Return the entry `joints` of a description, for a table of so many rows."""
     return {
         "file": JOINTS_FILE,
         "angle_unit": "rad",
         "length_unit": "m",
         "arm": arm_to_dict(arm),
-        "rows": len(rows),
+        "rows": count,
     }
+
+
+def _refuse_impossible(
+    path: Path,
+    view_ids: Sequence[str],
+    readings: Float[np.ndarray, "views joints"],
+    columns: Sequence[str],
+) -> None:
+    """Raise a ValueError that names the first reading that no joint has; rad or m."""
+    for view, row in zip(view_ids, readings, strict=True):
+        # NaN fails this comparison as well.
+        wrong = ~(np.abs(row) <= MAX_JOINT_READING)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise ValueError(
+                f"{path}: view {view}: {columns[k]} is {row[k]:.6g} rad or m, "
+                f"more than {MAX_JOINT_READING:g}"
+            )
 
 
 def _joint_columns(arm: SerialArm) -> tuple[str, ...]:

@@ -1,7 +1,6 @@
 """Read and write text files with one 4x4 pose matrix on each line, in row-major order."""
 
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,41 +8,47 @@ from jaxlie import SE3
 
 from ..dataset import Dataset
 from ..detection import DetectionLimits
-from ..files import read_text, write_atomically
+from ..files import write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
-from .csv_tables import is_number, refuse_out_of_range
+from .csv_tables import refuse_out_of_range
 from .pictures import dataset_from_pictures, numbered_pictures
+from .table_text import is_number, read_number_rows
 
 
-def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
+def read_matrix_rows(
+    path: str | Path, length_unit: str, progress: Callable[[str], None] | None = None
+) -> SE3:
     """Read poses from a text file with one 4x4 matrix, in row-major order, on each line.
 
     Args:
         path: of the file; numbers are separated by blanks, tabs, commas or semicolons.
         length_unit: unit of the translations: m, cm or mm.
+        progress: called with a line of text for what was recognised in the file.
 
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: a line that is not a rigid transform, named by its number from 1.
     """
     path = Path(path)
-    lines = read_text(path).splitlines()
-    rows, names = [], []
-    for number, line in enumerate(lines, start=1):
-        fields = re.split(r"[\s,;]+", line.split("#")[0].strip())
-        if fields == [""]:
-            continue
-        if not all(is_number(field) for field in fields):
-            raise ValueError(f"{path}: line {number} is not a row of numbers")
-        rows.append([float(field) for field in fields])
-        if len(rows[-1]) != 16:
-            raise ValueError(f"{path}: line {number} has {len(rows[-1])} numbers, not 16")
-        names.append(str(number))
-    if not rows:
+    table = read_number_rows(path, 16)
+    if table.seen and progress is not None:
+        progress(f"{path.name} was read {'; '.join(table.seen)}")
+    return _decoded(path, table.fields, [str(number) for number in table.lines], length_unit)
+
+
+def _decoded(
+    path: Path, fields: Sequence[Sequence[str]], names: Sequence[str], length_unit: str
+) -> SE3:
+    """Return the poses of some lines; raise a ValueError that names a line that is not a pose."""
+    if not fields:
         raise ValueError(f"{path}: no poses")
+    for name, row in zip(names, fields, strict=True):
+        if not all(is_number(field) for field in row):
+            raise ValueError(f"{path}: line {name} is not a row of numbers")
     try:
-        poses = pose_codec("matrix").decode(np.array(rows), length_unit, labels=names)
+        rows = np.array([[float(field) for field in row] for row in fields])
+        poses = pose_codec("matrix").decode(rows, length_unit, labels=names)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     refuse_out_of_range(path, np.asarray(poses.translation()), names)
@@ -51,10 +56,15 @@ def read_matrix_rows(path: str | Path, length_unit: str) -> SE3:
 
 
 def write_matrix_rows(path: str | Path, poses: SE3, length_unit: str) -> None:
-    """Write poses as a text file that `read_matrix_rows` reads, with every digit."""
+    """Write poses as a text file that `read_matrix_rows` reads, with every digit.
+
+    Raises:
+        ValueError: a value with which the file could not be read back; nothing is written.
+    """
     rows = pose_codec("matrix").encode(poses, length_unit)
-    lines = [" ".join(repr(float(number)) for number in row) for row in rows]
-    write_atomically(path, "\n".join(lines) + "\n")
+    fields = [[repr(float(number)) for number in row] for row in rows]
+    _decoded(Path(path), fields, [str(k) for k in range(1, 1 + len(fields))], length_unit)
+    write_atomically(path, "\n".join(" ".join(row) for row in fields) + "\n")
 
 
 def import_matrix_rows(
@@ -88,7 +98,7 @@ def import_matrix_rows(
         ValueError: a line that is not a rigid transform, or a picture without a line.
     """
     path = Path(path)
-    poses = read_matrix_rows(path, length_unit)
+    poses = read_matrix_rows(path, length_unit, progress)
     numbers = range(first, first + len(poses.wxyz_xyz))
     files = numbered_pictures(path.parent, pictures, numbers, path)
     return dataset_from_pictures(

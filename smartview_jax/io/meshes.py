@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..argument_checks import nearest_name
 from ..extras import import_extra
 from ..files import write_atomically
 from ..geometry import LENGTH_UNITS
@@ -73,8 +74,10 @@ def read_mesh(
         raise ValueError(f"{path}: not readable as {kind}: {error}") from error
     # The glTF standard fixes metres; the other formats have no unit.
     scale = 1.0 if kind in ("glb", "gltf") else LENGTH_UNITS[unit]
+    # A file may be called what an object may not.
+    name = nearest_name(path.stem)
     try:
-        return model_from_triangles(scale * vertices, triangles, sharp_angle, path.stem, str(path))
+        return model_from_triangles(scale * vertices, triangles, sharp_angle, name, str(path))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

@@ -14,7 +14,7 @@ or YAML:
 Misses are measured tip minus point, in the world's axes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,19 +28,22 @@ MAX_MISS = 0.1
 """Largest component of a miss, m: a larger one was given in another unit."""
 
 
-def read_misses(path: str | Path, names: Sequence[str]) -> Float[np.ndarray, "touches _"]:
+def read_misses(
+    path: str | Path, names: Sequence[str], progress: Callable[[str], None] | None = None
+) -> Float[np.ndarray, "touches _"]:
     """Return the misses of the named touches, m: x and y, or x, y and z.
 
     Args:
         path: a file ending in `.csv`, `.yaml` or `.yml`.
         names: of the touches; the file has these, in any order.
+        progress: called with a line of text for what was recognised in a table.
 
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: another kind of file, other touches, or a wrong value; with the file's name.
     """
     path = Path(path)
-    found = _read_csv(path) if path.suffix == ".csv" else _read_yaml(path)
+    found = _read_csv(path, progress) if path.suffix == ".csv" else _read_yaml(path)
     if set(found) != set(names):
         unmatched = ", ".join(sorted(set(found) ^ set(names)))
         raise ValueError(f"{path}: expected the touches {', '.join(names)}; other are {unmatched}")
@@ -57,9 +60,13 @@ def read_misses(path: str | Path, names: Sequence[str]) -> Float[np.ndarray, "to
     return misses
 
 
-def _read_csv(path: Path) -> dict[str, np.ndarray]:
+def _read_csv(path: Path, progress: Callable[[str], None] | None) -> dict[str, np.ndarray]:
     """Return the misses of a table, m, by name; the header states the unit."""
-    rows = read_table(path, ("view",))
+    table = read_table(path, ("view",))
+    if progress is not None:
+        for note in table.notes:
+            progress(note)
+    rows = table.rows
     if repeated := duplicates([row["view"] for row in rows]):
         raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
     header = rows[0] if rows else {}

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..detection import read_picture
-from ..files import write_atomically
+from ..files import parse_yaml, write_atomically
 from ..geometry import pose_codec
 from .dataset_folder import DESCRIPTION_FILE
 from .picture_detections import is_picture_name
@@ -159,9 +159,12 @@ def write_new_dataset(
         The path of the description.
 
     Raises:
-        ValueError: an unknown robot, target or mount.
+        ValueError: an unknown robot, target or mount, or a suffix or size that no data set has.
         FileExistsError: the folder has a description or a table already.
     """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import refuse_unreadable
+
     for name, value, known in (
         ("robot", robot, ROBOTS),
         ("target", target, TARGETS),
@@ -187,6 +190,7 @@ def write_new_dataset(
         angle_unit=angle_unit,
         suffix=suffix,
     )
+    refuse_unreadable(parse_yaml(text, description), DATASET_SCHEMA, description)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_atomically(table, ",".join(("view", *codec.columns)) + "\n")
     # Written last: a folder without a description is none that was begun.

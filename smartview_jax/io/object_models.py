@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..argument_checks import require_readable_or_empty
 from ..files import read_text, write_atomically
 from ..geometry import LENGTH_UNITS
 from ..modeling import Face, Grasp, ObjectModel, Symmetry
@@ -46,6 +47,9 @@ def save_object_model(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
     """
     content = object_model_to_dict(model)
     try:
+        # Reading mends the names that earlier versions wrote, so that it alone would not refuse.
+        for part in (model, *model.faces, *model.grasps):
+            require_readable_or_empty(type(part).__name__, part.name)
         object_model_from_dict(content)
     except ValueError as error:
         raise ValueError(f"{path}: not written, it could not be read back: {error}") from error

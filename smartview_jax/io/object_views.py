@@ -14,19 +14,20 @@ poses or instead of them. The calibration is a file of its own: one camera sees 
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
+from ..argument_checks import require_distinct
 from ..detection import read_picture
-from ..files import dump_yaml, read_yaml, write_atomically
+from ..files import read_yaml, write_atomically
 from ..geometry import PoseLike, as_se3
 from ..robots import Command, SerialArm
-from .joints import write_joints
-from .poses import write_poses
+from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .poses import poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import read_robot_readings
 
 OBJECT_VIEWS_FILE = "object_views.yaml"
@@ -43,6 +44,7 @@ class ObjectViews(NamedTuple):
         command: what the robot reported in each view, with joint readings where the folder has
             them.
         image_size: width and height, px.
+        notes: sentences on what was recognised in the tables.
     """
 
     view_ids: tuple[str, ...]
@@ -50,6 +52,7 @@ class ObjectViews(NamedTuple):
     pictures: tuple[UInt8[np.ndarray, "rows columns"], ...]
     command: Command
     image_size: tuple[int, int]
+    notes: tuple[str, ...] = ()
 
     @property
     def base_from_tool(self) -> SE3:
@@ -79,7 +82,14 @@ def load_object_views(folder: str | Path) -> ObjectViews:
     # By the name of the view, so that a picture too many or too few shifts nothing.
     paths = tuple(folder / pattern.format(view=view) for view in readings.view_ids)
     pictures = tuple(read_picture(file, (width, height)) for file in paths)
-    return ObjectViews(tuple(readings.view_ids), paths, pictures, readings.command, (width, height))
+    return ObjectViews(
+        tuple(readings.view_ids),
+        paths,
+        pictures,
+        readings.command,
+        (width, height),
+        readings.notes,
+    )
 
 
 def write_object_views(
@@ -107,8 +117,12 @@ def write_object_views(
 
     Raises:
         ValueError: numbers of views, pictures, poses and readings differ, or the pictures' sizes
-            do, or only one of `joints` and `arm` is given.
+            do, or only one of `joints` and `arm` is given, or a view's name is no name; nothing is
+            written then.
     """
+    from ..schemas.object_views import OBJECT_VIEWS_SCHEMA
+    from ..schemas.validation import refuse_unreadable, write_validated
+
     folder, poses = Path(folder), as_se3(base_from_tool)
     if not len(view_ids) == len(pictures) == len(poses.wxyz_xyz) > 0:
         raise ValueError(
@@ -120,23 +134,31 @@ def write_object_views(
         raise ValueError("joints and arm: give both, or neither")
     if joints is not None and len(joints) != len(view_ids):
         raise ValueError(f"joints: expected {len(view_ids)} rows, found {len(joints)}")
+    require_distinct("view_ids", view_ids)
+    refuse_unreadable_poses(folder, view_ids, poses)
+    if joints is not None and arm is not None:
+        refuse_unreadable_joints(folder, view_ids, joints, arm)
     sizes = {picture.shape for picture in pictures}
     if len(sizes) > 1:
         raise ValueError(f"pictures: expected one size, found {sorted(sizes)}")
+    height, width = pictures[0].shape
+    description: dict[str, Any] = {
+        "smartview_object_views": 1,
+        "camera": {"image_size": [width, height]},
+        "poses": poses_entry(len(view_ids), pose_format),
+        "pictures": {"pattern": f"images/{{view}}{suffix}"},
+    }
+    if arm is not None:
+        description["joints"] = joints_entry(len(view_ids), arm)
+    description["end"] = "smartview_object_views"
+    refuse_unreadable(description, OBJECT_VIEWS_SCHEMA, folder / OBJECT_VIEWS_FILE)
     for view, picture in zip(view_ids, pictures, strict=True):
         # Encoded in memory, because `cv2.imwrite` leaves half a file when it is interrupted.
         encoded = cv2.imencode(suffix, picture)[1].tobytes()
         write_atomically(folder / "images" / f"{view}{suffix}", encoded)
-    height, width = pictures[0].shape
-    description = {
-        "smartview_object_views": 1,
-        "camera": {"image_size": [width, height]},
-        "poses": write_poses(folder, view_ids, poses, pose_format),
-        "pictures": {"pattern": f"images/{{view}}{suffix}"},
-    }
+    write_poses(folder, view_ids, poses, pose_format)
     if joints is not None and arm is not None:
-        description["joints"] = write_joints(folder, view_ids, joints, arm)
-    description["end"] = "smartview_object_views"
+        write_joints(folder, view_ids, joints, arm)
     # Written last: an interrupted run leaves a folder that is not described, not half of one.
-    write_atomically(folder / OBJECT_VIEWS_FILE, dump_yaml(description))
+    write_validated(folder / OBJECT_VIEWS_FILE, description, OBJECT_VIEWS_SCHEMA)
     return folder

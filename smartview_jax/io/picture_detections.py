@@ -20,9 +20,7 @@ from ..detection import (
 )
 from ..targets import AbstractTarget, StackedTarget
 from .detections import KeptDetection, read_kept_detections, write_kept_detections
-
-_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
-"""Suffixes of files that are counted as pictures, in lower case."""
+from .view_names import PICTURE_SUFFIXES
 
 _DECIDING_PICTURES = 3
 """Number of pictures of another size than stated, all equal, after which no more are looked at."""
@@ -161,7 +159,7 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
 
 def is_picture_name(path: Path) -> bool:
     """Return whether a file has the suffix of a picture and is not hidden."""
-    return path.suffix.lower() in _PICTURE_SUFFIXES and not path.name.startswith(".")
+    return path.suffix.lower() in PICTURE_SUFFIXES and not path.name.startswith(".")
 
 
 def _checked_size(

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from ..geometry import LENGTH_UNITS, as_se3
 from ..robots import Trajectory, times_in_gaps
 from .csv_tables import (
+    Table,
     duplicates,
     parse_numbers,
     read_table,
@@ -40,7 +41,8 @@ class PoseLog(NamedTuple):
         picture_times: a time for each view, s.
         time_offset: stated difference of the clocks, robot's minus camera's, s.
         times_path: the table of the pictures' times, for messages.
-        notes: sentences on what was mended in the log.
+        notes: sentences on what was recognised and mended in the tables.
+        table: of the pictures' times.
     """
 
     trajectory: Trajectory
@@ -49,6 +51,7 @@ class PoseLog(NamedTuple):
     time_offset: float
     times_path: Path
     notes: tuple[str, ...] = ()
+    table: Table | None = None
 
     def poses(self) -> SE3:
         """Return where the robot was when the pictures were taken.
@@ -93,16 +96,16 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     """
     path, times_path = folder / content["file"], folder / content["picture_times"]
     table = read_table(path, ("time",))
-    refuse_truncated(path, table, content.get("rows"))
-    if not table:
+    refuse_truncated(path, table.rows, content.get("rows"))
+    if not table.rows:
         raise ValueError(f"{path}: no poses")
-    form = table_format(path, table, content)
-    table = read_table(path, ("time", *form.columns), ("s", *form.units))
-    labels = [f"row {k}" for k in range(1, 1 + len(table))]
+    form = table_format(path, table.rows, content)
+    table = table.requiring(("time", *form.columns), ("s", *form.units))
+    labels = [f"row {k}" for k in range(1, 1 + len(table.rows))]
     numbers = np.stack(
         [
             parse_numbers(path, row, ("time", *form.columns), label)
-            for row, label in zip(table, labels, strict=True)
+            for row, label in zip(table.rows, labels, strict=True)
         ]
     )
     numbers, notes = _in_order(path, numbers)
@@ -114,7 +117,8 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     except ValueError as error:
         # What is wrong with a pose names the file already.
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
-    rows = read_table(times_path, ("view", "time"))
+    times_table = read_table(times_path, ("view", "time"))
+    rows = times_table.rows
     view_ids = tuple(row["view"] for row in rows)
     if repeated := duplicates(view_ids):
         raise ValueError(f"{times_path}: view {', '.join(repeated)} has more than one row")
@@ -122,7 +126,8 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
         raise ValueError(f"{times_path}: no times of pictures")
     times = [float(parse_numbers(times_path, row, ("time",), row["view"])[0]) for row in rows]
     offset = content.get("time_offset") or 0.0
-    return PoseLog(trajectory, view_ids, np.array(times), offset, times_path, notes)
+    notes = (*table.notes, *times_table.notes, *notes)
+    return PoseLog(trajectory, view_ids, np.array(times), offset, times_path, notes, times_table)
 
 
 def _in_order(

@@ -10,13 +10,15 @@ robot logged while it moved are read by `pose_log.py`.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxlie import SE3
 
+from ..argument_checks import require_readable
 from ..geometry import LENGTH_UNITS, pose_codec
 from .csv_tables import (
+    Table,
     duplicates,
     parse_numbers,
     read_table,
@@ -31,9 +33,23 @@ POSES_FILE = "poses.csv"
 """The name of the file that `write_poses` writes."""
 
 
-def read_poses(
-    folder: Path, content: dict[str, Any], bad_views: str
-) -> tuple[list[str], SE3, dict[str, str]]:
+class ReadPoses(NamedTuple):
+    """The poses of a file by view.
+
+    Attributes:
+        view_ids: view ids.
+        poses: reported `base_from_tool`, `(views)`.
+        masked_views: reason by view id, for the views whose row is not a valid pose.
+        table: the file as a table; None for a file in JSON.
+    """
+
+    view_ids: list[str]
+    poses: SE3
+    masked_views: dict[str, str]
+    table: Table | None = None
+
+
+def read_poses(folder: Path, content: dict[str, Any], bad_views: str) -> ReadPoses:
     """Read view ids and poses, and the reasons by view id of those that are masked.
 
     Args:
@@ -49,17 +65,18 @@ def read_poses(
     if path.suffix == ".json":
         return _read_commands(path, content)
     table = read_table(path, ("view",))
-    refuse_truncated(path, table, content.get("rows"))
-    view_ids = [row["view"] for row in table]
+    refuse_truncated(path, table.rows, content.get("rows"))
+    view_ids = [row["view"] for row in table.rows]
     if duplicates(view_ids):
         raise ValueError(f"{path}: view {', '.join(duplicates(view_ids))} has more than one row")
     if not view_ids:
         raise ValueError(f"{path}: no poses")
-    # The header may say the format, so that the table is read twice.
-    form = table_format(path, table, content)
-    table, codec = read_table(path, ("view", *form.columns), form.units), form.codec
+    form = table_format(path, table.rows, content)
+    table, codec = table.requiring(("view", *form.columns), form.units), form.codec
     # NaN passes here: `bad_views` decides below whether it is an error or a masked view.
-    rows = np.stack([parse_numbers(path, row, form.columns, row["view"], False) for row in table])
+    rows = np.stack(
+        [parse_numbers(path, row, form.columns, row["view"], False) for row in table.rows]
+    )
     positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[form.length_unit]
     # Infinity becomes NaN, which passes: the message about units would be misleading for it.
     refuse_out_of_range(path, np.where(np.isfinite(positions), positions, np.nan), view_ids)
@@ -70,13 +87,13 @@ def read_poses(
     rows = np.where(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
-    return view_ids, decoded_poses(path, form, rows, view_ids), masked_views
+    return ReadPoses(view_ids, decoded_poses(path, form, rows, view_ids), masked_views, table)
 
 
 def write_poses(
     folder: Path, view_ids: Sequence[str], base_from_tool: SE3, pose_format: str = "matrix"
-) -> dict[str, Any]:
-    """Write `poses.csv`, and return the entry `poses` of the description.
+) -> None:
+    """Write `poses.csv`, which `poses_entry` describes.
 
     Args:
         folder: of the data set.
@@ -86,33 +103,54 @@ def write_poses(
             convention of angles, whatever the robot reports.
 
     Raises:
-        ValueError: an unknown format.
+        ValueError: an unknown format, or a name or a position with which the file could not be read
+            back.
     """
     codec = pose_codec(pose_format)
+    refuse_unreadable_poses(folder, view_ids, base_from_tool)
     rows = codec.encode(base_from_tool, *codec.units)
     write_table(
         folder / POSES_FILE,
         ("view", *codec.columns),
         [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
     )
+
+
+def refuse_unreadable_poses(folder: Path, view_ids: Sequence[str], base_from_tool: SE3) -> None:
+    """Raise a ValueError for names or positions with which `poses.csv` could not be read back.
+
+    For a writer of several files, which has to know before it writes the first.
+    """
+    path = folder / POSES_FILE
+    require_readable(f"{path}: view", view_ids)
+    refuse_out_of_range(path, np.asarray(base_from_tool.translation()), view_ids)
+
+
+def poses_entry(count: int, pose_format: str = "matrix") -> dict[str, Any]:
+    """Return the entry `poses` of a description, for a table of so many rows.
+
+    Raises:
+        ValueError: an unknown format.
+    """
+    codec = pose_codec(pose_format)
     return {
         "file": POSES_FILE,
         "codec": codec.name,
         "length_unit": codec.units[0],
         "angle_unit": codec.units[1],
         "direction": "base_from_tool",
-        "rows": len(rows),
+        "rows": count,
     }
 
 
-def _read_commands(path: Path, content: dict[str, Any]) -> tuple[list[str], SE3, dict[str, str]]:
+def _read_commands(path: Path, content: dict[str, Any]) -> ReadPoses:
     """Read view ids and poses from a JSON file of commands; none of them is masked."""
     # Read and checked as a robot's commands are: none of them can be invalid.
     commands = read_viewpoints(path)
     codec = pose_codec(commands.pose_format)
     stated_format(PoseFormat(codec, *codec.units, codec.columns), content, path)
     refuse_truncated(path, commands.names, content.get("rows"))
-    return list(commands.names), commands.base_from_tool, {}
+    return ReadPoses(list(commands.names), commands.base_from_tool, {})
 
 
 def _decoding_errors(form: PoseFormat, rows: np.ndarray, view_ids: list[str]) -> dict[str, str]:

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from ..array_namespace import to_device
 from ..dataset import Dataset
 from ..robots import Command, SerialArm
-from .csv_tables import table_notes
+from .csv_tables import Table
 from .joints import read_joints
 from .pose_log import read_pose_log
-from .poses import read_poses
+from .poses import ReadPoses, read_poses
 
 
 class RobotReadings(NamedTuple):
@@ -28,6 +28,7 @@ class RobotReadings(NamedTuple):
         arm: the arm that the readings belong to; None where there are no readings.
         notes: sentences on what was recognised or mended in the tables.
         name_suffix: with which the tables' names of views end beyond `view_ids`.
+        table: the table that has a row for each view; None if the poses are in a file in JSON.
     """
 
     view_ids: Sequence[str]
@@ -37,6 +38,7 @@ class RobotReadings(NamedTuple):
     arm: SerialArm | None = None
     notes: tuple[str, ...] = ()
     name_suffix: str = ""
+    table: Table | None = None
 
     @property
     def command(self) -> Command:
@@ -72,7 +74,7 @@ def read_robot_readings(
     """
     readings = _read_tables(folder, content, description_path, bad_views)
     suffix = suffix_in_names(folder, content, readings.view_ids)
-    notes = [*table_notes(*_tables(folder, content)), *readings.notes]
+    notes = list(readings.notes)
     if suffix:
         table = table_of_views(folder, content).name
         notes.append(f"{table}: the views' names end in {suffix}, which is ignored")
@@ -111,36 +113,33 @@ def suffix_in_names(folder: Path, content: Mapping[str, Any], view_ids: Sequence
     return suffix if unambiguous and not any(path.exists() for path in as_named) else ""
 
 
-def _tables(folder: Path, content: Mapping[str, Any]) -> list[Path]:
-    """Return the tables of the robot's readings that a description names."""
-    poses, joints = content.get("poses") or {}, content.get("joints") or {}
-    names = (poses.get("file"), poses.get("picture_times"), joints.get("file"))
-    return [folder / name for name in names if name and not name.endswith(".json")]
-
-
 def _read_tables(
     folder: Path, content: dict[str, Any], description_path: Path, bad_views: str
 ) -> RobotReadings:
-    """Read the tables as they are, without notes on their form."""
-    view_ids = poses = None
-    masked_views: dict[str, str] = {}
+    """Read the tables with the views' names as they are."""
+    poses: ReadPoses | None = None
     notes: tuple[str, ...] = ()
     if "poses" in content:
         if content["poses"].get("picture_times") is not None:
             log = read_pose_log(folder, content["poses"])
-            view_ids, poses, masked_views = list(log.view_ids), log.poses(), log.views_in_gaps()
+            poses = ReadPoses(list(log.view_ids), log.poses(), log.views_in_gaps(), log.table)
             notes = log.notes
         else:
-            view_ids, poses, masked_views = read_poses(folder, content["poses"], bad_views)
+            poses = read_poses(folder, content["poses"], bad_views)
+            notes = () if poses.table is None else poses.table.notes
         if "joints" not in content:
-            return RobotReadings(view_ids, poses, masked_views, notes=notes)
+            view_ids, reported, masked_views, table = poses
+            return RobotReadings(view_ids, reported, masked_views, notes=notes, table=table)
     # Reported poses have precedence; without them the arm's forward kinematics gives them.
-    view_ids, joints, arm = read_joints(folder, content["joints"], description_path, view_ids)
+    joints = read_joints(
+        folder, content["joints"], description_path, None if poses is None else poses.view_ids
+    )
     return RobotReadings(
-        view_ids,
-        arm.base_from_tool(joints) if poses is None else poses,
-        masked_views,
-        joints,
-        arm,
-        notes,
+        joints.view_ids,
+        joints.arm.base_from_tool(joints.readings) if poses is None else poses.poses,
+        {} if poses is None else poses.masked_views,
+        joints.readings,
+        joints.arm,
+        (*notes, *joints.notes),
+        table=joints.table if poses is None else poses.table,
     )

@@ -16,6 +16,9 @@ from typing import NamedTuple
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """The separators that are recognised, with their names; the first is the usual one."""
 
+_NUMBER_SEPARATORS = (r"[ \t]*;[ \t]*", r" *\t *", r"[ \t,]+", r"[ \t]+", r"[ \t,;]+")
+"""Between numbers of rows without a header; a comma is a decimal comma where others separate."""
+
 VIEW_COLUMN = "view"
 """The column of names, in which a comma is no decimal comma."""
 
@@ -24,10 +27,27 @@ _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
+_LINE_END = re.compile(r"\r\n|\r|\n")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?[0-9]*\.[0-9]+(?:[eE][-+]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:,[0-9]{3})+")
 _MANY_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+){2,}")
+_THOUSANDS_OF_POINTS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:\.[0-9]{3})+,[0-9]+")
+_THOUSANDS_OF_COMMAS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:,[0-9]{3})+\.[0-9]+")
+# Blanks that do not break a line, and the apostrophes of Switzerland. A plain space may as well
+# stand between two numbers.
+_THOUSANDS_OF_BLANKS = re.compile(
+    "[-+]?[1-9][0-9]{0,2}([\u00a0\u2009\u202f'\u2019])[0-9]{3}(?:\\1[0-9]{3})*(?:[.,][0-9]+)?"
+)
+_MINUS_SIGNS = {0x2212: "-", 0x2013: "-"}
+"""The minus sign, and the dash that word processors put in its place, as a hyphen."""
+
+_WITH_MINUS_SIGN = re.compile(
+    "[-+\u2212\u2013]?[0-9.,\u00a0\u2009\u202f'\u2019]+(?:[eE][-+\u2212\u2013]?[0-9]+)?"
+)
+_NUMBER = re.compile(
+    r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|nan|inf|infinity)", re.IGNORECASE
+)
 _SEPARATOR_LINE = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _UNIT_IN_HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
@@ -41,10 +61,26 @@ class TableText(NamedTuple):
         header: names of the columns.
         rows: fields of each row, as many as the header has unless the table is wrong.
         seen: what differs from a table of commas and decimal points in UTF-8, for the user.
+        comments: lines that begin with "#", which are no rows.
     """
 
     header: list[str]
     rows: list[list[str]]
+    seen: tuple[str, ...]
+    comments: tuple[str, ...] = ()
+
+
+class NumberRows(NamedTuple):
+    """Rows of numbers without a header, and what was recognised in their text.
+
+    Attributes:
+        fields: of each row, equally many in all.
+        lines: number of each row's line, from 1.
+        seen: as in `TableText`.
+    """
+
+    fields: list[list[str]]
+    lines: list[int]
     seen: tuple[str, ...]
 
 
@@ -67,7 +103,8 @@ def decoded_lines(path: Path) -> tuple[list[str], str]:
             continue
         if "\0" in text:
             break
-        return text.splitlines(), "" if encoding.startswith("utf-8") else encoding.upper()
+        # Not `splitlines`, which also splits at rarer characters, such as U+2028 within a name.
+        return _LINE_END.split(text), "" if encoding.startswith("utf-8") else encoding.upper()
     raise ValueError(
         f"{path}: not readable as a text in UTF-8, UTF-16 or cp1252: save it as 'CSV UTF-8'"
     )
@@ -88,6 +125,7 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     lines, encoding = decoded_lines(path)
     seen = [f"in the encoding {encoding}"] if encoding else []
     # Empty lines are ignored, and comments, which begin with "#".
+    comments = tuple(line for line in lines if line.startswith("#"))
     lines = [line for line in lines if line.strip() and line[0] != "#"]
     # Excel's own first line, which names the separator; the header shows it as well.
     if lines and _SEPARATOR_LINE.fullmatch(lines[0].strip()):
@@ -97,7 +135,7 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     except csv.Error as error:
         raise ValueError(f"{path}: not readable as a table: {error}") from error
     if not table:
-        return TableText([], [], ())
+        return TableText([], [], (), comments)
     if delimiter != ",":
         seen.append(f"separated by {DELIMITERS[delimiter]}")
     header, rows = table[0], [row for row in table[1:] if any(row)]
@@ -114,18 +152,80 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     for number, fields in enumerate(trimmed, start=1):
         if len(fields) != len(header):
             raise ValueError(f"{path}: row {number} has {_wrong_count(fields, header, delimiter)}")
-    if _has_decimal_commas(path, header, trimmed):
-        seen.append("with a decimal comma")
-        trimmed = [
-            [
-                field.replace(",", ".")
-                if name != VIEW_COLUMN and _DECIMAL_COMMA.fullmatch(field)
-                else field
-                for name, field in zip(header, row, strict=True)
-            ]
-            for row in trimmed
-        ]
-    return TableText(header, trimmed, tuple(seen))
+    # Names are no numbers, whatever they look like.
+    numeric = [k for k, name in enumerate(header) if name.lower() != VIEW_COLUMN]
+    columns, recognised = _plain_numbers(path, [[row[k] for k in numeric] for row in trimmed])
+    if recognised:
+        for row, fields in zip(trimmed, columns, strict=True):
+            for k, field in zip(numeric, fields, strict=True):
+                row[k] = field
+    return TableText(header, trimmed, (*seen, *recognised), comments)
+
+
+def read_number_rows(path: Path, count: int) -> NumberRows:
+    """Read rows of so many numbers each, separated by blanks, tabs, commas or semicolons.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: a row with another count of fields, named by its line, or numbers that have two
+            readings.
+    """
+    lines, encoding = decoded_lines(path)
+    texts = {number: line.split("#")[0].strip() for number, line in enumerate(lines, start=1)}
+    texts = {number: text for number, text in texts.items() if text}
+    # Of the separators that give as many numbers as there have to be, the first.
+    for separator in _NUMBER_SEPARATORS:
+        rows = [re.split(separator, text.rstrip(",;")) for text in texts.values()]
+        if all(len(row) == count for row in rows):
+            break
+    else:
+        for number, text in texts.items():
+            fields = re.split(_NUMBER_SEPARATORS[-1], text)
+            if not all(is_number(field) for field in fields):
+                raise ValueError(f"{path}: line {number} is not a row of numbers")
+            if len(fields) != count:
+                raise ValueError(f"{path}: line {number} has {len(fields)} numbers, not {count}")
+        raise ValueError(f"{path}: its lines have different separators between the numbers")
+    rows, recognised = _plain_numbers(path, rows)
+    seen = (*((f"in the encoding {encoding}",) if encoding else ()), *recognised)
+    return NumberRows(rows, list(texts), seen)
+
+
+def _plain_numbers(path: Path, rows: list[list[str]]) -> tuple[list[list[str]], tuple[str, ...]]:
+    """Return fields with numbers as Python writes them, and what was changed in them.
+
+    Raises:
+        ValueError: a comma or point has two readings; the message names the cure.
+    """
+    seen: list[str] = []
+    given = [field for row in rows for field in row]
+
+    def changed(pattern: re.Pattern[str], change: Callable[[str], str], note: str) -> None:
+        """Change every field that fits a pattern, and note that there was one."""
+        nonlocal rows
+        before = rows
+        rows = [[change(f) if pattern.fullmatch(f) else f for f in row] for row in rows]
+        if rows != before:
+            seen.append(note)
+
+    # Most tables have none of these characters: they are not worth four looks at every field.
+    text = "\n".join(given)
+    if not text.isascii():
+        note = "with a minus sign that is no hyphen"
+        changed(_WITH_MINUS_SIGN, lambda field: field.translate(_MINUS_SIGNS), note)
+    if not text.isascii() or "'" in text:
+        note = "with blanks or apostrophes between thousands"
+        changed(_THOUSANDS_OF_BLANKS, lambda field: re.sub("[^-+0-9.,]", "", field), note)
+    if "," in text:
+        note = "with points between thousands"
+        changed(_THOUSANDS_OF_POINTS, lambda field: field.replace(".", ""), note)
+        note = "with commas between thousands"
+        changed(_THOUSANDS_OF_COMMAS, lambda field: field.replace(",", ""), note)
+        fields = [field for row in rows for field in row]
+        if _has_decimal_commas(path, list(zip(fields, given, strict=True))):
+            note = "with a decimal comma"
+            changed(_DECIMAL_COMMA, lambda field: field.replace(",", "."), note)
+    return rows, tuple(seen)
 
 
 def named_unit(column: str) -> tuple[str, str] | None:
@@ -144,7 +244,10 @@ def _split(
 
     def fields(delimiter: str, some: Sequence[str]) -> list[list[str]]:
         """Return the fields of some lines."""
-        rows = csv.reader(some, delimiter=delimiter, skipinitialspace=True)
+        # With their ends, so that one within quotes stays a part of the field, and is refused.
+        rows = csv.reader(
+            [f"{line}\n" for line in some], delimiter=delimiter, skipinitialspace=True
+        )
         return [[text.strip() for text in row] for row in rows]
 
     def quality(delimiter: str) -> tuple[bool, int]:
@@ -170,38 +273,54 @@ def _wrong_count(fields: Sequence[str], header: Sequence[str], delimiter: str) -
             ": decimal commas in a table separated by commas? Write numbers with a decimal point, "
             "or separate the columns by semicolons"
         )
+    elif delimiter == "," and len(fields) > len(header):
+        text += (
+            ": a comma within a name or a number? Put the name in quotes, and write numbers "
+            "without separators of thousands"
+        )
     return text
 
 
-def _has_decimal_commas(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
-    """Return whether the numbers of a table have decimal commas.
+def is_number(text: str) -> bool:
+    """Return whether a text is a decimal number in ASCII digits, NaN or infinity.
+
+    The check is needed because `float` also accepts 1_0 and the digits of other scripts.
+    """
+    return _NUMBER.fullmatch(text) is not None
+
+
+def _has_decimal_commas(path: Path, fields: Sequence[tuple[str, str]]) -> bool:
+    """Return whether the numbers among some fields have decimal commas.
+
+    Args:
+        path: of the table, for messages.
+        fields: each without separators of thousands that have one reading, and as it was given.
 
     Raises:
         ValueError: a comma may separate thousands, or some numbers have points.
     """
-    fields = [
-        field
-        for row in rows
-        for name, field in zip(header, row, strict=True)
-        if name != VIEW_COLUMN
-    ]
-    with_comma = [field for field in fields if "," in field and _DECIMAL_COMMA.fullmatch(field)]
-    many = next((field for field in fields if "," in field and _MANY_COMMAS.fullmatch(field)), None)
+
+    def fitting(pattern: re.Pattern[str], mark: str) -> list[tuple[str, str]]:
+        """Return the fields with a mark that fit a pattern."""
+        return [pair for pair in fields if mark in pair[0] and pattern.fullmatch(pair[0])]
+
+    with_comma = fitting(_DECIMAL_COMMA, ",")
+    many = next((given for _, given in fitting(_MANY_COMMAS, ",")), None)
     cure = "write numbers with a decimal point and without separators of thousands"
     if many is not None:
         raise ValueError(f"{path}: {many!r} has several commas: {cure}")
     if not with_comma:
         return False
-    pointed = next((field for field in fields if _DECIMAL_POINT.fullmatch(field)), None)
+    pointed = next((given for _, given in fitting(_DECIMAL_POINT, ".")), None)
     if pointed is not None:
         raise ValueError(
-            f"{path}: {with_comma[0]!r} has a comma and {pointed!r} a decimal point: {cure}"
+            f"{path}: {with_comma[0][1]!r} has a comma and {pointed!r} a decimal point: {cure}"
         )
     # Three digits after every comma may be thousands, if numbers below a thousand have none.
-    grouped = all(_THOUSANDS.fullmatch(field) for field in with_comma)
-    if grouped and any(_INTEGER.fullmatch(field) for field in fields):
+    grouped = all(_THOUSANDS.fullmatch(field) for field, _ in with_comma)
+    if grouped and any(_INTEGER.fullmatch(field) for field, _ in fields):
         raise ValueError(
-            f"{path}: the comma in {with_comma[0]!r} may be a decimal comma or separate "
+            f"{path}: the comma in {with_comma[0][1]!r} may be a decimal comma or separate "
             f"thousands: {cure}"
         )
     return True

@@ -24,11 +24,13 @@ class ViewPictures(NamedTuple):
         pictures: a file for each view.
         command: what the robot reported in each view, with joint readings where the folder has
             them.
+        notes: sentences on what was recognised in the tables.
     """
 
     view_ids: list[str]
     pictures: list[Path]
     command: Command
+    notes: tuple[str, ...] = ()
 
     @property
     def base_from_tool(self) -> Float[np.ndarray, "views 4 4"]:
@@ -60,7 +62,7 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     readings.refuse_masked(table)
     target = read_target(folder, content["target"])
     # A board at several heights has several pictures of a view; an object has one.
-    heights = read_board_heights(table, target, readings.view_ids, readings.name_suffix)
+    heights = read_board_heights(readings.table, target, readings.view_ids, readings.name_suffix)
     files = picture_files(
         folder, content["pictures"], readings.view_ids, target, table, path, heights
     )
@@ -68,4 +70,5 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
         list(readings.view_ids),
         [files[view][0] for view in readings.view_ids],
         readings.command,
+        readings.notes,
     )

@@ -7,17 +7,17 @@ that no robot can execute is refused when it is written, before any robot moves.
 A grasp is written likewise, with the `HandSteps` that its poses alone do not say.
 """
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from ..argument_checks import require_readable
 from ..files import read_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
@@ -43,12 +43,14 @@ class Viewpoints(NamedTuple):
         names: one name for each view.
         joints: joint readings, rad (m for a prismatic joint); None where the file has none.
         pose_format: name of the pose format, in its manufacturer's units.
+        notes: sentences on what was recognised in a table.
     """
 
     base_from_tool: SE3
     names: tuple[str, ...]
     joints: Float[np.ndarray, "views joints"] | None = None
     pose_format: str = VAL_CODEC
+    notes: tuple[str, ...] = ()
 
 
 def write_viewpoints(
@@ -97,9 +99,11 @@ def write_viewpoints(
             ],
         )
     elif path.suffix == ".json":
-        write_atomically(
-            path, _json_text(_validated_viewpoints(base_from_tool, names, joints), codec, hand)
-        )
+        from ..schemas.external_formats import VIEWPOINTS_SCHEMA
+        from ..schemas.validation import write_validated
+
+        viewpoints = _validated_viewpoints(base_from_tool, names, joints)
+        write_validated(path, _json_content(viewpoints, codec, hand), VIEWPOINTS_SCHEMA)
     elif pose_format != VAL_CODEC:
         raise ValueError(
             f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: .csv or .json"
@@ -171,6 +175,7 @@ def _validated_viewpoints(
     repeated = duplicates(view_names)
     if repeated:
         raise ValueError(f"view {', '.join(repeated)}: named more than once")
+    require_readable("view", view_names)
     # The components of a unit quaternion are at most 1, so that one limit serves all seven numbers.
     for name, pose in zip(view_names, poses, strict=True):
         for component, value in zip(("qw", "qx", "qy", "qz", "x", "y", "z"), pose, strict=True):
@@ -211,8 +216,10 @@ def _pose_key(codec: PoseCodec) -> str:
     return "xyzoat" if codec.name == VAL_CODEC else "pose"
 
 
-def _json_text(viewpoints: Viewpoints, codec: PoseCodec, hand: HandSteps | None) -> str:
-    """Return the commands as JSON text."""
+def _json_content(
+    viewpoints: Viewpoints, codec: PoseCodec, hand: HandSteps | None
+) -> dict[str, Any]:
+    """Return the commands as the content of a JSON file."""
     entries = [
         {
             "name": name,
@@ -230,29 +237,28 @@ def _json_text(viewpoints: Viewpoints, codec: PoseCodec, hand: HandSteps | None)
             strict=True,
         )
     ]
-    content = {
+    return {
         "smartview_viewpoints": FORMAT_VERSION,
         "format": codec.name,
         "columns": list(codec.columns),
         "units": _units(codec),
         "viewpoints": entries,
     }
-    return json.dumps(content, indent=1) + "\n"
 
 
 def _read_csv(path: Path) -> Viewpoints:
     """Read commands from a CSV file; without a column `format` the poses are VAL's."""
-    codec = codec_of_rows(path, read_table(path, ("view",))) or pose_codec(VAL_CODEC)
+    table = read_table(path, ("view",))
+    codec = codec_of_rows(path, table.rows) or pose_codec(VAL_CODEC)
     columns = pose_columns(codec)
-    # Read again, because the required columns are known only now that the format is.
-    rows = read_table(path, ("view", *columns))
+    rows = table.requiring(("view", *columns)).rows
     names = [row["view"] for row in rows]
     poses = np.array([parse_numbers(path, row, columns, row["view"], False) for row in rows])
     joint_columns = [name for name in (rows[0] if rows else ()) if name.startswith("joint_")]
     joints = np.array([parse_numbers(path, row, joint_columns, row["view"], False) for row in rows])
     return _decode_viewpoints(
         path, codec, poses.reshape(-1, len(columns)), names, joints if joint_columns else None
-    )
+    )._replace(notes=table.notes)
 
 
 def _read_json(path: Path) -> Viewpoints:

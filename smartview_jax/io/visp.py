@@ -83,9 +83,18 @@ def read_visp_pose(path: str | Path) -> SE3:
 
 
 def write_visp_pose(path: str | Path, pose: SE3) -> None:
-    """Write a pose as the vector of ViSP that `read_visp_pose` reads."""
+    """Write a pose as the vector of ViSP that `read_visp_pose` reads.
+
+    Raises:
+        ValueError: a value with which the file could not be read back.
+    """
+    from ..schemas.external_formats import VISP_POSE_SCHEMA
+    from ..schemas.validation import refuse_unreadable
+
     row = pose_codec("rotation_vector").encode(pose)
-    lines = [f"  - [{float(number)!r}]" for number in row]
+    data = [[float(number)] for number in row]
+    refuse_unreadable({"rows": 6, "cols": 1, "data": data}, VISP_POSE_SCHEMA, path)
+    lines = [f"  - {number!r}" for number in data]
     write_atomically(path, "\n".join(["rows: 6", "cols: 1", "data:", *lines]) + "\n")
 
 

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..argument_checks import require_readable_or_empty
+
 PLANAR_TOLERANCE = 0.01
 """Largest distance of a vertex from the plane of its face, relative to the face's extent."""
 
@@ -35,6 +37,10 @@ class Face:
     holes: tuple[tuple[int, ...], ...] = ()
     name: str = ""
     graspable: bool | None = None
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError for a name that no file could hold; there may be none."""
+        require_readable_or_empty("face", self.name)
 
     @property
     def loops(self) -> tuple[tuple[int, ...], ...]:

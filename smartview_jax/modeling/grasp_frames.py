@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import require_readable_or_empty
 from .faces import face_plane, points_in_loops
 
 if TYPE_CHECKING:
@@ -40,6 +41,10 @@ class Grasp:
     opening: float
     depth: float
     tolerance: float
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError for a name that no file could hold; there may be none."""
+        require_readable_or_empty("grasp", self.name)
 
     @property
     def approach(self) -> Float[np.ndarray, "3"]:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..argument_checks import require_readable_or_empty
 from .faces import (
     PLANAR_TOLERANCE,
     Face,
@@ -70,8 +71,9 @@ class ObjectModel:
         Raises:
             ValueError: a coordinate that is not finite, an edge to a vertex that does not exist, a
                 face that is not planar or crosses itself, a grasp on no face, a covariance that
-                does not fit; the message names the part.
+                does not fit, a name that no file could hold; the message names the part.
         """
+        require_readable_or_empty("object", self.name)
         self._check_vertices()
         self._check_edges()
         self._check_covariances()

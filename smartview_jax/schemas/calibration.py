@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
-from .entry import Entry, Expected, FiniteNumber, FocalLength, Name, check_pixel_shape
+from .entry import Entry, Expected, FiniteNumber, FocalLength, PrintableText, check_pixel_shape
 
 SUPPORTED_VERSIONS = (1, 2)
 """Versions of the format that can be read; version 2 has an end mark."""
@@ -81,7 +81,7 @@ class LensEntry(Entry):
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "allow"}
     __pydantic_extra__: dict[str, FiniteNumber]  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    model: Name
+    model: PrintableText
 
 
 class PinholeEntry(Entry):
@@ -139,7 +139,7 @@ class ErrorFieldEntry(Entry):
         ],
     ]
 
-    model: Name
+    model: PrintableText
     reach: _Distance | None = None
 
 
@@ -195,7 +195,9 @@ class NoiseEntry(Entry):
 class UncertaintyEntry(Entry):
     """The covariance of the parameters that a fit estimated, in their own units."""
 
-    parameters: Annotated[list[Name], Field(max_length=1000), Expected("names of parameters")]
+    parameters: Annotated[
+        list[PrintableText], Field(max_length=1000), Expected("names of parameters")
+    ]
     covariance: Annotated[list[_NumberRow], Field(max_length=1000), Expected("a square matrix")]
     noise: NoiseEntry | None = None
     pixel_sigma: _Sigma
@@ -232,7 +234,7 @@ class UncertaintyEntry(Entry):
 
 class _CalibrationFile(Entry):
     smartview_calibration: Literal[1, 2]
-    run: Name | None = None
+    run: PrintableText | None = None
     source: str | None = None
     warnings: list[str] | None = None
     units: UnitsEntry

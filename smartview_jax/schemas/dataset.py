@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, mod
 
 from .arm import ArmEntry, TransformEntry
 from .calibration import ImageSize
-from .entry import Entry, Expected, Name, Translation
+from .entry import Entry, Expected, PrintableText, Translation
 from .target import TargetEntry
 
 END_MARK = "smartview_dataset"
@@ -85,13 +85,13 @@ class PosesEntry(Entry):
     `time_offset` is what its clock is later than the camera's.
     """
 
-    file: Name
+    file: PrintableText
     codec: CodecName | None = None
     length_unit: LengthUnit | None = None
     angle_unit: AngleUnit | None = None
     direction: Literal["base_from_tool", "tool_from_base"] | None = None
     rows: _RowCount | None = None
-    picture_times: Name | None = None
+    picture_times: PrintableText | None = None
     time_offset: _Seconds | None = None
 
     @model_validator(mode="after")
@@ -106,11 +106,11 @@ class PosesEntry(Entry):
 class JointsEntry(Entry):
     """A table of joint readings, one row per view, and their arm: its name or its numbers."""
 
-    file: Name
+    file: PrintableText
     angle_unit: AngleUnit
     length_unit: LengthUnit
     arm: Annotated[
-        Annotated[Name, Tag("a name")] | Annotated[ArmEntry, Tag("numbers")],
+        Annotated[PrintableText, Tag("a name")] | Annotated[ArmEntry, Tag("numbers")],
         Discriminator(lambda arm: "numbers" if isinstance(arm, dict) else "a name"),
     ]
     rows: _RowCount | None = None

@@ -16,6 +16,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError, core_schema
 
+from ..argument_checks import MAX_NAME_LENGTH, name_problem, no_name
 from .messages import shortened_repr, spelling_suggestion
 
 
@@ -83,11 +84,18 @@ class Expected:
             ) from None
 
 
-def _check_printable(name: str) -> str:
-    """Return a name; raise a ValueError if it is blank or has unprintable characters."""
-    if not name.isprintable() or not name.strip():
+def _check_printable(text: str) -> str:
+    """Return a text; raise a ValueError if it is blank or has unprintable characters."""
+    if not text.isprintable() or not text.strip():
         raise ValueError  # `Expected` gives the message.
-    return name
+    return text
+
+
+def _check_name(text: str) -> str:
+    """Return a name; raise a ValueError that says why a text is none."""
+    if (reason := name_problem(text)) is not None:
+        raise ValueError(no_name(text, reason))
+    return text
 
 
 MAX_COORDINATE = 100.0
@@ -107,12 +115,15 @@ UnitQuaternion = Annotated[
 Angle = Annotated[float, Field(ge=-100.0, le=100.0), Expected("an angle in rad, from -100 to 100")]
 FiniteNumber = Annotated[float, Field(ge=-1e9, le=1e9), Expected("a finite number, up to 1e9")]
 Flag = Annotated[bool, Expected("true or false")]
-Name = Annotated[
+PrintableText = Annotated[
     str,
-    Field(min_length=1, max_length=200),
+    Field(min_length=1, max_length=MAX_NAME_LENGTH),
     AfterValidator(_check_printable),
-    Expected("a name of 1 to 200 printable characters"),
+    Expected(f"a name of 1 to {MAX_NAME_LENGTH} printable characters"),
 ]
+"""A path, or a name that is given by the package or another program; `Name` is for a user's."""
+# The rule stands outside of the description, so that its reason is the message.
+Name = Annotated[PrintableText, AfterValidator(_check_name)]
 FocalLength = Annotated[
     float,
     Field(ge=1.0, le=1e7),

@@ -13,6 +13,7 @@ from .entry import (
     FiniteNumber,
     FocalLength,
     Name,
+    PrintableText,
     check_pixel_shape,
 )
 
@@ -56,14 +57,14 @@ class QuaternionPoseEntry(ForeignEntry):
 class CalDataEntry(ForeignEntry):
     """A view in a file of robot_cal_tools: the names of its pose file and its picture."""
 
-    pose: Name
-    image: Name
+    pose: PrintableText
+    image: PrintableText
 
 
 class TargetFinderEntry(ForeignEntry):
     """A circle grid of robot_cal_tools."""
 
-    type: Name
+    type: PrintableText
     rows: _GridCount
     cols: _GridCount
     spacing: _Spacing
@@ -213,7 +214,7 @@ class ViewpointsFile(Entry):
 
     smartview_viewpoints: Literal[1]
     format: CodecName = "val_oat"
-    columns: Annotated[list[Name], Field(max_length=16)] | None = None
+    columns: Annotated[list[PrintableText], Field(max_length=16)] | None = None
     units: dict[str, str]
     viewpoints: list[ViewpointEntry]
 
@@ -222,7 +223,7 @@ CAL_DATA_SCHEMA = TypeAdapter(Annotated[list[CalDataEntry], Field(min_length=1)]
 TARGET_SCHEMA = TypeAdapter(TargetFile)
 KALIBR_TARGET_SCHEMA = TypeAdapter(KalibrTargetFile)
 POSE_SCHEMA = TypeAdapter(QuaternionPoseEntry)
-KINEMATIC_MEASUREMENTS_SCHEMA = TypeAdapter(dict[Name | int, KinematicMeasurementEntry])
+KINEMATIC_MEASUREMENTS_SCHEMA = TypeAdapter(dict[PrintableText | int, KinematicMeasurementEntry])
 SAMPLES_SCHEMA = TypeAdapter(SamplesFile)
 OPENCV_CAMERA_SCHEMA = TypeAdapter(OpenCVCameraFile)
 VISP_POSE_SCHEMA = TypeAdapter(VispPoseFile)

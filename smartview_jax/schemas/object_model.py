@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 
+from ..argument_checks import MAX_NAME_LENGTH, nearest_name
 from .arm import TransformEntry
 from .entry import Entry, Expected, Flag, UnitComponent, UnitQuaternion
 
@@ -37,14 +38,15 @@ def _check_label(text: str) -> str:
     """Return a name, which may be empty; raise a ValueError for unprintable characters."""
     if not text.isprintable():
         raise ValueError
-    return text
+    # Earlier versions wrote names such as "#1" and " top", which are none now.
+    return nearest_name(text)
 
 
 _Label = Annotated[
     str,
-    Field(max_length=200),
+    Field(max_length=MAX_NAME_LENGTH),
     AfterValidator(_check_label),
-    Expected("a name of up to 200 printable characters"),
+    Expected(f"a name of up to {MAX_NAME_LENGTH} printable characters"),
 ]
 
 

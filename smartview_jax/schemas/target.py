@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from .entry import Coordinate, Entry, Expected, Flag, Length, Name
+from .entry import Coordinate, Entry, Expected, Flag, Length, PrintableText
 
 _Count = Annotated[int, Field(ge=1, le=1000), Expected("a whole number from 1 to 1000")]
 _Heights = Annotated[
@@ -52,7 +52,7 @@ class CharucoEntry(Entry):
     squares_y: _Count
     square: Length
     marker: Length
-    dictionary: Name = "DICT_4X4_250"
+    dictionary: PrintableText = "DICT_4X4_250"
     legacy: Flag = False
     heights: _Heights | None = None
 
@@ -64,8 +64,10 @@ class TagGridEntry(Entry):
     rows: _Count
     columns: _Count
     size: Length
-    gap: Annotated[float, Field(ge=0.0, le=100.0), Expected("a gap in m, from 0 to 100")] = 0.0
-    dictionary: Name = "DICT_APRILTAG_36h11"
+    gap: Annotated[float, Field(ge=0.0, le=100.0), Expected("a gap in m, from 0 to 100")] | None = (
+        None
+    )
+    dictionary: PrintableText = "DICT_APRILTAG_36h11"
     first_id: _TagNumber = 0
     border_bits: _BorderBits = 1
     rows_from: Literal["top", "bottom"] = "top"
@@ -79,14 +81,14 @@ class AprilGridEntry(Entry):
     """
 
     kind: Literal["aprilgrid"]
-    file: Name | None = None
+    file: PrintableText | None = None
     rows: _Count | None = None
     columns: _Count | None = None
     size: Length | None = None
     spacing: (
         Annotated[float, Field(gt=0.0, lt=1.0), Expected("a part of a tag's side, 0 to 1")] | None
     ) = None
-    dictionary: Name = "DICT_APRILTAG_36h11"
+    dictionary: PrintableText = "DICT_APRILTAG_36h11"
     first_id: _TagNumber = 0
     border_bits: _BorderBits = 2
     heights: _Heights | None = None

@@ -1,11 +1,13 @@
 """Validate the content of a file; errors name the file and the entry."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from pydantic import ValidationError
 
+from ..files import dump_json, dump_yaml, write_atomically
 from .messages import shortened_repr, spelling_suggestion
 
 _MAX_REPORTED_ERRORS = 5
@@ -49,6 +51,38 @@ def validate_content(
             messages.append(f"and {len(errors) - _MAX_REPORTED_ERRORS} more")
         start = f"{source}: " if str(source) else ""
         raise ValueError(start + "; ".join(dict.fromkeys(messages))) from None
+
+
+def refuse_unreadable(content: Any, schema: Schema[object], source: str | os.PathLike[str]) -> None:
+    """Raise a ValueError if a file with this content would be refused when it is read.
+
+    Args:
+        content: mappings, lists and values, as they would be read from YAML or JSON.
+        schema: through which the reader of such a file validates it.
+        source: the file that would be written, for the message.
+    """
+    try:
+        validate_content(content, schema)
+    except ValueError as error:
+        raise ValueError(f"{source}: not written, it could not be read back: {error}") from error
+
+
+def write_validated(
+    path: str | os.PathLike[str], content: Mapping[str, Any], schema: Schema[object]
+) -> Path:
+    """Write a mapping as YAML, or as JSON where the name ends in `.json`, completely or not at all.
+
+    Args:
+        path: of the file.
+        content: mappings, lists and values.
+        schema: through which the reader of such a file validates it.
+
+    Raises:
+        ValueError: the file would be refused when it is read; nothing is written.
+    """
+    refuse_unreadable(content, schema, path)
+    as_json = Path(path).suffix.lower() == ".json"
+    return write_atomically(path, dump_json(content) if as_json else dump_yaml(content))
 
 
 def _error_message(problem: Any, content: Any) -> str:

@@ -99,7 +99,7 @@ def _tag_pattern(target: TagGrid | AprilGrid) -> Pattern:
     if is_april:
         # Kalibr prints tags turned by half a turn against OpenCV's drawings.
         bits = bits[:, ::-1, ::-1]
-    gap = target.spacing * target.size if isinstance(target, AprilGrid) else target.gap
+    gap = target.spacing * target.size if isinstance(target, AprilGrid) else target.gap or 0.0
     from_bottom = isinstance(target, AprilGrid) or target.rows_from == "bottom"
     pitch = target.size + gap
     left, top = target.points[:, 0].min(), target.points[:, 1].max()

@@ -21,8 +21,8 @@ class TagGrid(AbstractTarget):
     Attributes:
         rows, columns: number of tags down and across.
         size: side of a tag's black square, m.
-        gap: distance between the black squares of neighbouring tags, m; needed
-            for more than one tag.
+        gap: distance between the black squares of neighbouring tags, m; None for a single tag,
+            while a grid needs it, because a tag is only found with white around it.
         dictionary: name of an OpenCV dictionary, such as `"DICT_APRILTAG_36h11"`.
         first_id: number of the first tag; the others follow row by row from the left.
         border_bits: width of a tag's black border in cells of its code.
@@ -32,7 +32,7 @@ class TagGrid(AbstractTarget):
     rows: int
     columns: int
     size: float
-    gap: float = 0.0
+    gap: float | None = None
     dictionary: str = "DICT_APRILTAG_36h11"
     first_id: int = 0
     border_bits: int = 1
@@ -49,11 +49,14 @@ class TagGrid(AbstractTarget):
         require_count(0, first_id=self.first_id)
         require_positive(size=self.size)
         if self.rows * self.columns > 1:
-            if self.gap == 0.0:
+            if not self.gap:
                 raise ValueError(
-                    "gap: 0 is for a single tag; a grid needs the distance between the black "
-                    "squares of neighbouring tags, in metres, because touching tags are not found"
+                    f"gap: a grid of {self.rows} x {self.columns} tags needs the distance between "
+                    "the black squares of neighbouring tags, in metres: tags that touch are not "
+                    "found"
                 )
+            require_positive(gap=self.gap)
+        elif self.gap:
             require_positive(gap=self.gap)
         if self.rows_from not in ("top", "bottom"):
             raise ValueError(f"rows_from: expected top or bottom, found {self.rows_from!r}")
@@ -65,11 +68,16 @@ class TagGrid(AbstractTarget):
         return range(self.first_id, self.first_id + self.rows * self.columns)
 
     @property
+    def pitch(self) -> float:
+        """The distance between the centres of neighbouring tags, m; of a single tag, its side."""
+        return self.size + (self.gap or 0.0)
+
+    @property
     def points(self) -> Float[np.ndarray, "points 3"]:
         """The four corners of every tag, tags row by row, m."""
         # Tag j of row i has its centre at x = (j - (columns - 1) / 2) pitch and
         # y = ((rows - 1) / 2 - i) pitch, with rows counted downwards, or the negative: y points up.
-        pitch = self.size + self.gap
+        pitch = self.pitch
         i, j = np.mgrid[0 : self.rows, 0 : self.columns]
         x = (j - 0.5 * (self.columns - 1)).ravel() * pitch
         y = (0.5 * (self.rows - 1) - i).ravel() * (pitch if self.rows_from == "top" else -pitch)

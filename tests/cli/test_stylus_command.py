@@ -71,12 +71,15 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     assert "5 of 5 are inside" in ended.stdout
     assert "): as the calibration expects" in ended.stdout
     assert max(map(len, ended.stdout.splitlines())) <= 80
-    misses.write_text("\n".join(["view,x_mm,y_mm", *(f"v{k},9,-7" for k in range(1, 6))]))
+    misses.write_text("\n".join(["view;x_mm;y_mm", *(f"v{k};9,0;-7,0" for k in range(1, 6))]))
     worse = touched(fitted, *WORDS, "--misses", str(misses))
+    seen = "misses.csv was read separated by semicolons; with a decimal comma"
+    assert f"note: {seen}" in worse.stdout
     assert "0 of 5 are inside" in worse.stdout
     assert "): more than the calibration expects" in worse.stdout
     assert "the tip's position in the tool frame" in worse.stdout
     found = json.loads(touched(fitted, *WORDS, "--misses", str(misses), "--json").stdout)
+    assert found["notes"] == [seen]
     assert found["rms_m"] == pytest.approx(np.hypot(9e-3, 7e-3))
     assert found["comparison"]["p_value"] < 0.01
     assert found["touches"][0]["distance_m"] == found["rms_m"]

@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     data = simulate(paper_calibration(), actual, BOARD.points, pixel_noise=0.15).data
     sv.save_dataset(dataclasses.replace(data, target=BOARD), path)
     rows = host_matrices(circling_commands(LOG_TIMES, BOARD.points)).reshape(-1, 16)
-    _, *columns = read_table(path / "poses.csv", ())[0]
+    _, *columns = read_table(path / "poses.csv", ()).rows[0]
     write_table(
         path / "poses.csv",
         ["time", *columns],

@@ -26,7 +26,7 @@ def all_heights(rows: list[dict[str, str]]) -> list[dict[str, str]]:
 
 def rewrite(folder, change):
     """Write the table of poses again with other rows."""
-    rows = change(read_table(folder / "poses.csv", ()))
+    rows = change(read_table(folder / "poses.csv", ()).rows)
     write_table(folder / "poses.csv", list(rows[0]), [list(row.values()) for row in rows])
 
 

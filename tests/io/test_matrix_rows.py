@@ -2,6 +2,7 @@ import shutil
 
 import numpy as np
 import pytest
+from jaxlie import SE3
 from shared_data import shared_data
 
 from smartview_jax.io import (
@@ -26,6 +27,29 @@ def test_what_is_written_is_read(tmp_path, unit):
     write_matrix_rows(tmp_path / "poses.txt", poses, unit)
     again = read_matrix_rows(tmp_path / "poses.txt", unit)
     np.testing.assert_allclose(again.as_matrix(), poses.as_matrix(), atol=1e-14)
+
+
+@pytest.mark.parametrize("separator", [" ", "\t", ";", "; ", ", "])
+@pytest.mark.parametrize("comma", [".", ","])
+def test_lines_are_written_as_several_countries_write_numbers(tmp_path, separator, comma):
+    pose = np.eye(4)
+    pose[:3, 3] = 0.5, -1.25, 2.0
+    text = separator.join(f"{x:.2f}" for x in pose.ravel())
+    if comma == "," and separator != ", ":
+        text = text.replace(".", ",").replace("-", "\u2212")
+    (tmp_path / "poses.txt").write_text(f"{text}\n" * 2, encoding="utf-16")
+    said = []
+    read = read_matrix_rows(tmp_path / "poses.txt", "m", said.append)
+    np.testing.assert_allclose(read.as_matrix(), [pose, pose], atol=1e-15)
+    assert said[0].startswith("poses.txt was read in the encoding UTF-16")
+    assert ("with a decimal comma" in said[0]) == ("\u2212" in text)
+
+
+def test_what_could_not_be_read_is_not_written(tmp_path):
+    far = SE3.from_translation(np.array([[0.0, 0.0, 200.0]]))
+    with pytest.raises(ValueError, match="millimetres given as metres"):
+        write_matrix_rows(tmp_path / "poses.txt", far, "m")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture

@@ -90,8 +90,10 @@ def test_the_round_part_of_a_cylinder_is_no_edge():
 
 def test_millimetres_are_said_not_guessed(tmp_path):
     mesh = trimesh.creation.box((60.0, 40.0, 30.0))
-    path = tmp_path / "cad.stl"
+    path = tmp_path / "# cad.stl"
     mesh.export(path)
+    # A file may be called what an object may not.
+    assert read_mesh(path, unit="mm").name == "cad"
     assert np.ptp(read_mesh(path, unit="mm").vertices, axis=0) == pytest.approx([0.06, 0.04, 0.03])
     mesh.apply_scale(10.0)
     mesh.export(path)

@@ -16,6 +16,14 @@ def test_a_table_and_a_mapping_say_the_same(tmp_path):
         np.testing.assert_allclose(read_misses(tmp_path / name, NAMES), expected)
 
 
+def test_what_was_recognised_is_said(tmp_path):
+    (tmp_path / "m.csv").write_text("view;x_mm;y_mm\nv1;0,5;-1,5\nv2;1,5;0,5\n")
+    said = []
+    found = read_misses(tmp_path / "m.csv", NAMES, said.append)
+    np.testing.assert_allclose(found, 1e-3 * np.array([[0.5, -1.5], [1.5, 0.5]]))
+    assert said == ["m.csv was read separated by semicolons; with a decimal comma"]
+
+
 def test_height_need_not_be_measured(tmp_path):
     (tmp_path / "m.csv").write_text("view,x_m,y_m\nv1,0.001,0\nv2,0,0\n")
     assert read_misses(tmp_path / "m.csv", NAMES).shape == (2, 2)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import smartview_jax as sv
+from smartview_jax.cli.load import load_views
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.io import load_object_views, write_object_views
 from smartview_jax.robots import six_axes
@@ -25,6 +26,16 @@ def test_what_is_written_is_read(folder):
     for written, read in zip(PICTURES, views.pictures, strict=True):
         np.testing.assert_array_equal(read, written)
     np.testing.assert_array_equal(host_matrices(views.base_from_tool), host_matrices(POSES))
+
+
+def test_what_was_recognised_in_the_table_is_said(folder, capsys):
+    path = folder / "poses.csv"
+    path.write_text(path.read_text().replace(",", ";"))
+    seen = ("poses.csv was read separated by semicolons",)
+    assert load_object_views(folder).notes == seen
+    names, _, _ = load_views(folder)
+    assert names == NAMES
+    assert capsys.readouterr().err.splitlines() == list(seen)
 
 
 @pytest.mark.parametrize(

@@ -35,8 +35,8 @@ def folder(scene, tmp_path):
     The camera's clock is 0.1 s behind the robot's.
     """
     sv.save_dataset(scene.data, tmp_path)
-    _, *columns = read_table(tmp_path / "poses.csv", ())[0]
-    rows = [list(row.values()) for row in read_table(tmp_path / "poses.csv", ())]
+    _, *columns = read_table(tmp_path / "poses.csv", ()).rows[0]
+    rows = [list(row.values()) for row in read_table(tmp_path / "poses.csv", ()).rows]
     times = FIRST + STEP * np.arange(VIEWS)
     logged = [[time, *row[1:]] for time, row in zip(times, rows, strict=True)]
     write_table(tmp_path / "poses.csv", ["time", *columns], logged)

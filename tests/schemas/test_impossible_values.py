@@ -1,11 +1,13 @@
 """Test that values that no camera, covariance or pose file can have are refused with words."""
 
+import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from smartview_jax.schemas.calibration import PinholeEntry, UncertaintyEntry
 from smartview_jax.schemas.external_formats import VISP_CAMERA_SCHEMA, VISP_POSE_SCHEMA
 from smartview_jax.targets import TagGrid
+from smartview_jax.targets.serialization import target_from_dict, target_to_dict
 
 VISP = {"image_width": 640, "image_height": 480, "u0": 320.0, "v0": 240.0}
 REST = {"pixel_sigma": 0.1, "smallest_singular_value": 1.0}
@@ -47,6 +49,10 @@ def test_unknown_entries_of_a_visp_pose_are_refused():
         VISP_POSE_SCHEMA.validate_python({"data": data, "unit": "mm"})
 
 
-def test_the_gap_of_a_single_tag_is_explained_to_a_grid():
-    with pytest.raises(ValueError, match="0 is for a single tag"):
-        TagGrid(2, 3, 0.04)
+@pytest.mark.parametrize("gap", [{}, {"gap": 0.0}, {"gap": None}])
+def test_a_grid_of_tags_needs_a_gap_and_a_single_tag_none(gap):
+    with pytest.raises(ValueError, match="a grid of 2 x 3 tags needs the distance between"):
+        TagGrid(2, 3, 0.04, **gap)
+    single = TagGrid(1, 1, 0.04, **gap)
+    assert target_from_dict(target_to_dict(single)) == single
+    np.testing.assert_array_equal(single.points, TagGrid(1, 1, 0.04, 0.01).points)

@@ -82,7 +82,7 @@ class Editor {
       if (button?.dataset.do) this.command(button.dataset.do);
       if (event.target.closest(".sv-help")) this.find(".sv-help").hidden = true;
     });
-    this.find(".sv-name").addEventListener("change", (event) => { this.change({ do: "rename", name: event.target.value }); this.root.focus(); });
+    this.find(".sv-name").addEventListener("change", (event) => { this.change({ do: "rename", name: event.target.value.trim() }); this.root.focus(); });
     this.root.ownerDocument.addEventListener("keydown", (event) => this.key(event));
     this.root.ownerDocument.addEventListener("keyup", (event) => { if (event.code === "Space") this.space = false; });
     this.use("point");
@@ -223,7 +223,7 @@ class Editor {
     this.offerFacts(box, chosen);
     for (const button of box.querySelectorAll("[data-change]")) button.onclick = () => this.change(JSON.parse(button.dataset.change));
     for (const input of box.querySelectorAll("[data-key]")) {
-      input.onchange = () => this.change({ ...JSON.parse(input.dataset.ask), [input.dataset.key]: input.dataset.mm ? input.value / 1000 : input.value });
+      input.onchange = () => this.change({ ...JSON.parse(input.dataset.ask), [input.dataset.key]: input.dataset.mm ? input.value / 1000 : input.value.trim() });
     }
   }
 

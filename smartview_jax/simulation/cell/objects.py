@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
+from ...argument_checks import require_readable
 from ..polyhedra import Polyhedron, face_normal, loop_pairs
 from ..textures import Texture, speckled
 
@@ -41,9 +42,11 @@ class CellObject:
         """Check the numbers.
 
         Raises:
-            ValueError: vertices that are not finite or not in metres, a density or friction that is
-                not positive, or a solid that cannot be cut; the message names the object.
+            ValueError: a name that no file could hold, vertices that are not finite or not in
+                metres, a density or friction that is not positive, or a solid that cannot be cut;
+                the message names the object.
         """
+        require_readable("object", [self.name])
         vertices = self.solid.vertices
         extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
         if not (np.isfinite(vertices).all() and 0.0 < extent <= MAX_OBJECT_SIZE):

@@ -1,0 +1,348 @@
+"""Odd names are read back equal from every file, or refused before anything is written.
+
+Every function of the package that writes a file is in `WRITERS`, with the pair of a writer and a
+reader that tests it, or with the reason why no name that a user gives is in its file.
+"""
+
+import ast
+import json
+import shutil
+
+import numpy as np
+import pytest
+from test_layers import FILES, PACKAGE, tree_of
+
+import smartview_jax as sv
+from smartview_jax.detection import Detection
+from smartview_jax.editor.document import Document, apply_change
+from smartview_jax.editor.edit_history import EditHistory
+from smartview_jax.files import read_yaml, write_atomically
+from smartview_jax.geometry import host_transforms
+from smartview_jax.io import (
+    import_correspondences,
+    load_object_model,
+    load_object_views,
+    load_pose_log,
+    read_misses,
+    read_viewpoints,
+    ros_camera_info,
+    save_object_model,
+    write_dataset_folder,
+    write_object_views,
+    write_viewpoints,
+)
+from smartview_jax.io.csv_tables import write_table
+from smartview_jax.io.detections import KeptDetection, read_kept_detections, write_kept_detections
+from smartview_jax.io.poses import read_poses
+from smartview_jax.modeling import Face, Grasp, ObjectModel
+from smartview_jax.robots import kuka_lwr4
+from smartview_jax.simulation import paper_calibration
+from smartview_jax.targets import CircleGrid
+
+REFUSED = [
+    "",
+    " ",
+    "a\tb",
+    "a\nb",
+    "a\r\nb",
+    "a\xa0b",
+    "a\u2028b",
+    "a\u200fb",
+    "a\0b",
+    "\ud800",
+    " a",
+    "a ",
+    "x" * 201,
+    "\U0001f600" * 100,
+    "#c",
+    "../../y",
+    "a\\..\\b",
+    "a/../../../b",
+    "/tmp/y",
+    "\\\\host\\y",
+    "C:y",
+    "a//b",
+    "a/./b",
+    "a/",
+]
+KEPT = [
+    *"a,b a;b null Null ~ 1e3 1_000 .5 0x1f 1:30 yes no on 001 -1 nan inf x.png x.jpg.png".split(),
+    *"CON true 2001-01-01 = << {view} {0} [red] [/b] * ? %s $HOME & | > ` @ ! <!--<script>".split(),
+    *'v1.0 ... a/b a\\b view é 日本 it\'s a\'b " \'\' "" "q" a"b { [ =1+1'.split(),
+    *("a, b", "a b", "- a", "ab: c", "a #b", "\U0001f600", "x" * 200),
+]
+
+TARGET = CircleGrid(3, 4, 0.01)
+ARM = kuka_lwr4()
+JOINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 7))
+PIXELS = 100.0 + 3000.0 * TARGET.points[:, :2] + np.array([0.0, 40.0, 90.0])[:, None, None]
+POSES = np.asarray(ARM.base_from_tool(JOINTS).as_matrix())
+MATRIX = [f"m{i}{j}" for i in range(4) for j in range(4)]
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.1
+
+
+def data(name):
+    """A data set with a name that its own check did not see."""
+    plain = sv.Dataset.from_arrays(
+        TARGET.points, PIXELS, POSES, (640, 480), target=TARGET, joints=JOINTS, arm=ARM
+    )
+    object.__setattr__(plain, "view_ids", (name, "other", "third"))
+    return plain
+
+
+def model(name, part):
+    """A model of one face and grasp, with a part whose name its own check did not see."""
+    grasp = Grasp("a grasp", 0, np.eye(4), 0.05, 0.0, 0.01)
+    made = ObjectModel(CORNERS, faces=(Face((0, 1, 2, 3)),), grasps=(grasp,))
+    parts = {"object": made, "face": made.faces[0], "grasp": grasp}
+    object.__setattr__(parts[part], "name", name)
+    return made
+
+
+def dataset_folder(folder, name):
+    sv.save_dataset(data(name), folder)
+    return sv.load_dataset(folder).view_ids[0]
+
+
+def description(folder, name):
+    pictures = {"pictures": {"pattern": "images/{view}.png"}}
+    poses = host_transforms(POSES)
+    write_dataset_folder(folder, _views(name), poses, (640, 480), TARGET, "eye_in_hand", pictures)
+    entry = read_yaml(folder / "dataset.yaml")["poses"]
+    return read_poses(folder, entry, "raise").view_ids[0]
+
+
+def kept_detections(folder, name):
+    path, visible = folder / "detections.csv", np.ones(len(TARGET.points), bool)
+    found = KeptDetection("a1", Detection(PIXELS[0], visible, None))
+    nothing = KeptDetection("b2", Detection(np.full_like(PIXELS[0], np.nan), ~visible, "dark"))
+    for detection in (found, nothing):
+        write_kept_detections(path, {name: detection})
+        (view,) = read_kept_detections(path, [name], len(TARGET.points)) or [None]
+        if view != name:
+            return view
+    return name
+
+
+def object_views(folder, name):
+    pictures = [np.full((12, 16), k, np.uint8) for k in range(3)]
+    write_object_views(folder, [name, "other", "third"], pictures, POSES, joints=JOINTS, arm=ARM)
+    return load_object_views(folder).view_ids[0]
+
+
+def viewpoints(suffix):
+    def written_and_read(folder, name):
+        path = folder / f"views{suffix}"
+        write_viewpoints(path, host_transforms(POSES[:2]), [name, "other"], JOINTS[:2])
+        return read_viewpoints(path).names[0]
+
+    return written_and_read
+
+
+def val_program(folder, name):
+    """VAL has names of its own; nothing but such a name gets into a program."""
+    path = folder / "views.val"
+    write_viewpoints(path, host_transforms(POSES[:2]), [name, "other"])
+    return path.read_text().splitlines()[0].split()[1]
+
+
+def object_model(part):
+    def written_and_read(folder, name):
+        save_object_model(model(name, part), folder / "model.json")
+        read = load_object_model(folder / "model.json")
+        return {"object": read, "face": read.faces[0], "grasp": read.grasps[0]}[part].name
+
+    return written_and_read
+
+
+def calibration(suffix):
+    def written_and_read(folder, name):
+        path = folder / f"calibration{suffix}"
+        paper_calibration().save(path, run=name, source="\u2028\x85 1e3")
+        sv.Calibration.load(path)
+        return read_yaml(path)["run"]
+
+    return written_and_read
+
+
+def camera_info(folder, name):
+    path = folder / "camera.yaml"
+    write_atomically(path, ros_camera_info(paper_calibration(), name))
+    return read_yaml(path)["camera_name"]
+
+
+def misses(folder, name):
+    path = folder / "misses.csv"
+    write_table(path, ("view", "x_mm", "y_mm"), [(name, 0.5, 0.25)])
+    read_misses(path, [name])
+    return name
+
+
+def correspondences(folder, name):
+    poses = zip(_views(name), POSES, strict=True)
+    rows = [[view, *map(float, pose.ravel())] for view, pose in poses]
+    write_table(folder / "poses.csv", ("view", *MATRIX), rows)
+    corners = [
+        (view, *map(float, point), *map(float, pixel))
+        for view, pixels in zip(_views(name), PIXELS, strict=True)
+        for point, pixel in zip(TARGET.points, pixels, strict=True)
+    ]
+    write_table(folder / "corners.csv", ("view", "X", "Y", "Z", "u", "v"), corners)
+    read = import_correspondences(folder / "poses.csv", folder / "corners.csv", (640, 480))
+    return read.view_ids[0]
+
+
+def _views(name):
+    return (name, "other", "third")
+
+
+def picture_times(folder, name):
+    write_table(folder / "times.csv", ("view", "time"), [(name, 0.5)])
+    rows = [[0.1 * k, *map(float, POSES[0].ravel())] for k in range(10)]
+    write_table(folder / "poses.csv", ("time", *MATRIX), rows)
+    write_atomically(
+        folder / "dataset.yaml",
+        "smartview_dataset: 1\ncamera: {image_size: [640, 480]}\n"
+        "target: {kind: chessboard, rows: 9, columns: 6, square: 0.01}\n"
+        "poses: {file: poses.csv, picture_times: times.csv, codec: matrix, length_unit: m, "
+        "angle_unit: rad, direction: base_from_tool}\n",
+    )
+    return load_pose_log(folder).view_ids[0]
+
+
+def journal(folder, name):
+    change = {"do": "rename", "name": name}
+    changed = apply_change(Document(), change)
+    history = EditHistory(folder / "model.json", {"views": ["v1"]})
+    history.change(change, changed)
+    history.close()
+    history = EditHistory(folder / "model.json", {"views": ["v1"]})
+    history.close()
+    return history.document.name
+
+
+PAIRS = {
+    "data set": dataset_folder,
+    "description": description,
+    "kept detections": kept_detections,
+    "object views": object_views,
+    "viewpoints in CSV": viewpoints(".csv"),
+    "viewpoints in JSON": viewpoints(".json"),
+    "VAL": val_program,
+    "object": object_model("object"),
+    "face": object_model("face"),
+    "grasp": object_model("grasp"),
+    "calibration in YAML": calibration(".yaml"),
+    "calibration in JSON": calibration(".json"),
+    "camera_info": camera_info,
+    "misses": misses,
+    "correspondences": correspondences,
+    "times of pictures": picture_times,
+    "journal": journal,
+}
+
+MAY_BE_EMPTY = {"object", "face", "grasp", "journal"}
+"""A face may have no name; the editor's document is one of an object."""
+
+WRITERS = {
+    "calibration/calibration.py save": "calibration in YAML",
+    "io/csv_tables.py write_table": "misses",
+    "io/dataset_folder.py write_dataset_folder": "description",
+    "io/detections.py write_detections": "data set",
+    "io/detections.py write_kept_detections": "kept detections",
+    "io/easy_handeye.py write_easy_handeye": "(poses only)",
+    "io/joints.py write_joints": "data set",
+    "io/matrix_rows.py write_matrix_rows": "(poses only)",
+    "io/meshes.py write_mesh": "(triangles only)",
+    "io/new_dataset.py write_new_dataset": "(a table without rows)",
+    "io/object_models.py save_object_model": "object",
+    "io/object_views.py write_object_views": "object views",
+    "io/poses.py write_poses": "data set",
+    "io/viewpoints.py write_viewpoints": "viewpoints in JSON",
+    "io/visp.py write_visp_pose": "(one pose)",
+    "picking/demo.py run_demo": "(the package's own)",
+    "program_store/store.py _write_program": "(programs)",
+    "program_store/store.py _write_trace": "(programs)",
+    "report/page.py write_page": "(a page is not read back)",
+    "report/story.py write_story": "(a page is not read back)",
+    "schemas/validation.py write_validated": "description",
+    "simulation/object_example.py write_object_example": "(the package's own)",
+    "simulation/render.py write_pictures": "(the package's own)",
+}
+"""Every function that writes a whole file, with the pair that tests it, or why it has no name."""
+
+WRITING = {"write_atomically", "write_validated", "write_table", "write_text", "write_bytes"}
+
+
+def writers():
+    """The functions of the package that write files, by file and name."""
+    for file in FILES:
+        functions = (node for node in ast.walk(tree_of(file)) if isinstance(node, ast.FunctionDef))
+        for node in functions if "write_" in file.read_text(encoding="utf-8") else ():
+            calls = (call.func for call in ast.walk(node) if isinstance(call, ast.Call))
+            names = {getattr(func, "id", getattr(func, "attr", None)) for func in calls}
+            if names & WRITING and node.name not in WRITING - {"write_table", "write_validated"}:
+                yield f"{file.relative_to(PACKAGE).as_posix()} {node.name}"
+
+
+def files_in(folder):
+    return {path for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder so deep that a name that leads out of it still leads to what the test looks at."""
+    folder = tmp_path / "one" / "two" / "three"
+    folder.mkdir(parents=True)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_names_are_read_back_or_refused_and_nothing_is_written(place, tmp_path, pair):
+    wrong = []
+    for number, name in enumerate([*REFUSED, *KEPT]):
+        if not name and pair in MAY_BE_EMPTY:
+            continue
+        folder = place / str(number)
+        try:
+            read = PAIRS[pair](folder, name)
+        except ValueError as error:
+            named = repr(name[:60])[1:-1] in str(error) or name in str(error)
+            if files_in(tmp_path) or not named:
+                wrong.append((name, f"refused after writing, or not named: {error}"))
+            if name in KEPT and pair != "VAL":
+                wrong.append((name, f"refused: {error}"))
+            continue
+        if read != name:
+            wrong.append((name, f"read as {read!r}"))
+        if name in REFUSED:
+            wrong.append((name, "accepted"))
+        outside = [path for path in files_in(tmp_path) if folder not in path.parents]
+        if outside:
+            wrong.append((name, f"written outside of the folder: {outside}"))
+        shutil.rmtree(folder)
+    assert not wrong, "\n".join(f"{name!r}: {problem}" for name, problem in wrong[:5])
+
+
+def test_every_writer_is_tested_or_has_no_names():
+    found = set(writers())
+    assert found == set(WRITERS), (found - set(WRITERS), set(WRITERS) - found)
+    assert {pair for pair in WRITERS.values() if not pair.startswith("(")} <= set(PAIRS)
+
+
+def test_names_of_earlier_versions_are_read_as_the_nearest(tmp_path):
+    """An object's file and an editor's journal took any printable text."""
+    path = tmp_path / "model.json"
+    save_object_model(model("a face", "face"), path)
+    for old, new in ((" top ", "top"), ("#1", "1"), ("", ""), ("../x", "x"), ("..", "")):
+        text = path.read_text().replace('"name": "a face"', f'"name": {json.dumps(old)}')
+        (tmp_path / "old.json").write_text(text)
+        assert load_object_model(tmp_path / "old.json").faces[0].name == new
+    change = {"do": "several", "changes": [{"do": "rename", "name": " #1 "}]}
+    entries = [{"smartview_journal": 1, "views": ["v1"]}, change]
+    lines = "".join(json.dumps(entry) + "\n" for entry in entries)
+    (tmp_path / "drawn.json.journal").write_text(lines)
+    history = EditHistory(tmp_path / "drawn.json", {"views": ["v1"]})
+    history.close()
+    assert history.document.name == "1"
