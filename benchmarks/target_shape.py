@@ -33,7 +33,7 @@ BOWS = (0.0, 1e-4, 2e-4, 3e-4)
 """Heights of the board's edge over its middle, m."""
 
 LENS_TERMS = (1.5, 4.0)
-"""Seventh-order terms of the true lens, which the fitted one lacks: 0.05 and 0.09 px RMS are left."""
+"""Seventh-order terms of the true lens that the fitted one lacks; 0.05 and 0.09 px RMS are left."""
 
 VIEWS, SEEDS = (8, 15, 30), 20
 PIXEL_NOISE, TRANSLATION_NOISE, ROTATION_NOISE = 0.1, 5e-5, float(np.deg2rad(0.005))

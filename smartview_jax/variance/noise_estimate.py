@@ -14,6 +14,7 @@ from .kenward_roger import SmallSampleCorrection
 from .lens_terms import LensEvidence
 from .model_selection import TARGET_SCALE, ModelName
 
+
 class CandidateResult(NamedTuple):
     """A model of the robot error that was tried.
 
