@@ -1,21 +1,25 @@
 """A chessboard in eight simulated views, calibrated by the command once for all tests.
 
-Other scenes of tests that fit have as many views and points, or as many after padding: they are
-then fitted by programs that are compiled already.
+The scenes of `fit_scenes` have as many views, points and lens parameters, some after padding: one
+set of programs fits them all.
 """
 
 import json
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from once_a_run import made_once
 from typer.testing import CliRunner
 
 from smartview_jax.cli import app
+from smartview_jax.io import save_dataset
+from smartview_jax.simulation import random_target_scene
 from smartview_jax.targets import Chessboard
 
-BOARD = Chessboard(9, 6, 0.004)
-"""What `smartview simulate` shows to the camera: 54 points."""
+BOARD = Chessboard(5, 3, 0.008)
+
+LENS = ("--lens", "radial")
 
 VIEWS = 8
 
@@ -50,8 +54,10 @@ def board_folder(tmp_path_factory):
     """The simulated data set, which is only to be read."""
 
     def make(path):
-        ended = run("simulate", path, "--views", VIEWS, "--seed", 2)
-        assert ended.exit_code == 0, ended.output
+        noise = {"translation_noise": 1e-4, "rotation_noise": np.deg2rad(0.01)}
+        scene = random_target_scene(2, VIEWS, BOARD, **noise)
+        save_dataset(scene.data, path)
+        scene.calibration.save(path / "truth.yaml", source="simulated")
 
     return made_once(tmp_path_factory, "board", make)
 
@@ -61,7 +67,7 @@ def calibrated_board(tmp_path_factory):
     data = board_folder(tmp_path_factory)
 
     def make(path):
-        ended = run("calibrate", data, "--out", path, "--json")
+        ended = run("calibrate", data, *LENS, "--out", path, "--json")
         assert ended.exit_code == 0, ended.output
         (path / "said.json").write_text(json.dumps([ended.stdout, ended.stderr]))
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from board_scene import board_folder
+from board_scene import LENS, board_folder
 from detected_sample import copied_views, detected_sample
 from main_job import main_job
 from typer.testing import CliRunner
@@ -237,7 +237,7 @@ def test_poses_the_wrong_way_round_are_named(tmp_path_factory, tmp_path):
     folder = shutil.copytree(board_folder(tmp_path_factory), tmp_path / "data")
     text = (folder / "dataset.yaml").read_text()
     (folder / "dataset.yaml").write_text(text.replace("base_from_tool", "tool_from_base"))
-    run = RUNNER.invoke(app, ["calibrate", str(folder), "--out", str(tmp_path / "out")])
+    run = RUNNER.invoke(app, ["calibrate", str(folder), *LENS, "--out", str(tmp_path / "out")])
     assert run.exit_code == 2
     assert "every pose is inverted" in run.stderr
     assert not (tmp_path / "out").exists()

@@ -53,18 +53,18 @@ def test_equal_poses_are_a_problem(folder):
 
 
 def test_two_rows_that_were_exchanged_are_doubted(folder):
-    repeat_rows(folder, [0, 1, 5, 3, 4, 2, 6, 7])
+    repeat_rows(folder, [0, 1, 2, 6, 4, 5, 3, 7])
     ended = run("check", folder)
     assert ended.exit_code == 0, ended.output
-    assert "doubt: view 2: its rotation differs from the robot's by " in ended.output
-    assert "doubt: view 5: its rotation differs from the robot's by " in ended.output
+    assert "doubt: view 3: its rotation differs from the robot's by " in ended.output
+    assert "doubt: view 6: its rotation differs from the robot's by " in ended.output
     assert "camera and robot agree, but for these doubts: " in ended.output
 
 
 def test_a_target_of_twice_its_size_is_doubted(folder):
     described = (folder / "dataset.yaml").read_text()
-    assert "0.004" in described
-    (folder / "dataset.yaml").write_text(described.replace("0.004", "0.008"))
+    assert "0.008" in described
+    (folder / "dataset.yaml").write_text(described.replace("0.008", "0.016"))
     ended = run("check", folder)
     assert ended.exit_code == 0, ended.output
     assert re.search(r"is the target 0\.(49|50?)\d* times as large as stated\?", ended.output)
@@ -72,7 +72,7 @@ def test_a_target_of_twice_its_size_is_doubted(folder):
 
 def test_a_single_tag_can_begin_with_a_known_camera(tmp_path):
     scene = random_scene(1, VIEWS, BOARD.points)
-    others = np.setdiff1d(np.arange(54), [0, 8, 45, 53])
+    others = np.setdiff1d(np.arange(15), [0, 4, 10, 14])
     seen = dataclasses.replace(
         scene.data, pixels=scene.data.pixels.at[:, others].set(jnp.nan), target=BOARD
     )

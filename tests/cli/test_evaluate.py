@@ -66,7 +66,7 @@ def test_the_errors_are_those_of_the_library(board, evaluated, data):
     errors = reprojection_errors(Calibration.load(board.calibration), data)
     assert f"{errors.mean:.2f} +- {errors.std:.2f} px" in output
     assert f"{errors.rms:.2f} px RMS, {errors.rms_mm:.2f} mm at the target" in output
-    assert "432, 8" in output
+    assert "120, 8" in output
 
 
 def test_two_calibrations_stand_side_by_side(evaluated):

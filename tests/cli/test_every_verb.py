@@ -33,13 +33,13 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("calibrate", "data --no-held-out --out result", 0, "result/calibration.yaml: the"),
+    Case("calibrate", "data --lens radial --no-held-out --out result", 0, "result/calibration.yaml: the"),
     Case("calibrate", "nowhere", 2, "nowhere: no such folder"),
     Case("calibrate", "data --lens glass", 2, "lens is one of"),
     Case("check", "data", 0, "camera and robot agree: smartview calibrate can begin"),
     Case("check", "inverted", 1, "problem: "),
     Case("check", "nowhere", 2, "nowhere: no such folder"),
-    Case("compare", "data", 0, "on views that no fit saw"),
+    Case("compare", "data --lens radial", 0, "on views that no fit saw"),
     Case("compare", "nowhere", 2, "nowhere: no such folder"),
     Case("demo", "--out demo", 0, "in the hand after the lift: yes"),
     Case("demo", "--out demo --seed 13", 1, "in the hand after the lift: no demo/page: the"),

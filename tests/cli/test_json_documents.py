@@ -144,7 +144,7 @@ def test_a_check_has_the_figures_and_the_problems(folder):
     positions = np.asarray(data.base_from_tool.translation())
     assert content["tool_extent_mm"] == pytest.approx(list(1e3 * np.ptp(positions, axis=0)))
     assert content["usable_views"] == content["views"] == VIEWS
-    assert content["points_per_view"] == {"least": 54, "greatest": 54, "median": 54.0}
+    assert content["points_per_view"] == {"least": 15, "greatest": 15, "median": 15.0}
     rotations = data.base_from_tool.rotation()
     angles = [
         np.linalg.norm(np.asarray((rotations.inverse() @ type(rotations)(one)).log()), axis=1)

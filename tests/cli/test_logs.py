@@ -26,7 +26,7 @@ def test_verbose_names_the_module_and_leaves_stdout_alone(tmp_path_factory):
     quiet, told = (run(*words, "check", folder, "--json") for words in ((), ("-v",)))
     assert quiet.exit_code == told.exit_code == 0, told.output
     assert "smartview_jax." not in quiet.stderr
-    line = r"^ *\d+ ms  smartview_jax\.io\.load: .*board: 8 views, 432 points, 0 masked$"
+    line = r"^ *\d+ ms  smartview_jax\.io\.load: .*board: 8 views, 120 points, 0 masked$"
     assert re.search(line, told.stderr, re.MULTILINE)
     assert re.search(
         r"smartview_jax\.staged\.fit: Step 2: 0\.\d+ px RMS", told.stderr, re.MULTILINE

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from board_scene import BOARD, VIEWS, board_folder, run
+from board_scene import BOARD, LENS, VIEWS, board_folder, run
 from jaxlie import SE3
 from moving_camera import circling_commands
 
@@ -57,12 +57,12 @@ def test_the_offset_is_estimated_and_said(folder, tmp_path, monkeypatch):
         return TimeOffset(OFFSET, 1e-3, corrected, Noise(0.15, 1e-4, 1e-4))
 
     monkeypatch.setattr("smartview_jax.time_offset.estimate_time_offset", known)
-    ended = run("calibrate", folder, "--time-offset", "--no-held-out", "--out", tmp_path)
+    ended = run("calibrate", folder, *LENS, "--time-offset", "--no-held-out", "--out", tmp_path)
     assert ended.exit_code == 0, ended.output
     ((log_times, picture_times, lens),) = asked
     np.testing.assert_allclose(log_times, LOG_TIMES, atol=1e-12)
     np.testing.assert_allclose(picture_times, TIMES - OFFSET, atol=1e-12)
-    assert lens == "opencv4"
+    assert lens == "radial"
     text = " ".join(ended.output.split())
     assert "robot's clock minus camera's: 60.00 +- 1.96 ms" in text
     assert "(in dataset.yaml: poses.time_offset: 0.060000" in text
