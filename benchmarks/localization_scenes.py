@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
-from smartview_jax.compilation import compiled
 from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import Face, ObjectModel, find_symmetry
+from smartview_jax.runtime.compilation import compiled
 from smartview_jax.simulation import (
     Polyhedron,
     SolidScene,

@@ -43,7 +43,7 @@ Glossary:
 
 import lazy_loader as _lazy_loader
 
-from .double_precision import enable_double_precision as _enable_double_precision
+from .runtime.double_precision import enable_double_precision as _enable_double_precision
 
 _enable_double_precision()
 

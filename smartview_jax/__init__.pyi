@@ -2,8 +2,6 @@ from . import arm_identification as arm_identification
 from . import calibration as calibration
 from . import calibration_pipeline as calibration_pipeline
 from . import cameras as cameras
-from . import compilation as compilation
-from . import compilation_cache as compilation_cache
 from . import dataset as dataset
 from . import detection as detection
 from . import editor as editor
@@ -64,6 +62,8 @@ from .localization import Localization as Localization
 from .localization import localize as localize
 from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
+from .runtime import compilation as compilation
+from .runtime import compilation_cache as compilation_cache
 from .staged import StagedFit as StagedFit
 from .staged import fit_staged as fit_staged
 from .time_offset import estimate_time_offset as estimate_time_offset

@@ -13,7 +13,6 @@ from jaxtyping import Array, Bool, Float
 from .argument_checks import require_instance
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
-from .compilation import refuse_traced
 from .dataset import Dataset, chain_residuals, given_places, repetition_warnings
 from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, Prior, parameter_names
 from .fit_result import FitResult, Rejection
@@ -28,6 +27,7 @@ from .joint import (
     precompile,
 )
 from .robot_errors import RobotError
+from .runtime.compilation import refuse_traced
 from .staged import (
     StagedFit,
     check_start,

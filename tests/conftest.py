@@ -38,7 +38,7 @@ threadpool_limits(limits=1, user_api="blas")
 check_public_signatures()
 
 # Only now: what is imported before is not checked.
-from smartview_jax.program_store import forget_programs  # noqa: E402
+from smartview_jax.runtime.program_store import forget_programs  # noqa: E402
 
 # The strictest JAX: silent promotion of types or ranks is an error here.
 jax.config.update("jax_enable_x64", True)

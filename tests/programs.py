@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import jax
 
-from smartview_jax.program_store import READ_EVENT
+from smartview_jax.runtime.program_store import READ_EVENT
 
 NEW_PROGRAM = ("/jax/core/compile/backend_compile_duration", READ_EVENT)
 

@@ -18,29 +18,25 @@ import smartview_jax
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
-# From the ground floor up; `argument_checks` refuses what is of a wrong kind, `array_namespace`
-# tells NumPy from JAX, `padding` which sizes programs are compiled for, `blas_threads` says on how
-# many cores NumPy computes, `double_precision` what JAX counts in, `compilation`,
-# `compilation_cache` and `program_store` how programs are compiled and kept,
-# `extras` how optional packages are imported, `files` only how files are read and written,
-# `fit_result` how any fit ended, `schemas` what may stand in a file, `interrupts` how Ctrl-C ends a
-# run.
+# From the ground floor up; `argument_checks` refuses what is of a wrong kind, `files` says only how
+# files are read and written, `runtime` how programs are compiled, kept and interrupted, `extras`
+# how optional packages are imported, `fit_result` how any fit ended, `schemas` what may stand in a
+# file.
 FLOORS = """
-    argument_checks double_precision array_namespace padding blas_threads version files
-    compilation_cache program_store compilation extras fit_result
+    argument_checks version files runtime extras fit_result
     schemas geometry cameras targets robots robot_errors calibration dataset detection staged engine
     variance joint arm_identification
     calibration_pipeline time_offset evaluation viewpoints features modeling io simulation
-    localization grasping plots report editor picking interrupts cli
+    localization grasping plots report editor picking cli
 """.split()
 
 NO_OPENCV = """
-    compilation geometry cameras targets robots robot_errors calibration dataset staged engine
+    runtime geometry cameras targets robots robot_errors calibration dataset staged engine
     variance joint arm_identification viewpoints modeling localization
 """.split()
 
-NO_FACE = {"schemas"}
-"""Its files import pydantic, each only where a file of its kind is read; one face would always."""
+NO_FACE = {"schemas", "runtime"}
+"""A face would import what one of their files needs: pydantic for each kind of file, JAX."""
 
 LARGEST_SHARE = 0.15
 """Of the package's lines in one room: beyond it a room is two that nobody told apart."""

@@ -19,10 +19,10 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
-from ..compilation import compiled
 from ..geometry import PoseLike, as_se3
 from ..robots import JointsLike, SerialArm, arm_from_axes
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from .initial_axes import ProductOfExponentials, axes_from_arm, axes_from_motions
 
 MAX_STEPS = 200

@@ -20,9 +20,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from ..array_namespace import AnyArray, as_float_array
 from ..cameras import AbstractLens, Camera
-from ..compilation import compiled, is_traced
 from ..files import read_yaml
 from ..geometry import (
     PoseLike,
@@ -32,9 +30,11 @@ from ..geometry import (
     transform_points,
     transform_text,
 )
-from ..padding import over_padded_views, padded_counts, repeat_last, without_padding
 from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
+from ..runtime.array_namespace import AnyArray, as_float_array
+from ..runtime.compilation import compiled, is_traced
+from ..runtime.padding import over_padded_views, padded_counts, repeat_last, without_padding
 from .chain import chain_matrices, chain_of_transforms
 from .file_content import content_of, parts_of
 from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names

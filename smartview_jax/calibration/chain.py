@@ -3,9 +3,9 @@
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..compilation import compiled
 from ..robot_errors import RobotError
 from ..robots import Command
+from ..runtime.compilation import compiled
 from .mount import mount_from_holder
 
 

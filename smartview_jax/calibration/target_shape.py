@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import AnyArray, array_namespace, as_float_array, to_device
-from ..compilation import is_traced
+from ..runtime.array_namespace import AnyArray, array_namespace, as_float_array, to_device
+from ..runtime.compilation import is_traced
 
 SHAPE_NAMES = ("bow_x", "bow_xy", "bow_y", "aspect", "shear")
 """Names of the coefficients."""

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import AnyArray, as_float_array
-from ..compilation import is_traced, one_program
+from ..runtime.array_namespace import AnyArray, as_float_array
+from ..runtime.compilation import is_traced, one_program
 from .lens import AbstractLens
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array
+from ..runtime.array_namespace import as_float_array
 from .bisection import bisected, end_of_increase
 from .lens import AbstractLens
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array
+from ..runtime.array_namespace import as_float_array
 from .lens import AbstractPerspectiveLens
 
 

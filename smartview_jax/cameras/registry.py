@@ -3,7 +3,7 @@
 import equinox as eqx
 import numpy as np
 
-from ..array_namespace import as_float_array
+from ..runtime.array_namespace import as_float_array
 from ..schemas.messages import spelling_suggestion
 from .fisheye import Fisheye
 from .lens import AbstractLens

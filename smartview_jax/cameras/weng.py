@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array
+from ..runtime.array_namespace import as_float_array
 from .implicit import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 

@@ -125,7 +125,7 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
     """Return the model with the joint readings near which inverse kinematics looks for views."""
     import equinox as eqx
 
-    from ..array_namespace import to_device
+    from ..runtime.array_namespace import to_device
 
     # A calibration of an arm's joints has its readings already.
     if readings is None or model.near is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ..interrupts import (
+from ..runtime.interrupts import (
     INTERRUPT_EXIT_CODE,
     INTERRUPT_MESSAGE,
     interrupt_listener,

@@ -11,11 +11,11 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import mount_frames
-from ..compilation import refuse_traced
 from ..geometry import PoseLike, as_se3, check_rigid
 from ..robots import Command, SerialArm
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import refuse_traced
 from .input_checks import (
     check_forward_kinematics,
     checked_view_ids,

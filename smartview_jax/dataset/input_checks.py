@@ -7,9 +7,9 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import require_distinct, require_readable
-from ..compilation import compiled
 from ..geometry import PoseLike, host_matrices
 from ..robots import SerialArm
+from ..runtime.compilation import compiled
 
 FORWARD_KINEMATICS_TOLERANCE = (1e-3, np.deg2rad(0.1))
 """Largest difference (m, rad) of reported poses from the arm's forward kinematics."""

@@ -7,13 +7,13 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import AnyArray
 from ..calibration import Calibration, TargetShape
 from ..cameras import Camera
-from ..compilation import compiled, is_traced
 from ..geometry import transformed_coordinates
-from ..padding import padded_counts, repeat_last, without_padding
 from ..robots import Command
+from ..runtime.array_namespace import AnyArray
+from ..runtime.compilation import compiled, is_traced
+from ..runtime.padding import padded_counts, repeat_last, without_padding
 
 
 class Observations(eqx.Module):

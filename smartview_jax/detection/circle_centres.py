@@ -21,8 +21,8 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import circle_centre_bias
-from ..compilation import compiled_optimised
 from ..dataset import Dataset, Observations
+from ..runtime.compilation import compiled_optimised
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
 
 

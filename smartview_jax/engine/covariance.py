@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..array_namespace import AnyArray, AnyScalar, array_namespace
+from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
 from .problem import JointProblem
 from .schur import BlockArrow
 

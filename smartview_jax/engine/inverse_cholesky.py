@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 
-from ..array_namespace import AnyArray, array_namespace
+from ..runtime.array_namespace import AnyArray, array_namespace
 
 _cholesky, _invert_triangular = get_lapack_funcs(("potrf", "trtri"))
 

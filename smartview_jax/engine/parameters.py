@@ -25,10 +25,10 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
+from ..runtime.array_namespace import to_device
 
 _AXES = ("x", "y", "z")
 POSE_CORRECTIONS = "pose_corrections"

@@ -12,8 +12,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ..array_namespace import AnyScalar, array_namespace, as_float_array
 from ..dataset import view_residuals
+from ..runtime.array_namespace import AnyScalar, array_namespace, as_float_array
 from .parameters import Step
 from .problem import FittedChain, JointProblem, NormalEquations
 from .solver import Solution

@@ -17,11 +17,11 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..compilation import compiled
 from ..geometry import host_exponentials, host_matrices, host_transforms
-from ..padding import over_padded_views
 from ..robot_errors import AbstractField, RobotError, nominal_arm
 from ..robots import Command
+from ..runtime.compilation import compiled
+from ..runtime.padding import over_padded_views
 
 JOINT_DAMPING = 1e-2
 """Damping of the joints' motion that undoes the noise of a pose, in m and rad per radian."""

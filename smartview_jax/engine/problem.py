@@ -15,9 +15,9 @@ from jax.sharding import PartitionSpec as P
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
 from ..calibration import Calibration, TargetShape
 from ..dataset import Observations
+from ..runtime.array_namespace import to_device
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
 from .pose_jacobians import PoseJacobians, linearise_poses

@@ -13,13 +13,13 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import require_instance, require_names
-from ..array_namespace import to_device
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..compilation import compiled, refuse_traced
 from ..dataset import Dataset, chain_residuals
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled, refuse_traced
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, Parameters, Step, parameter_mask, parameter_names

@@ -29,7 +29,7 @@ import lineax as lx
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
-from ..compilation import is_traced, one_program
+from ..runtime.compilation import is_traced, one_program
 from .parameters import Step
 
 

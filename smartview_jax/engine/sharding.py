@@ -17,7 +17,7 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
-from ..array_namespace import to_device
+from ..runtime.array_namespace import to_device
 from .parameters import Step
 from .problem import VIEW_AXIS, FittedChain, JointProblem, NormalEquations
 from .schur import BlockArrow

@@ -15,9 +15,9 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
-from ..array_namespace import to_device
-from ..compilation import compiled
-from ..padding import repeat_last, without_padding
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
+from ..runtime.padding import repeat_last, without_padding
 from .losses import Cauchy
 from .parameters import Step
 from .problem import FittedChain, JointProblem, NormalEquations

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
-from ..compilation import compiled
+from ..runtime.compilation import compiled
 from .parameters import Step
 from .problem import JointProblem
 from .schur import BlockArrow, SchurCholesky

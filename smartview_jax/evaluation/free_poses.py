@@ -13,9 +13,9 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled
 from ..dataset import Dataset
 from ..geometry import transform_points
+from ..runtime.compilation import compiled
 from .measures import ReprojectionErrors, errors_of_predictions
 
 MAX_STEPS = 50

@@ -5,12 +5,12 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import AnyArray
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled
 from ..dataset import Dataset, view_residuals
 from ..robots import CommandLike
+from ..runtime.array_namespace import AnyArray
+from ..runtime.compilation import compiled
 
 
 @runtime_checkable

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled_optimised
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
 
 POINTS_PER_BATCH = 4_096
 """Number of points that are mapped at once, by one compiled program for any number of points."""

@@ -15,9 +15,9 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from ..array_namespace import as_float_array, to_device
-from ..compilation import compiled, is_traced
-from ..padding import over_padded_views
+from ..runtime.array_namespace import as_float_array, to_device
+from ..runtime.compilation import compiled, is_traced
+from ..runtime.padding import over_padded_views
 
 FIVE_VIEWPOINT_STEP = float(np.deg2rad(9.5))
 """Angle between neighbours of the paper's five viewpoints from the object, rad (Section 5)."""

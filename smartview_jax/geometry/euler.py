@@ -14,7 +14,7 @@ from jaxlie import SO3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from ..compilation import one_program
+from ..runtime.compilation import one_program
 
 GIMBAL_LOCK_TOLERANCE = 1e-10
 """Limit on the cosine (or sine) of the middle angle, below which a pose is at gimbal lock.

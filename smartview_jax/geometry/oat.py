@@ -18,8 +18,8 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from ..array_namespace import AnyArray
-from ..compilation import one_program
+from ..runtime.array_namespace import AnyArray
+from ..runtime.compilation import one_program
 from .euler import GIMBAL_LOCK_TOLERANCE
 from .rigid_transforms import PoseLike, as_se3
 

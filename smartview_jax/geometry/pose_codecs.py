@@ -43,8 +43,8 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from ..array_namespace import to_device
-from ..compilation import one_program
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import one_program
 from .euler import EULER_CONVENTIONS
 from .host import host_matrices, host_transforms
 from .oat import oat_from_rotation

@@ -14,8 +14,8 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from ..array_namespace import as_float_array
-from ..compilation import one_program
+from ..runtime.array_namespace import as_float_array
+from ..runtime.compilation import one_program
 from .host import host_matrices, host_transforms
 
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..array_namespace import to_device
+from ..runtime.array_namespace import to_device
 
 
 def transform_to_dict(transform: SE3) -> dict[str, list[float]]:

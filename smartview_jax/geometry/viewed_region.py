@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..array_namespace import as_float_array
-from ..compilation import one_program
+from ..runtime.array_namespace import as_float_array
+from ..runtime.compilation import one_program
 
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 """Value of `ViewedRegion.side` for each name that a file may contain."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..robots import Command, Gripper
+from ..runtime.array_namespace import to_device
 from .candidates import Candidate, candidate_grasps
 from .collisions import (
     CollisionChecker,

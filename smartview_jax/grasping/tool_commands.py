@@ -8,8 +8,8 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_matrices, host_transforms
-from ..padding import repeat_last
 from ..robots import Gripper, JointsLike, SerialArm
+from ..runtime.padding import repeat_last
 from ..viewpoints import ViewpointCommands, viewpoint_commands
 from .scene import GraspScene
 from .uncertainty import gripper_errors

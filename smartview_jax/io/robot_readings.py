@@ -8,9 +8,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..array_namespace import to_device
 from ..dataset import Dataset
 from ..robots import Command, SerialArm
+from ..runtime.array_namespace import to_device
 from .csv_tables import Table
 from .joints import read_joints
 from .pose_log import read_pose_log

@@ -14,13 +14,13 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
-from ..compilation import compiled
 from ..dataset import Dataset, Observations, chain_residuals
 from ..engine import AbstractLoss, Noise, Prior, Solution, with_free_camera_poses
 from ..fit_result import FitCode, FitResult
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from ..staged import pixel_residuals, robust_sigma
 from .fit import fit_joint
 

@@ -11,10 +11,8 @@ import optimistix as optx
 from jaxtyping import Array, Bool
 
 from ..argument_checks import require_instance, require_names
-from ..array_namespace import to_device
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
-from ..compilation import refuse_traced
 from ..dataset import Dataset, chain_residuals, repeated_views
 from ..engine import (
     ROBOT_ERROR,
@@ -49,6 +47,8 @@ from ..robot_errors import (
     RobotPrior,
     checked_field_choice,
 )
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import refuse_traced
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise
 from .gross_errors import remove_gross_errors, without_views

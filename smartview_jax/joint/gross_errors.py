@@ -14,8 +14,6 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..array_namespace import AnyArray, to_device
-from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration, host_mount_from_holder
 from ..dataset import Dataset, Observations, medians_by_view, view_residuals
 from ..engine import (
@@ -35,6 +33,8 @@ from ..engine import (
 )
 from ..fit_result import Rejection
 from ..geometry import host_matrices, host_transforms
+from ..runtime.array_namespace import AnyArray, to_device
+from ..runtime.blas_threads import on_one_blas_thread
 from ..staged import (
     MAX_UNCHECKED_POINTS,
     estimate_view_poses,

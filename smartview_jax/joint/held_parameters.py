@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Int
 from scipy.special import fdtrc
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Pinhole
 from ..engine import (
@@ -26,6 +25,7 @@ from ..engine import (
     squared_residuals,
     with_lens,
 )
+from ..runtime.array_namespace import to_device
 from .joint_fit import JointFit
 from .parameter_estimates import display_unit, displayed_values
 

@@ -24,7 +24,6 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
-from ..compilation import compiled
 from ..engine import (
     BlockArrow,
     JointProblem,
@@ -33,6 +32,7 @@ from ..engine import (
     parameter_mask,
     reduced_equations,
 )
+from ..runtime.compilation import compiled
 
 MIN_EXPLAINED_VARIANCE_FRACTION = 1e-6
 """The smallest fraction of a correction's prior variance that a view must explain to be tested."""

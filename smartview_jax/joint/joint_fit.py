@@ -9,7 +9,6 @@ from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri, stdtrit
 
 from ..calibration import Calibration
-from ..compilation import is_traced
 from ..engine import (
     JointProblem,
     Noise,
@@ -20,6 +19,7 @@ from ..engine import (
     parameter_names,
 )
 from ..fit_result import FitResult, Rejection
+from ..runtime.compilation import is_traced
 from ..variance import NoiseEstimate, p_value
 from .fit_text import fit_html, fit_line, fit_text
 from .influence import Influence, deletion_changes

@@ -18,10 +18,8 @@ from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray, AnyScalar, to_device
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..compilation import compiled_optimised
 from ..dataset import Dataset, Observations, stale_poses
 from ..engine import (
     MAXIMUM_STEPS,
@@ -46,8 +44,10 @@ from ..engine import (
     with_lens,
     with_pixel_sigma,
 )
-from ..padding import power_of_two_from, repeat_last
 from ..robot_errors import FieldChoice, checked_field_choice
+from ..runtime.array_namespace import AnyArray, AnyScalar, to_device
+from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import power_of_two_from, repeat_last
 from .gross_errors import without_views
 from .undetermined import require_moving_robot, undetermined_motion
 

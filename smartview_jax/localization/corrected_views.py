@@ -9,11 +9,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..array_namespace import to_device
 from ..cameras import Camera
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty, SeenViews
-from ..padding import repeat_last
+from ..runtime.array_namespace import to_device
+from ..runtime.padding import repeat_last
 
 
 def corrected_views(

@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..features import CLEARANCE
+from ..runtime.array_namespace import AnyArray
+from ..runtime.compilation import compiled_optimised
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
 from .prediction import predict_view, within_picture
 from .wireframe import Wireframe

@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
 from ..features import EdgePoints, lone_points
-from ..padding import power_of_two_from, repeat_last
+from ..runtime.array_namespace import to_device
+from ..runtime.padding import power_of_two_from, repeat_last
 
 MIN_EDGE_POINTS = 32_768
 """Smallest number of edge points that arrays are padded to; beyond it the next power of two."""

@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.stats import chi2
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled
 from ..features import Features, IdealPlane
 from ..geometry import host_exponentials, host_logarithms
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from .match_equations import Matches, match_equations
 from .pose_equations import CommonErrors, PoseEquations, solve_pose
 from .prediction import predict_view

@@ -16,11 +16,11 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..modeling import ObjectModel, SeenViews
-from ..padding import repeat_last
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import repeat_last
 from .edge_lines import EdgeLines
 from .edge_lookup import EdgeLookup, padded_poses
 from .pose_convergence import in_batches, lengths_at

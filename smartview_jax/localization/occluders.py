@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
-from ..compilation import compiled_optimised
-from ..padding import power_of_two_from
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import power_of_two_from
 from .distinct_poses import in_one_place
 from .edge_lines import HIDING_DEPTH
 from .localization import Localization

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
-from ..compilation import compiled_optimised
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
 from .scoring import SceneMaps, in_single_precision, seen_samples
 from .wireframe import Wireframe
 

@@ -15,11 +15,11 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..modeling import SeenViews
-from ..padding import repeat_last
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import repeat_last
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .wireframe import Wireframe

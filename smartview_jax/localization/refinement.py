@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from scipy.stats import chi2
 
-from ..array_namespace import to_device
 from ..features import EdgePoints
 from ..geometry import host_exponentials, host_logarithms
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews, pixel_jacobians
+from ..runtime.array_namespace import to_device
 from .edge_lines import MIN_ALIGNMENT, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .heavy_tails import solve_heavy_tailed

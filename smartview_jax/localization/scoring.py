@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from ..array_namespace import to_device
-from ..compilation import compiled_optimised
 from ..features import DISTANCE_STEP, FAR, ORIENTATIONS, UNSEEN, PictureEvidence
 from ..modeling import SeenViews
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
 from .prediction import edges_turned_away, hidden_samples
 from .wireframe import Wireframe
 

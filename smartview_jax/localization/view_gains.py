@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..engine import Noise
 from ..geometry import host_adjoints, host_cross_matrices
 from ..modeling import ObjectModel
-from ..padding import repeat_last
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import repeat_last
 from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization

@@ -8,9 +8,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
-from ..compilation import one_program
 from ..modeling import Face, ObjectModel
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import one_program
 
 EDGE_SAMPLES = 128
 """Number of points along all edges together, at least, unless stated."""

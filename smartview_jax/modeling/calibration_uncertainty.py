@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
-from ..compilation import compiled
 from ..engine import Noise, Parameters, PreparedPoses, Step, linearise_poses, parameter_names
 from ..evaluation import CalibrationEstimate, covariance_root
 from ..joint import JointFit, SavedEstimate
 from ..robots import Command
+from ..runtime.compilation import compiled
 from .view_poses import SeenViews
 
 

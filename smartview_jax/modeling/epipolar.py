@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled
-from ..padding import repeat_last
 from ..robots import CommandLike
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
+from ..runtime.padding import repeat_last
 from .view_poses import SeenViews, single_pose
 
 SAMPLES = 128

@@ -14,11 +14,11 @@ import dataclasses
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
+from ..runtime.array_namespace import to_device
 from .calibration_uncertainty import CalibrationUncertainty
 from .estimated_features import EstimatedFeatures
 from .line_jacobians import Lines, line_jacobians, unit_rays

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled
 from ..engine import AbstractLoss
 from ..geometry import host_exponentials
 from ..robots import CommandLike
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from .calibration_uncertainty import CalibrationUncertainty, camera_parameter_count
 from .constrained_system import FeatureBlocks
 from .constraint_geometry import Shape

@@ -8,10 +8,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled
-from ..padding import repeat_last
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
+from ..runtime.padding import repeat_last
 from .view_poses import SeenViews, padded_count, padded_to
 
 

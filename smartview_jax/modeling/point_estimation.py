@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..compilation import compiled
 from ..engine import AbstractLoss
+from ..runtime.compilation import compiled
 from .point_equations import Linearisation, PointProblem, inverse, linearise, mean_distance, solve
 from .point_start import nearest_to_rays
 from .point_status import MAX_RELATIVE_STD, PointStatus

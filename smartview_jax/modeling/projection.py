@@ -4,9 +4,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from .view_poses import SeenViews
 
 POINTS_PER_BATCH = 4096

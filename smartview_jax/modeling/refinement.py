@@ -14,10 +14,10 @@ from typing import Literal, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..blas_threads import on_one_blas_thread
 from ..engine import AbstractLoss, Noise, covariance_factor
 from ..evaluation import CalibrationEstimate
 from ..fit_result import FitResult
+from ..runtime.blas_threads import on_one_blas_thread
 from .calibration_uncertainty import CalibrationUncertainty
 from .constrained_system import Factorisation
 from .constraint_geometry import Shape

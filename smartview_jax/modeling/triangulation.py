@@ -13,11 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import AbstractLoss, Noise
 from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
+from ..runtime.array_namespace import to_device
 from .calibration_uncertainty import CalibrationUncertainty
 from .estimated_features import EstimatedPoints
 from .pixel_jacobians import pixel_jacobians

@@ -8,12 +8,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..geometry import check_rigid, host_matrices, host_transforms
-from ..padding import power_of_two_from, repeat_last
 from ..robots import Command, CommandLike
+from ..runtime.array_namespace import to_device
+from ..runtime.padding import power_of_two_from, repeat_last
 
 PADDED_VIEWS = 4
 """Views are padded to a multiple of this number, so that one more view compiles nothing."""

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..calibration_pipeline import CalibrationFit, calibrate
 from ..dataset import Dataset
 from ..detection import correct_circle_centres, detect
 from ..geometry import host_matrices, look_at, viewing_direction
 from ..robots import Command, SerialArm, joints_for_pose
+from ..runtime.array_namespace import to_device
 from ..simulation import Cell
 from ..staged import fit_staged
 from ..targets import AbstractTarget, CircleGrid, StackedTarget

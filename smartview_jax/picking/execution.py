@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from ..array_namespace import to_device
 from ..geometry import host_transforms
 from ..grasping import PHASES, PlannedGrasp
 from ..robots import Command
+from ..runtime.array_namespace import to_device
 from ..simulation import Cell
 
 EMPTY_FRACTION = 0.5

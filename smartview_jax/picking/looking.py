@@ -7,7 +7,6 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..engine import Noise
@@ -18,6 +17,7 @@ from ..joint import JointFit, SavedEstimate
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
 from ..robots import BOX_CORNERS, Command, SerialArm
+from ..runtime.array_namespace import to_device
 from ..simulation import Cell, CellError
 from ..viewpoints import viewpoint_commands
 from .calibrating import stacked_commands

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import compiled
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 
 if TYPE_CHECKING:
     from ..features import PictureEvidence

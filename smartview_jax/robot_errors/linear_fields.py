@@ -6,9 +6,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..compilation import one_program
 from ..geometry import host_matrices
 from ..robots import Command
+from ..runtime.compilation import one_program
 from .field import AbstractField, AbstractLinearField
 
 UNIFORM_HALF_WIDTH = 1.7

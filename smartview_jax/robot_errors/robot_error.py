@@ -7,9 +7,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
-from ..compilation import compiled, compiled_optimised
 from ..robots import Command, CommandLike, JointsLike, as_command
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled, compiled_optimised
 from .field import INVERSION_STEPS, AbstractField
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..compilation import one_program
 from ..robots import Command
+from ..runtime.compilation import one_program
 from .field import AbstractField, AbstractLinearField
 from .linear_fields import LinearInPose, centre_and_reach
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..array_namespace import as_float_array
 from ..robots import SerialArm, arm_from_dict, arm_to_dict
+from ..runtime.array_namespace import as_float_array
 from ..schemas.messages import shortened_repr, spelling_suggestion
 from .field import AbstractField
 from .registry import field_by_name, field_name

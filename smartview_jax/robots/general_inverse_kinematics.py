@@ -5,8 +5,8 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..compilation import compiled_optimised
 from ..geometry import PoseLike, as_se3
+from ..runtime.compilation import compiled_optimised
 from .command import JointsLike
 from .iterative_inverse_kinematics import solve_joints_iteratively
 from .joint_solution import JointSolution, SolutionStatus

@@ -9,8 +9,8 @@ from jax.custom_derivatives import SymbolicZero
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..compilation import compiled_optimised
 from ..geometry import se3_left_jacobian
+from ..runtime.compilation import compiled_optimised
 from .command import JointsLike
 from .serial_arm import SerialArm, pose_and_jacobian
 

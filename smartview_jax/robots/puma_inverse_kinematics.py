@@ -22,8 +22,8 @@ from jax.core import Tracer
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..compilation import one_program
 from ..geometry import PoseLike, as_se3
+from ..runtime.compilation import one_program
 from .command import JointsLike
 from .joint_solution import LIMIT_TOLERANCE, JointSolution, SolutionStatus, wrap_to_limits
 from .serial_arm import SerialArm

@@ -16,9 +16,9 @@ from jax.core import Tracer
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
-from ..compilation import compiled, one_program
 from ..geometry import PoseLike, as_se3
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled, one_program
 from .command import Command, JointsLike
 
 DH_CONVENTIONS = ("standard", "modified")

@@ -14,13 +14,13 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera, OpenCV5
 from ..dataset import Dataset
 from ..geometry import as_se3, host_exponentials, host_matrices
 from ..robot_errors import DHErrors, RobotError
 from ..robots import SerialArm, six_axes, solve_joints_iteratively
+from ..runtime.array_namespace import to_device
 from .scenes import random_viewpoints, simulate
 
 KINEMATIC_ERROR_SIGMA = {

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, UInt8
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..files import write_atomically
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..io import write_dataset_folder
+from ..runtime.compilation import compiled_optimised
 from ..targets import AbstractTarget, StackedTarget
 from .patterns import printed_pattern
 from .sensor import sensor_picture

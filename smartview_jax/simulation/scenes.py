@@ -8,12 +8,12 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera, Radial
 from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, host_exponentials, host_matrices, viewing_direction
 from ..geometry import look_at as look_along
+from ..runtime.array_namespace import to_device
 from ..targets import AbstractTarget
 
 

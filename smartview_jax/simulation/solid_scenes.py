@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..geometry import PoseLike, as_se3, host_matrices
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled_optimised
 from .polyhedra import Polyhedron
 from .ray_casting import MISSED, Hits, RayCaster
 from .sensor import sensor_picture

@@ -13,11 +13,8 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
-from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration, host_mount_from_holder, transform_names
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
-from ..compilation import refuse_traced
 from ..dataset import (
     Dataset,
     Observations,
@@ -27,6 +24,9 @@ from ..dataset import (
 )
 from ..fit_result import FitCode, FitResult, Rejection
 from ..geometry import PoseLike, host_matrices
+from ..runtime.array_namespace import to_device
+from ..runtime.blas_threads import on_one_blas_thread
+from ..runtime.compilation import refuse_traced
 from .conventions import ConventionReport, check_conventions
 from .given_start import known_transforms
 from .hand_eye import HandEyeResult, solve_hand_eye

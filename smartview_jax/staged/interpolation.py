@@ -19,11 +19,11 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 from scipy.optimize import nnls
 
-from ..array_namespace import to_device
 from ..cameras import Camera
-from ..compilation import one_program
 from ..geometry import transform_points, ypr_from_rotation
 from ..robots import CommandLike, as_command
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import one_program
 
 MIN_SPREAD_RATIO = 0.1
 """Ratio of the spread of the viewpoints along a direction to their largest spread, below which they

@@ -27,10 +27,10 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..compilation import compiled, is_traced
 from ..dataset import Observations
 from ..geometry import transform_points
-from ..padding import repeat_last, without_padding
+from ..runtime.compilation import compiled, is_traced
+from ..runtime.padding import repeat_last, without_padding
 from .kalman_pass import PassResult, run_pass
 
 MAD_TO_SIGMA = 1.4826

@@ -23,9 +23,9 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial.transform import Rotation
 
 from ..cameras import Camera
-from ..compilation import compiled_optimised
 from ..dataset import Observations
 from ..geometry import host_matrices
+from ..runtime.compilation import compiled_optimised
 from .kalman_update import (
     FilterState,
     absorb_measurements,

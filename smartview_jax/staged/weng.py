@@ -19,9 +19,9 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..compilation import compiled, compiled_optimised
 from ..dataset import Observations
-from ..padding import without_padding
+from ..runtime.compilation import compiled, compiled_optimised
+from ..runtime.padding import without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, coplanar, extents, view_starts
 

@@ -14,9 +14,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..array_namespace import AnyArray
 from ..cameras import Camera, Radial
 from ..geometry import host_cross_matrices, host_nearest_rotation, host_transforms
+from ..runtime.array_namespace import AnyArray
 
 HostArray = np.ndarray
 """An array of NumPy whose first axis is that of the views."""

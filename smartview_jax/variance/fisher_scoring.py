@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..array_namespace import AnyArray, array_namespace
+from ..runtime.array_namespace import AnyArray, array_namespace
 from .likelihood import (
     LinearisedViews,
     Marginalisation,

@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from ..array_namespace import to_device
 from ..dataset import view_residuals
 from ..engine import FittedChain, Step
+from ..runtime.array_namespace import to_device
 from .likelihood import LinearisedViews, StandardDeviations, marginalise
 from .view_statistics import ViewStatistics
 

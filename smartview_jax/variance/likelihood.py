@@ -24,8 +24,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ..array_namespace import AnyArray, AnyScalar, array_namespace
 from ..engine import BlockArrow, Step, inverse_cholesky_factor
+from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
 
 ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.

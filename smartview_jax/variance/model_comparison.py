@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration, flat_shape
 from ..dataset import Dataset
 from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
+from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import StandardDeviationPrior
 from .free_poses import fit_free_poses
 from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step

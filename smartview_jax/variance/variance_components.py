@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..blas_threads import on_one_blas_thread
 from ..calibration import Calibration, TargetShape
 from ..dataset import Dataset
 from ..engine import (
@@ -21,6 +20,7 @@ from ..engine import (
     solve,
 )
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior, checked_field_choice
+from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
 from .kenward_roger import small_sample_correction
 from .lens_terms import lens_evidence

@@ -13,9 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..array_namespace import to_device
 from ..calibration import BOW, PRINT, SHAPE_NAMES, TargetShape
-from ..compilation import compiled
 from ..engine import (
     ROBOT_ERROR,
     SIGMA_FLOOR,
@@ -29,6 +27,8 @@ from ..engine import (
     padded,
     padded_step,
 )
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from .likelihood import LinearisedViews, StandardDeviations
 from .model_selection import SHAPE_GROUPS, TARGET_SCALE, TARGET_SHAPE
 

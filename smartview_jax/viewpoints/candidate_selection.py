@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray
-from ..compilation import compiled_optimised
+from ..runtime.array_namespace import AnyArray
+from ..runtime.compilation import compiled_optimised
 from .optimality_criteria import OptimalityCriterion
 
 REGULARISATION_FRACTION = 1e-9

@@ -8,11 +8,11 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array, to_device
 from ..calibration import Calibration
-from ..compilation import is_traced, one_program
 from ..geometry import transform_points
 from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
+from ..runtime.array_namespace import as_float_array, to_device
+from ..runtime.compilation import is_traced, one_program
 from .reachability import is_singular, status_message
 
 CHECK_MESSAGES = {

@@ -7,12 +7,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..array_namespace import as_float_array
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..compilation import compiled, is_traced
 from ..geometry import PoseLike, as_se3, xyzoat
 from ..robots import Command, CommandLike, JointsLike, JointSolution, SerialArm, as_command
+from ..runtime.array_namespace import as_float_array
+from ..runtime.compilation import compiled, is_traced
 from .checks import Checks, Limits, check_views
 from .reachability import solve_joints
 

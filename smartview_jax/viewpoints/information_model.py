@@ -16,14 +16,14 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import as_float_array, to_device
 from ..calibration import Calibration
-from ..compilation import compiled_optimised
 from ..dataset import Dataset, Observations
 from ..engine import JointProblem, Noise, Prior, Step, build_problem
 from ..geometry import look_at, transform_points
 from ..robot_errors import FieldChoice, nominal_arm
 from ..robots import Command, JointsLike
+from ..runtime.array_namespace import as_float_array, to_device
+from ..runtime.compilation import compiled_optimised
 from .checks import border_distance
 
 

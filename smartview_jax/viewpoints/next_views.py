@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..array_namespace import to_device
 from ..calibration import Calibration
 from ..engine import Noise, parameter_names
 from ..geometry import ViewedRegion, host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike, SerialArm
+from ..runtime.array_namespace import to_device
 from .candidate_selection import views_needed
 from .checks import Limits
 from .commands import viewpoint_commands

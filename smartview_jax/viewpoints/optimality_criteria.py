@@ -15,9 +15,9 @@ from jax.scipy.linalg import solve_triangular
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..array_namespace import to_device
-from ..compilation import one_program
 from ..engine import RANK_TOLERANCE
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import one_program
 from .information_model import InformationModel
 
 

@@ -11,8 +11,8 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..array_namespace import AnyArray, to_device
-from ..compilation import compiled_optimised, one_program
+from ..runtime.array_namespace import AnyArray, to_device
+from ..runtime.compilation import compiled_optimised, one_program
 from .candidate_selection import cumulative_criterion, exchange_selection, greedy_selection
 from .information_model import InformationModel
 from .optimality_criteria import OptimalityCriterion

@@ -6,8 +6,8 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..compilation import one_program
 from ..geometry import look_at
+from ..runtime.compilation import one_program
 
 MAX_LIMIT_FRACTION = 0.995
 """Fraction of a limit to which numbers are clipped before conversion to unbounded coordinates.

@@ -9,11 +9,11 @@ from board_scene import BOARD, VIEWS, calibrated_board, run
 from jaxlie import SE3
 
 from smartview_jax import Calibration
-from smartview_jax.array_namespace import to_device
 from smartview_jax.cli.load import load_named
 from smartview_jax.cli.options import BadViews
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.io import save_dataset
+from smartview_jax.runtime.array_namespace import to_device
 from smartview_jax.simulation import random_scene, simulate
 
 

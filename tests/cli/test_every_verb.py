@@ -33,7 +33,12 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("calibrate", "data --lens radial --no-held-out --out result", 0, "result/calibration.yaml: the"),
+    Case(
+        "calibrate",
+        "data --lens radial --no-held-out --out result",
+        0,
+        "result/calibration.yaml: the",
+    ),
     Case("calibrate", "nowhere", 2, "nowhere: no such folder"),
     Case("calibrate", "data --lens glass", 2, "lens is one of"),
     Case("check", "data", 0, "camera and robot agree: smartview calibrate can begin"),

@@ -12,11 +12,11 @@ from scipy.spatial import ConvexHull, Delaunay
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
-from smartview_jax.compilation import compiled
 from smartview_jax.features import EdgePoints, Features, PictureEvidence, edge_maps, lone_points
 from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
 from smartview_jax.modeling import SeenViews
+from smartview_jax.runtime.compilation import compiled
 
 IMAGE_SIZE = (640, 480)
 """Of all pictures in the tests of this room, so that they share compiled programs."""

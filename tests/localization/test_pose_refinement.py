@@ -21,7 +21,6 @@ from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
 import smartview_jax as sv
-from smartview_jax.array_namespace import to_device
 from smartview_jax.engine import Noise
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
@@ -38,6 +37,7 @@ from smartview_jax.localization.edge_lookup import padded_poses
 from smartview_jax.localization.heavy_tails import solve_heavy_tailed
 from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
+from smartview_jax.runtime.array_namespace import to_device
 
 RUNS = 10
 """Number of simulated sets of pictures of each study; of a NEES of 6 their mean errs by 1.1."""

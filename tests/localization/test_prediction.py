@@ -18,10 +18,10 @@ from solids import box
 import smartview_jax as sv
 from smartview_jax import features
 from smartview_jax.cameras import OpenCV5
-from smartview_jax.compilation import compiled
 from smartview_jax.geometry import host_exponentials, host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view, search_regions
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
+from smartview_jax.runtime.compilation import compiled
 from smartview_jax.simulation import (
     SolidScene,
     Surface,

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
-from ...array_namespace import to_device
 from ...calibration import Calibration
 from ...dataset import Dataset
+from ...runtime.array_namespace import to_device
 from ..measures import Predictor, ReprojectionErrors, reprojection_errors
 from .bootstrap import Interval, rms_interval
 from .folds import split_views

@@ -14,12 +14,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ...array_namespace import to_device
 from ...calibration import Calibration
-from ...compilation import compiled
 from ...dataset import Dataset
 from ...joint import JointFit, SavedEstimate
 from ...robots import Command
+from ...runtime.array_namespace import to_device
+from ...runtime.compilation import compiled
 from ..measures import ReprojectionErrors, errors_at_target, predict
 from ..uncertainty import std_of, sum_of_squared_derivatives
 from .held_out import FoldFit, HeldOutErrors, pool_errors, score, whole_fit

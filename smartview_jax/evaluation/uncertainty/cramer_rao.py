@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...calibration import Calibration
-from ...compilation import compiled
 from ...dataset import Dataset
 from ...engine import (
     JointProblem,
@@ -24,6 +23,7 @@ from ...engine import (
     observability,
 )
 from ...robot_errors import FieldChoice
+from ...runtime.compilation import compiled
 
 
 class CramerRaoBound(eqx.Module):

@@ -10,12 +10,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ...array_namespace import to_device
 from ...calibration import Calibration
 from ...dataset import Dataset, Observations, chain_residuals
 from ...engine import host_retract
 from ...geometry import look_at
 from ...robots import Command, as_command
+from ...runtime.array_namespace import to_device
 from .propagation import CalibrationEstimate, covariance_root
 
 MARGIN = 0.02

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...array_namespace import to_device
 from ...calibration import Calibration
-from ...compilation import compiled
 from ...engine import Observability, Parameters, Step, covariance_factor, parameter_names
+from ...runtime.array_namespace import to_device
+from ...runtime.compilation import compiled
 
 
 @runtime_checkable

@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ...array_namespace import to_device
 from ...geometry import as_se3, host_logarithms, host_matrices, host_transforms, pose_codec
 from ...robots import Command, CommandLike, JointsLike
+from ...runtime.array_namespace import to_device
 from .interface import CellError
 
 MAX_POSITION_ERROR = 5e-3

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from .files import clean_up_before_exit
+from ..files import clean_up_before_exit
 
 INTERRUPT_EXIT_CODE = 130
 """Exit code of an interrupted program, by the shells' convention: 128 + 2, the signal's number."""

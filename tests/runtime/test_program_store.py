@@ -15,16 +15,16 @@ from main_job import user_environment
 from once_a_run import made_once
 
 from smartview_jax.cameras import Camera, Pinhole, radial
-from smartview_jax.program_store import ProgramStore
-from smartview_jax.program_store import store as store_module
-from smartview_jax.program_store.identity import constants, known_name, pickled_if_known
-from smartview_jax.program_store.safe_pickle import unpickled_program, unpickled_trace
+from smartview_jax.runtime.program_store import ProgramStore
+from smartview_jax.runtime.program_store import store as store_module
+from smartview_jax.runtime.program_store.identity import constants, known_name, pickled_if_known
+from smartview_jax.runtime.program_store.safe_pickle import unpickled_program, unpickled_trace
 
 PROCESS = """
 import json
 import jax, jax.numpy as jnp, numpy as np
 import smartview_jax as sv
-from smartview_jax.compilation import compiled
+from smartview_jax.runtime.compilation import compiled
 from smartview_jax.geometry import host_transforms
 {before}
 timed, hits = [], []
@@ -132,7 +132,7 @@ def test_a_function_of_a_script_is_in_jaxs_own_cache(processes):
 
 def test_without_this_room_jaxs_own_cache_is_used(tmp_path):
     """The room can be deleted: what it saves is time."""
-    is_deleted = "import sys; sys.modules['smartview_jax.program_store'] = None"
+    is_deleted = "import sys; sys.modules['smartview_jax.runtime.program_store'] = None"
     for hits in (0, 1):
         done = subprocess.run(
             [sys.executable, "-c", is_deleted + PROCESS.format(before="")],

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from smartview_jax.blas_threads import on_one_blas_thread
+from smartview_jax.runtime.blas_threads import on_one_blas_thread
 
 
 def thread_counts():

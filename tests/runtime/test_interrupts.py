@@ -11,7 +11,7 @@ ANSWER = 2.0
 
 STUCK = """
 import hashlib, sys
-from smartview_jax.interrupts import interrupt_listener
+from smartview_jax.runtime.interrupts import interrupt_listener
 from smartview_jax.files import file_transaction
 
 with interrupt_listener(), file_transaction(sys.argv[1], ["result.yaml"]) as folder:

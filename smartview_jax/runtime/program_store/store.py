@@ -16,8 +16,8 @@ import numpy as np
 from jax._src.config import persistent_cache_min_compile_time_secs as jaxs_shortest_time
 from jax.experimental.serialize_executable import serialize
 
+from ...files import write_atomically
 from ..compilation_cache import PROGRAM_SUFFIX, TRACE_SUFFIX, is_safe_folder, only_user_can_write
-from ..files import write_atomically
 from .identity import compiler, constants, known_name, pickled_if_known, sources
 from .safe_pickle import pickled_trace, unpickled_program, unpickled_trace
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import smartview_jax
-from smartview_jax import compilation
-from smartview_jax.compilation import compiled, compiled_optimised
+from smartview_jax.runtime import compilation
+from smartview_jax.runtime.compilation import compiled, compiled_optimised
 
 PACKAGE = Path(smartview_jax.__file__).parent
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import smartview_jax as sv
-from smartview_jax.double_precision import VARIABLE
 from smartview_jax.io import sample_folder
+from smartview_jax.runtime.double_precision import VARIABLE
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import kalman_filter
 

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 import pytest
 
-from smartview_jax import compilation_cache
-from smartview_jax.compilation import compiled
+from smartview_jax.runtime import compilation_cache
+from smartview_jax.runtime.compilation import compiled
 
 SETTINGS = {
     "jax_enable_compilation_cache": True,
@@ -152,7 +152,9 @@ def test_what_was_not_read_for_longest_is_removed(settings, tmp_path, monkeypatc
 
 def test_the_first_program_switches_the_cache_on(monkeypatch):
     calls = []
-    monkeypatch.setattr("smartview_jax.compilation.keep_compiled_programs", lambda: calls.append(1))
+    monkeypatch.setattr(
+        "smartview_jax.runtime.compilation.keep_compiled_programs", lambda: calls.append(1)
+    )
     program = compiled(lambda x: x + 1.0)
     assert not calls
     program(np.zeros(3))

@@ -11,13 +11,13 @@ from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.dataset import chain_residuals
-from smartview_jax.padding import (
+from smartview_jax.robot_errors import LinearInPose
+from smartview_jax.runtime.padding import (
     MAX_PADDED_OBSERVATIONS,
     padded_counts,
     repeat_last,
     without_padding,
 )
-from smartview_jax.robot_errors import LinearInPose
 from smartview_jax.staged import calibrate_views, kalman_filter
 
 
@@ -53,7 +53,7 @@ def seen_in(views):
 @pytest.fixture
 def unpadded(monkeypatch):
     """Call it, and nothing is padded any more."""
-    return lambda: monkeypatch.setattr("smartview_jax.padding.MAX_PADDED_OBSERVATIONS", 0)
+    return lambda: monkeypatch.setattr("smartview_jax.runtime.padding.MAX_PADDED_OBSERVATIONS", 0)
 
 
 def test_steps_1_and_2_find_the_same(unpadded):

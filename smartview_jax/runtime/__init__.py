@@ -1,0 +1,1 @@
+"""Run the numerical code: compile, keep programs, pad shapes, limit threads, end on Ctrl-C."""
